@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from trainid_ros.ato.days import DayPlan, Drive, drive_day, plan_day
 from trainid_ros.ato.knowledge import TrainValues, client_values
+from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel
 from trainid_ros.client.channel import MAX_AGE_S
@@ -52,7 +53,7 @@ class NodeValues:
         }
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        self._brake, self._period = train_file.brake, TICK_S / rate
+        self._brake, self._period = true_brake(train_file), TICK_S / rate
         self._due = time.monotonic()
         self._asked = self._live = 0
 

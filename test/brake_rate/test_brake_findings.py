@@ -12,6 +12,7 @@ from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.results import Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile
 
 USABLE = frozenset({Status.VALID, Status.HOLDING})
@@ -87,6 +88,15 @@ def test_a_rate_that_changes_over_speed_by_much_is_named_and_not_valid(
     assert (pipeline.status in USABLE) == (not sense)
     named = [finding.split(' brake rate ')[1].split()[0] for finding in brake_findings(pipeline)]
     assert named == [sense] * bool(sense)
+
+
+def test_a_stated_fade_is_no_wrong_rate_over_speed(metro: TrainFile) -> None:
+    fading = replace(metro, effects=parse_effects(('brake_fade:loss=0.5,energy=200',)))
+    pipeline = brake_rate_pipeline(fading, EstimatorSettings())
+    for record in simulate(Scenario(fading, runs=4), np.random.default_rng(6003)).records:
+        pipeline.push(record)
+        assert not pipeline.stream.brake_delay.shape.is_wrong
+    assert pipeline.status in USABLE
 
 
 def test_a_long_dead_time_and_a_steep_table_that_are_right_are_valid(metro: TrainFile) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from trainid_ros.client import TrainModel
 from trainid_ros.client.stated_effects import StatedEffects
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.records import Record
@@ -152,6 +152,11 @@ def test_bounds_assume_a_fully_faded_brake_and_other_answers_a_cold_one() -> Non
     assert fading.brake_rate() == model().brake_rate()
     faded = TrainModel(None, replace(FILE, brake=Brake(rate_table=((0.0, 0.7),))))
     assert fading.stopping_distance(20.0).value == pytest.approx(faded.stopping_distance(20.0).value)
+
+
+def test_effects_that_leave_no_brake_are_named() -> None:
+    with pytest.raises(InputError, match=r'effects \(brake_fade, mass_error\) .* leave no brake force .* -0\.10'):
+        model('brake_fade:loss=0.5,energy=200', 'mass_error:ratio=2.5')
 
 
 @pytest.mark.parametrize('text', [*NOT_OF_A_SPEED, *ON_RECORDS])

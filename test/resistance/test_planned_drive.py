@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
@@ -97,3 +98,14 @@ def test_a_run_keeps_to_the_speed_limits_where_they_hold() -> None:
     assert all(max(step.speed for step in run.steps) < 10.6 for run in planned_runs(tight, DAVIS))
     wide = replace(tight, line=replace(tight.line, speed_limit=((0.0, 10.0), (1000.0, 25.0))))
     assert any(max(step.speed for step in run.steps) > 15.0 for run in planned_runs(wide, DAVIS))
+
+
+def test_a_run_brakes_before_a_lower_limit() -> None:
+    """Fast for 1000 m, then slow to the stop: at the braking of a fast run from there, the limit is too low."""
+    limited = replace(FILE, line=Line(stops=(0.0, 2200.0), speed_limit=((0.0, 25.0), (1000.0, 5.0))))
+    for run in planned_runs(limited, DAVIS):
+        positions = STEP_S * np.cumsum(run.speeds)
+        beyond = [speed for speed, position in zip(run.speeds, positions, strict=True) if position > 1000.0]
+        assert max(beyond, default=0.0) < 5.6 or max(run.speeds) < 5.6
+    free = replace(limited, line=replace(limited.line, speed_limit=((0.0, 25.0),)))
+    assert len(list(planned_runs(free, DAVIS))) > len(list(planned_runs(limited, DAVIS)))

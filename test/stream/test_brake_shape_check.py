@@ -75,6 +75,13 @@ def test_speeds_alike_say_nothing_of_a_change_over_speed() -> None:
     assert checked(lambda v: v / MAX_SPEED, 3, (10.0, 9.5)).is_trusted
 
 
+def test_a_braking_at_one_speed_does_not_clear_what_others_have_shown() -> None:
+    check = checked(lambda v: 0.6 * v / MAX_SPEED, 3)
+    check.learn(braking(lambda v: 0.6 * v / MAX_SPEED, 9, (20.0, 19.0)))
+    assert check.is_wrong
+    assert check.warning(MAX_SPEED).startswith('from 1 to 20 m/s the brake rate rises by about 0.5')
+
+
 def test_a_braking_that_has_not_ended_is_judged_and_forgotten() -> None:
     check = BrakeShapeCheck()
     check.observe(braking(lambda v: v / MAX_SPEED, 1))

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.client import TrainModel
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
@@ -92,7 +93,7 @@ class LiveValues:
         pipelines = (resistance_pipeline(train_file, settings), brake_rate_pipeline(train_file, settings))
         self._group, self._now_s = PipelineGroup(pipelines), 0.0
         self.model = TrainModel(None, train_file, clock=lambda: self._now_s)
-        self._values = TrainValues(train_file.resistance, train_file.brake)
+        self._values = TrainValues(train_file.resistance, true_brake(train_file))
 
     def observe(self, record: Record) -> None:
         """Give a record to the estimators, and take over their present values."""
@@ -110,7 +111,10 @@ class LiveValues:
 
 
 def client_values(model: TrainModel, brake: Brake) -> TrainValues:
-    """Return the present values of a client; timing and rate table of the brake stay those given."""
+    """Return the present values of a client; timing and rate table of the brake stay those given.
+
+    The resistance is the parabola through three speeds, which is that of the client if the train file states no effect.
+    """
     still, medium, fast = (model.resistance(speed).value for speed in (0.0, _SPEED, 2.0 * _SPEED))
     c = (fast - 2.0 * medium + still) / (2.0 * _SPEED * _SPEED)
     b = (medium - still) / _SPEED - c * _SPEED

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.errors import InputError
 from trainid_ros.train.effects import TrackPoint, resistance_terms
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class StatedEffects:
     def __init__(self, train_file: TrainFile) -> None:
         effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
         self._terms, self._davis = resistance_terms(effects), train_file.resistance
+        self._names = ', '.join(effect.name for effect in effects)
         self._length = train_file.train.length
 
     def resistance(self, speed: float, direction: int) -> float:
@@ -51,12 +53,21 @@ class StatedEffects:
         return 1.0 - math.fsum(map(_difference, after, before)) / _REFERENCE
 
     def brake_share(self, speed: float, *, hot: bool = False) -> float:
-        """Return the share of the brake force that they leave [1]: of a cold brake, or of a hot one if that is less."""
+        """Return the share of the brake force that they leave [1]: of a cold brake, or of a hot one if that is less.
+
+        Raises:
+            InputError: They leave nothing.
+
+        """
         shares = []
         for heat in (0.0, _HOT) if hot else (0.0,):
             before, after = self._values(speed, 1, heat=heat), self._values(speed, 1, brake=-_REFERENCE, heat=heat)
             shares.append(1.0 + math.fsum(map(_difference, after, before)) / _REFERENCE)
-        return min(shares)
+        share = min(shares)
+        if share <= 0.0:
+            msg = f'effects ({self._names}) of the train file leave no brake force at {speed:g} m/s: share {share:.2f}'
+            raise InputError(msg)
+        return share
 
     def _values(
         self, speed: float, direction: int, *, traction: float = 0.0, brake: float = 0.0, heat: float = 0.0

@@ -254,7 +254,7 @@ class TrainModel:
         applied: float = 0.0,
         direction: int = 1,
     ) -> Value:
-        """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
+        """Return the distance [m] within which the train stops at a confidence; its median at 0.5, with a hot brake.
 
         ``std`` is the standard deviation of the distance, not of the bound. For the equations see ``stopping``.
 

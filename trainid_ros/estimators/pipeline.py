@@ -120,6 +120,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             (stream.has_changed, 'a change is suspected'),
             (not stream.is_trusted, 'the inputs have not yet confirmed each other'),
             (is_brake_unsure and check.warning != '', 'the brake contradicts the train file'),
+            (is_brake_unsure and check.has_braked, 'the present braking contradicts the train file'),
             (is_brake_unsure, 'no braking has confirmed brake.delay and brake.rate yet'),
         )
         return next((text for holds, text in reasons if holds), '')

@@ -99,12 +99,33 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a manoeuvre: the steps before the braking, and time [s] and length [m] from stop to stop."""
+    """One run of a manoeuvre.
+
+    Attributes:
+        manoeuvre: The manoeuvre.
+        steps: Its steps before the braking.
+        braking: Speeds at the ends of the steps of the braking to the stop [m/s].
+
+    """
 
     manoeuvre: Manoeuvre
     steps: tuple[Step, ...]
-    duration_s: float
-    length_m: float
+    braking: tuple[float, ...]
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """Speeds from stop to stop, one at the end of each step [m/s]."""
+        return (*(step.speed for step in self.steps), *self.braking)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from stop to stop [s]."""
+        return STEP_S * len(self.speeds)
+
+    @property
+    def length_m(self) -> float:
+        """Length from stop to stop [m]."""
+        return STEP_S * math.fsum(0.5 * (before + after) for before, after in pairwise((0.0, *self.speeds)))
 
     def first_learned(self, settling_s: float, slowest: float) -> int:
         """Return the index of the first step from which is learned; the number of steps if there is none.
@@ -138,14 +159,14 @@ def planned_brakings(train_file: TrainFile) -> Iterator[Run]:
 
 def _fits(run: Run, train_file: TrainFile) -> bool:
     """Return whether there is room for a run between two stops, where the speed limits allow it."""
-    line = train_file.line
+    line, length = train_file.line, run.length_m
     if not line.stops:
-        return run.length_m <= _LONGEST_M
+        return length <= _LONGEST_M
     profile = LineProfile(line, train_file.train.length)
     for stop, following in pairwise(line.stops):
         # A limit ends when the rear of the train has passed it.
         ends = (position + train_file.train.length for position, _ in line.speed_limit)
-        begins = (begin for begin in (stop, *ends) if stop <= begin <= following - run.length_m)
+        begins = (begin for begin in (stop, *ends) if stop <= begin <= following - length)
         if any(_is_allowed(run, begin, profile) for begin in begins):
             return True
     return False
@@ -154,9 +175,9 @@ def _fits(run: Run, train_file: TrainFile) -> bool:
 def _is_allowed(run: Run, begin: float, profile: LineProfile) -> bool:
     """Return whether a run from a position [m] on exceeds no speed limit."""
     position = begin
-    for step in run.steps:
-        position += STEP_S * step.speed
-        if step.speed > profile.speed_limit(position, 1) + _ABOVE:
+    for speed in run.speeds:
+        position += STEP_S * speed
+        if speed > profile.speed_limit(position, 1) + _ABOVE:
             return False
     return True
 
@@ -192,7 +213,7 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
     """
     train, scale = train_file.train, force_scale
     m = specific_inertia(1.0, train.rotary_mass)
-    v = traction = length = held_s = 0.0
+    v = traction = held_s = 0.0
     steps: list[Step] = []
     reached = False
     while not (reached and manoeuvre.is_over(v, held_s)):
@@ -200,31 +221,29 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
         reached = reached or v >= manoeuvre.start
         held_s += STEP_S if reached else 0.0
         full = min(specific_force(train.traction_limit(v), train.mass), (m * ACCELERATION + w) / scale)
-        afterwards = w / scale if manoeuvre.held_s > 0.0 else 0.0
+        afterwards = max(0.0, w / scale) if manoeuvre.held_s > 0.0 else 0.0
         change = min(max((afterwards if reached else full) - traction, -JERK * m * STEP_S), JERK * m * STEP_S)
-        mean, traction, before = traction + 0.5 * change, traction + change, v
+        mean, traction = traction + 0.5 * change, traction + change
         v = max(0.0, v + STEP_S / m * (scale * mean - w))
-        length += 0.5 * (before + v) * STEP_S
         steps.append(Step(v, mean, change / STEP_S))
         if len(steps) * STEP_S > _LONGEST_S or (v == 0.0 and reached):
             return None
     braking = _braking(v, train_file, davis)
     if braking is None:
         return None
-    return Run(manoeuvre, tuple(steps), len(steps) * STEP_S + braking[0], length + braking[1])
+    return Run(manoeuvre, tuple(steps), braking)
 
 
-def _braking(v: float, train_file: TrainFile, davis: Davis) -> tuple[float, float] | None:
-    """Return time [s] and length [m] of the braking to a stop from a speed [m/s]; None if it takes too long."""
+def _braking(v: float, train_file: TrainFile, davis: Davis) -> tuple[float, ...] | None:
+    """Return the speeds of the braking to a stop from a speed [m/s]; None if it takes too long."""
     brake, m = train_file.brake, specific_inertia(1.0, train_file.train.rotary_mass)
-    time_s = length = target = 0.0
+    target, speeds = 0.0, list[float]()
     while v > 0.0:
-        command = -DECELERATION if time_s >= brake.delay else 0.0
+        command = -DECELERATION if STEP_S * len(speeds) >= brake.delay else 0.0
         target = lag_response(target, command, brake.time_constant, STEP_S)
-        before, w = v, davis.a + v * (davis.b + v * davis.c)
+        w = davis.a + v * (davis.b + v * davis.c)
         v = max(0.0, v + STEP_S * (brake.rate_at(v) * target - w / m))
-        length += 0.5 * (before + v) * STEP_S
-        time_s += STEP_S
-        if time_s > _LONGEST_S:
+        speeds.append(v)
+        if STEP_S * len(speeds) > _LONGEST_S:
             return None
-    return time_s, length
+    return tuple(speeds)

@@ -23,6 +23,8 @@ from typing import Final
 _LEAST_CHANGE: Final = 0.3
 _KNOWN: Final = 4.0
 _ENDS: Final = 0.75
+# A braking over a smaller range of p says nothing of a change over speed [1].
+_NARROW: Final = 0.2
 # Fewest blocks of a braking that are compared, and least standard deviation of their residuals [N/kN].
 _FEWEST: Final = 8
 _RESIDUAL: Final = 2.0
@@ -149,10 +151,10 @@ class ShapeChange:
 
     """
 
-    least: float
-    most: float
-    size: float
-    std: float
+    least: float = 0.0
+    most: float = 0.0
+    size: float = 0.0
+    std: float = 0.0
 
     @property
     def contradicts(self) -> bool:
@@ -166,9 +168,10 @@ class BrakeShapeCheck:
 
     Attributes:
         known: What all brakings say.
-        slowest: Least p of the last braking.
+        slowest: Least p of the last braking over a range of speeds.
         fastest: Largest p of it.
-        is_wrong: Whether they contradict the train file.
+        found: The last change that contradicts the train file.
+        is_wrong: Whether the brakings contradict it.
         is_odd: Whether the braking that is observed does.
 
     """
@@ -176,6 +179,7 @@ class BrakeShapeCheck:
     known: ShapeInformation = field(default_factory=ShapeInformation)
     slowest: float = 0.0
     fastest: float = 0.0
+    found: ShapeChange = field(default_factory=ShapeChange)
     is_wrong: bool = False
     is_odd: bool = False
 
@@ -188,7 +192,7 @@ class BrakeShapeCheck:
         """Return what is wrong with the brake rate over speed, empty if nothing is."""
         if not self.is_wrong:
             return ''
-        change = self.known.change(self.slowest, self.fastest)
+        change = self.found
         low, high = (max_speed * (0.5 + p) for p in sorted((change.least, change.most)))
         sense = 'rises' if change.most > change.least else 'falls'
         return (
@@ -206,6 +210,9 @@ class BrakeShapeCheck:
         if sums.count < _FEWEST:
             return
         self.known.add(sums.information(), _KEPT)
-        self.slowest, self.fastest = sums.slowest, sums.fastest
+        if sums.fastest - sums.slowest > _NARROW:
+            self.slowest, self.fastest = sums.slowest, sums.fastest
         change = self.known.change(self.slowest, self.fastest)
+        if change.contradicts:
+            self.found = change
         self.is_wrong = change.contradicts or (self.is_wrong and change.size > _ENDS * _LEAST_CHANGE)

@@ -242,7 +242,7 @@ class PlausibilityMonitor:
             resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
             force = known.traction(sample.force_mean, sample)
             y = known.inertia * (sample.speed - before) + dt * (resistance - max(force, 0.0))
-        rate = known.inertia * known.train_file.brake.rate_at(sample.speed)
+        rate = known.inertia * known.train_file.brake.rate_at(sample.speed) * known.brake_share(sample)
         braking = state.brake_delay.follow(sample, y, force, rate, self._timing)
         if braking is not None and braking.is_comparable and not state.finding:
             nominal = known.inertia * braking.commanded
