@@ -254,7 +254,9 @@ class TrainModel:
         applied: float = 0.0,
         direction: int = 1,
     ) -> Value:
-        """Return the distance [m] within which the train stops at a confidence; its median at 0.5, with a hot brake.
+        """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
+
+        If the train file states ``brake_fade``, the brake is taken to have faded fully.
 
         ``std`` is the standard deviation of the distance, not of the bound. For the equations see ``stopping``.
 
