@@ -24,7 +24,7 @@ from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
-from trainid_ros.stream.brake_shape_check import ShapeInformation
+from trainid_ros.stream.brake_shape_check import ShapeChange
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -256,8 +256,7 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
     node.pipeline = Changed(node.pipeline, current=lambda: converging)
     check = node.pipeline.stream.brake_delay
-    check.max_speed, check.shape.slowest, check.shape.fastest = 22.0, -0.5, 0.5
-    check.shape.known = ShapeInformation(ee=1e6, hh=1e6, e=-0.4e6)
+    check.max_speed, check.shape.found = 22.0, ShapeChange(least=0.5, most=-0.5, size=0.4, std=0.01)
     for is_wrong in (False, True):
         check.shape.is_wrong = is_wrong
         diagnosed.by_name.clear()
