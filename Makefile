@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel golden docs bench bench-peers lock clean
+.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel golden docs bench research research-test research-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -8,7 +8,7 @@ PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' | expand -t 14
 
-setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, lab/ (PYTHON=... selects the interpreter)
+setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, research/lab (PYTHON=... selects the interpreter)
 	@PYTHON='$(PYTHON)' tools/setup
 
 demo: setup ## play a bag through the three live nodes and write a report
@@ -19,10 +19,13 @@ test: setup ## everything that must pass before a change lands
 	$(MAKE) --no-print-directory --jobs 1 test-unit test-ros
 
 test-fast: setup ## inner loop: the unit tests of the package alone
-	$(PYTEST) -m 'not ros and not slow' --ignore test/benchmarks --ignore test/papers -n 2 -q
+	$(PYTEST) -m 'not ros and not slow' --ignore test/benchmarks -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
 	$(PYTEST) -m 'not ros' -n 2
+
+research-test: setup ## tests of research/: the algorithms and experiments of the four papers
+	$(PYTEST) research/test -n 2
 
 test-ros: setup ## tests that start nodes
 	$(PYTEST) -m ros -n 2 --dist loadfile
@@ -40,7 +43,7 @@ wheel: setup ## build wheels with compiled modules in out/wheels and try each in
 	$(PYTHON_IN) tools/wheel_smoke.py --out out/wheels
 
 golden: setup ## regenerate expected outputs, config/params.yaml and docs/monitor.svg; review the difference before committing it
-	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
+	PYTHONPATH=. tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
 	tools/with_test_env $(PYTHON_IN) -m trainid_ros.ros.params_template > config/params.yaml
 	tools/with_test_env $(PYTHON_IN) -m tools.monitor_picture > docs/monitor.svg
 
@@ -50,7 +53,10 @@ docs: setup .venv-docs/stamp ## build the documentation site in out/site; a brok
 bench: setup .venv-peers/stamp ## measure speed and accuracy, also of the papers and of other libraries
 	$(PYTHON_IN) benchmarks/run.py
 
-bench-peers: setup .venv-peers/stamp ## compare with other libraries on the same data
+research: setup ## repeat the experiments of the four papers (SEEDS=2 for a quick look)
+	$(PYTHON_IN) benchmarks/run.py --only liu2018 yuan2017 xia2023 zheng2015 --seeds $(or $(SEEDS),60)
+
+research-peers: setup .venv-peers/stamp ## compare with other libraries on the same data
 	$(PYTHON_IN) benchmarks/run.py --only peers
 
 # Folders that only the benchmarks and only the site use, beside .venv, with the same versions.
@@ -64,5 +70,5 @@ lock: ## resolve the pinned requirements again (needs uv)
 
 clean: ## remove the environment and everything generated
 	rm -rf .venv .venv-peers .venv-docs build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	rm -rf trainid_ros.egg-info lab/trainid_lab.egg-info lab/build
+	rm -rf trainid_ros.egg-info research/lab/trainid_lab.egg-info research/lab/build
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

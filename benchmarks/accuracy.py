@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bounds import BrakeKalman, InformedWindows
 from benchmarks.days import assumed_train, samples_of, simulated_day
-from benchmarks.papers.seeds import over_seeds
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_lab.speed_model.upper_triangle import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE

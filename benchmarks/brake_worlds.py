@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.papers.seeds import over_seeds
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Drive, drive
 from benchmarks.worlds.unknowns import random_of

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.papers.seeds import over_seeds
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table
 from trainid_ros.ato.days import CONTROLLERS, Drive, drive_day, plan_day
 from trainid_ros.report.stop_report import WINDOW

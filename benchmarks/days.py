@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_lab.yizhuang_day import yizhuang_day
+from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmarks.papers.seeds import over_seeds
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmarks.days import assumed_train
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.rides import DAY, ride
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from benchmarks.worlds import WORLDS
-from trainid_lab.yizhuang_day import DRY, RAIN, yizhuang_day
+from benchmarks.yizhuang_day import DRY, RAIN, yizhuang_day
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from benchmarks.days import samples_of
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_informed import InformedFilter, information_of
 from benchmarks.real_train_scores import answers_of, course_of, score
+from benchmarks.seeds import over_seeds
 from benchmarks.worlds import FIELD, Rates, drive
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from benchmarks.accuracy import resistance_scores
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import paired_table, world_tables
 from benchmarks.real_train_trials import COMPARED, PAIRS, Trial, results_of
+from benchmarks.seeds import over_seeds
 from benchmarks.worlds import CLEAN, FIELD, WORLDS
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ SEEDED: Final = (
     *('real_trains', 'unknowns', 'rates', 'brake_worlds', 'faults', 'integrity', 'explain', 'fleet'),
     *('closed_loop', 'drives'),
 )
-# Experiments of the four papers and comparisons with peers: modules of benchmarks.papers, repeated over seeds.
+# Experiments of the four papers and comparisons with other libraries, repeated over seeds.
 PAPERS: Final = ('liu2018', 'resistance', 'yuan2017', 'xia2023', 'zheng2015', 'peers')
 _ALL: Final = (*PARTS, *SEEDED, *PAPERS)
 _TITLE: Final = (
@@ -81,12 +81,16 @@ def _run(name: str, seeds: int, out: Path) -> None:
 
 def _measure(name: str, seeds: int) -> Results:
     if name in PAPERS:
-        results: Results = import_module(f'benchmarks.papers.{name}').measure(seeds)
+        results: Results = import_module(f'research.{_folder(name)}.{name}').measure(seeds)
     elif name in SEEDED:
         results = import_module(f'benchmarks.{name}').measure(seeds)
     else:
         results = import_module(f'benchmarks.{name}').measure()
     return results
+
+
+def _folder(name: str) -> str:
+    return 'peers' if name == 'peers' else 'papers'
 
 
 def _written(item: Table | Plot, out: Path) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_lab.yizhuang_day import yizhuang_day
+from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.explain.result import (
     Alternative,
     Explanation,

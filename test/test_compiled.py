@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pytest
 
-from trainid_lab.yizhuang_day import yizhuang_day
+from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make the simulated bags of ``bags/``: ``yizhuang_day`` and ``tiny`` (the first two runs of another day).
 
-Usage: python tools/make_bags.py [NAME ...]; an existing bag is not overwritten, remove it first.
+Usage: python -m tools.make_bags [NAME ...]; an existing bag is not overwritten, remove it first.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_lab.yizhuang_day import RUNS, yizhuang_day
+from benchmarks.yizhuang_day import RUNS, yizhuang_day
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.truth import save_truth

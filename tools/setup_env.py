@@ -34,14 +34,14 @@ VENV = ROOT / '.venv'
 REQUIREMENTS = ROOT / 'tools' / 'requirements'
 MESSAGES = ROOT / 'msg_defs'
 TEMPLATES = ROOT / 'tools' / 'environment'
-LAB = ROOT / 'lab'
+LAB = ROOT / 'research' / 'lab'
 LOG = VENV / 'setup.log'
 COMPILER_LOG = VENV / 'compiler.log'
 STAMP = VENV / 'setup.stamp.json'
 INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
 SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
 PYTHON = VENV / 'bin' / 'python'
-PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml', 'lab/pyproject.toml')
+PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml', 'research/lab/pyproject.toml')
 SHARED = ('package.xml', 'bags', 'config', 'launch')
 LOG_LINES_SHOWN = 15
 STAMPING = RLock()
@@ -233,13 +233,13 @@ def remove_old_messages() -> None:
 
 
 def install_project() -> None:
-    """Make trainid_ros and the algorithms of lab/ importable from the source tree and install their commands.
+    """Make trainid_ros and the algorithms of research/lab importable from the source tree and install their commands.
 
     An editable install leaves out the data files, so the ROS index and the share folder of the package
     are filled with links: edited configurations take effect at once.
     """
     pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation']
-    failure = 'cannot install trainid_ros and lab/ into the environment'
+    failure = 'cannot install trainid_ros and research/lab into the environment'
     run([*pip, '--editable', ROOT, '--editable', LAB], failure, {'TRAINID_COMPILED': '0'})
     share = VENV / 'share' / 'trainid_ros'
     programs = VENV / 'lib' / 'trainid_ros'
@@ -345,7 +345,7 @@ def refresh() -> bool:
         Step('ros', packages, install_ros, 'ROS 2 Jazzy (about a minute)'),
         Step('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
     )
-    last = Step('project', project, install_project, 'trainid_ros and lab/, from the source tree')
+    last = Step('project', project, install_project, 'trainid_ros and research/lab, from the source tree')
     worked = any(step.is_due for step in (first, compiler, *beside, last))
     first.do()
     with ThreadPoolExecutor() as pool:

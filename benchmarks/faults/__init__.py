@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.faults.catalogue import FAULTS, NOTHING, PAIRS
 from benchmarks.faults.trial import Injection, run
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.rides import DAY
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from benchmarks.worlds import WORLDS
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_lab.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
+from benchmarks.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.records import NS_PER_S, Record

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.brake_runs import metro_run, metro_train
 from benchmarks.brake_worlds import CONDITIONS, METHODS, ORACLE, SIMPLE, Data, LeastSquares, Score, _score, _table
-from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.worlds import WORLDS
 
 

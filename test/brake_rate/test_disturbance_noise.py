@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.papers.brake_runs import metro_train, walk_run
+from benchmarks.brake_runs import metro_train, walk_run
 from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_ros.brake_rate.disturbance_noise import Candidate, DisturbanceNoise
 from trainid_ros.brake_rate.posterior import Transition

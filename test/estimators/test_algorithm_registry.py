@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
-from trainid_lab.stepping import step_and_estimate
+from benchmarks.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithms

@@ -124,7 +124,7 @@ def test_a_broken_plug_in_does_not_hide_the_algorithms_of_others(
 
 
 def test_without_plug_ins_the_built_in_names_are_listed_and_where_others_come_from() -> None:
-    with pytest.raises(InputError, match=r"^algorithm = 'KF' must be one of known; others come with lab/$"):
+    with pytest.raises(InputError, match=r"^algorithm = 'KF' must be one of known; others come with research/lab$"):
         built_in()['KF']
 
 
@@ -180,7 +180,7 @@ def minute(tmp_path_factory: pytest.TempPathFactory, day: tuple[Record, ...]) ->
 
 
 def replay(bag: Path, *options: str, prelude: str = PRELUDE) -> subprocess.CompletedProcess[str]:
-    """Run ``trainid replay`` in a fresh interpreter, without lab/ unless the prelude is replaced."""
+    """Run ``trainid replay`` in a fresh interpreter, without research/lab unless the prelude is replaced."""
     command = ['trainid', 'replay', str(bag), '--train', str(METRO), *options]
     code = f'{prelude}\nimport sys\nfrom trainid_ros.cli.main import main\nsys.argv = {command!r}\nstatus = main()\n'
     code += "assert not sys.modules.get('trainid_lab')\nsys.exit(status)\n"
@@ -199,4 +199,4 @@ def test_without_the_laboratory_its_names_are_rejected_with_the_built_in_ones(mi
     done = replay(minute, '--algorithm', wanted)
     assert done.returncode != 0
     assert "algorithm 'KF' is unknown; there are " in done.stderr
-    assert 'brake_rate: GSMA; others come with lab/' in ' '.join(done.stderr.split())
+    assert 'brake_rate: GSMA; others come with research/lab' in ' '.join(done.stderr.split())

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_lab.yizhuang_day import yizhuang_day
+from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import NS_PER_S

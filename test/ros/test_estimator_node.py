@@ -344,7 +344,7 @@ def test_without_the_laboratory_a_node_runs_and_rejects_other_names(
     name = graph.make(factory, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
     assert name.trigger_configure() == FAILURE
     known = ', '.join(node.job.algorithms.built_in)
-    assert name.failure == f"not configured: algorithm = 'RLS' must be one of {known}; others come with lab/"
+    assert name.failure == f"not configured: algorithm = 'RLS' must be one of {known}; others come with research/lab"
 
 
 def test_nothing_is_left_in_the_default_context() -> None:

@@ -83,7 +83,7 @@ class Algorithms(Generic[EstimateT]):
     @property
     def hint(self) -> str:
         """End of a message that lists all names: where others come from if there are no plug-ins."""
-        return '' if self._plug_ins[0] else '; others come with lab/'
+        return '' if self._plug_ins[0] else '; others come with research/lab'
 
     @property
     def problem(self) -> str:

@@ -18,7 +18,7 @@ Each Gauss-Newton step linearises all stages at the current speeds and solves on
 from the measured speeds and theta = 0, is integrated linear least squares. No speed is integrated from an uncertain
 initial value, so the model can neither stall nor diverge. The initial speeds are free like all others.
 
-The paper steps in distance; its formulation, for comparison, is in ``lab/``. Steps in time suit bags at 5 Hz and
+The paper steps in distance; its formulation, for comparison, is in ``research/``. Steps in time suit bags at 5 Hz and
 records every 100 m: both have time stamps. They need no position and have no 1/v at a stop, and the exact balance over
 an interval holds for the time-mean force, which the aligned samples contain. Distance steps computed from measured
 speeds would bring their noise into the model.

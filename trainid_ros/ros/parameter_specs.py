@@ -194,7 +194,7 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
     algorithm_spec = ParameterSpec(
         ALGORITHM,
         algorithms.default,
-        'algorithm of the estimator, chosen at start (others come with lab/)',
+        'algorithm of the estimator, chosen at start (others come with research/lab)',
         choices=algorithms.built_in,
         look_up=algorithms.__getitem__,
         read_only=True,

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from trainid_lab.stepping import step_and_estimate
+from benchmarks.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import GsmaPosterior
 from trainid_ros.errors import InputError

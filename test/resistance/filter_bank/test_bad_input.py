@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_lab.stepping import step_and_estimate
+from benchmarks.stepping import step_and_estimate
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.resistance_settings import FilterBankConfig

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_lab.stepping import step_and_estimate
+from benchmarks.stepping import step_and_estimate
 from trainid_ros.errors import InputError
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.resistance_settings import FilterBankConfig

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from trainid_lab.stepping import step_and_estimate
+from benchmarks.stepping import step_and_estimate
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.normal import gate

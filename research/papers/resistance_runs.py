@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run the main resistance estimators on one seed of each experiment; all errors are curve errors [N/kN]."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from research.papers import coasts as coast_data
+from research.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_kmh, in_si
+from research.papers.robust_stream import RobustStream
+from research.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
+from research.peers import metro_stream as metro
+from research.peers.hand_filters import HandRls
+from research.peers.our_filters import GRADIENT_STD
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
+from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.force_errors import ForceErrors
+from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
+from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.train.train_file import Davis
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+FIRST_SEED: Final = 5000
+JUMP_STD: Final = 0.57
+JUMPS: Final = (0.31, 1.22)
+"""60 % of the paper's a, and of that of the second truth [N/kN]."""
+FORGETTING: Final = (0.995, 0.99, 0.95)
+GUST: Final = 0.3
+_SI: Final = GRID * KMH
+_PHI: Final = np.stack([np.ones_like(_SI), _SI, _SI**2], axis=1)
+# Prior over true parameters: 20 % too high.
+_WRONG: Final = 1.2
+_METRO_PRIOR: Final = (1.5, 0.03, 0.003)
+_METRO_GRID: Final = np.linspace(5.0, 22.0, 69)
+_METRO_PHI: Final = np.stack([np.ones_like(_METRO_GRID), _METRO_GRID, _METRO_GRID**2], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class CoastErrors:
+    """Errors on coasts with gusts, one per kind of bad speeds in the order of SPEEDS, and the bound [N/kN]."""
+
+    ekf: tuple[float, ...]
+    vmils: tuple[float, ...]
+    bound: float
+    ekf_calm: float
+    bound_calm: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedErrors:
+    """Errors for each kind of bad observations, in the order of OBSERVED [N/kN]."""
+
+    least_squares: tuple[float, ...]
+    robust: tuple[float, ...]
+    bound: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JumpResult:
+    """Observations until 90 % of a jump is followed, error just before it, mean change of w over time [N/kN].
+
+    ``forgetting`` holds delay and error of recursive least squares for each forgetting factor of FORGETTING.
+    """
+
+    delay: int
+    before: float
+    track: tuple[float, ...]
+    forgetting: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MetroResult:
+    """Error of w over 5-22 m/s at the end, rms of that error in its own standard deviations, steps detected.
+
+    ``least_squares`` is the error of least squares over all rows of the same ride, without tracking of changes.
+    """
+
+    error: float
+    normalised: float
+    steps: int
+    least_squares: float
+
+
+def coast_errors(seed: int) -> CoastErrors:
+    """Run both estimators on the coasts of one seed, clean and contaminated."""
+    truth = PAPER if seed % 2 else LARGE_A
+    coasts = coast_data.drive(CoastPlan(truth, gust_std=GUST), np.random.default_rng(seed))
+    calm = coast_data.drive(CoastPlan(truth), np.random.default_rng(seed))
+    ekf, vmils = [], []
+    for i, spoil in enumerate(SPEEDS):
+        speed = spoiled_speeds(spoil, coasts, np.random.default_rng([seed, i]))
+        ekf.append(on_coasts(ekf_of(coasts.plan), coasts, speed))
+        vmils.append(on_coasts(vmils_of(truth), coasts, speed))
+    return CoastErrors(
+        ekf=tuple(ekf),
+        vmils=tuple(vmils),
+        bound=coast_data.curve_std(coast_data.cramer_rao(coasts)),
+        ekf_calm=on_coasts(ekf_of(calm.plan), calm, calm.speed),
+        bound_calm=coast_data.curve_std(coast_data.cramer_rao(calm)),
+    )
+
+
+def _wrong_prior(truth: tuple[float, ...]) -> tuple[float, float, float]:
+    a, b, c = (_WRONG * x for x in truth)
+    return a, b, c
+
+
+def ekf_of(plan: CoastPlan) -> SpeedEkf:
+    """Return the EKF with the true statistics of gusts and noise, a wide prior and constant parameters."""
+    config = SpeedEkfConfig(
+        prior_share=0.0,
+        prior_std_a=2.0,
+        prior_std_b=0.2,
+        prior_std_c=0.01,
+        drift_share=0.0,
+        disturbance_std=plan.gust_std,
+        disturbance_time=plan.gust_time,
+        speed_std=plan.speed_std * KMH,
+    )
+    return SpeedEkf(coast_data.train_file(_wrong_prior(plan.truth)), config)
+
+
+def vmils_of(truth: tuple[float, float, float]) -> VMils:
+    """Return V-MILS as shipped, except for the same prior and constant parameters."""
+    config = VMilsConfig(prior_share=0.0, prior_std_a=2.0, prior_std_b=0.2, prior_std_c=0.01, drift_share=0.0)
+    return VMils(coast_data.train_file(_wrong_prior(truth)), replace(config, step_share=0.25))
+
+
+def on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Array) -> float:
+    """Return the error of an estimator after all coasts with the given measured speeds [km/h]."""
+    for sample in coast_data.samples(coasts, speed):
+        estimator.step(sample)
+    found = estimator.estimate(15.0)
+    return coast_data.curve_error(in_kmh(Davis(found.a, found.b, found.c)), coasts.plan.truth)
+
+
+def observed_errors(seed: int) -> ObservedErrors:
+    """Run least squares and the robust kernel on the observations of one seed, clean and contaminated."""
+    truth = PAPER if seed % 2 else LARGE_A
+    rows = [observed_error(truth, seed, i) for i in range(len(OBSERVED))]
+    least_squares, robust, bound = zip(*rows, strict=True)
+    return ObservedErrors(least_squares, robust, bound)
+
+
+def observed_error(truth: tuple[float, float, float], seed: int, kind: int) -> tuple[float, float, float]:
+    """Return the errors of least squares and of the robust kernel, and the bound."""
+    data = spoiled_observations(OBSERVED[kind], truth, np.random.default_rng([seed, kind]))
+    Phi = np.stack([np.ones_like(data.v), data.v, data.v**2], axis=1)
+    true = np.array(_si(truth))
+    good = Phi[data.good]
+    P = NOISE_STD**2 * np.linalg.inv(good.T @ good)
+    stream = RobustStream(_si(_wrong_prior(truth)))
+    for v, y in zip(data.v.tolist(), data.y.tolist(), strict=True):
+        stream.update(v, y)
+    batch = np.linalg.lstsq(Phi, data.y, rcond=None)[0]
+    bound = float(np.sqrt(np.mean(np.sum((_PHI @ P) * _PHI, axis=1))))
+    return _rms(_PHI @ (batch - true)), _rms(_PHI @ (stream.estimate.theta - true)), bound
+
+
+def _si(truth: tuple[float, ...]) -> tuple[float, float, float]:
+    davis = in_si(truth)
+    return davis.a, davis.b, davis.c
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def jump_results(seed: int) -> tuple[JumpResult, ...]:
+    """Run a jump of a in the middle of 2064 observations, for each size."""
+    return tuple(_jump(seed, size) for size in JUMPS)
+
+
+def _jump(seed: int, size: float) -> JumpResult:
+    rng = np.random.default_rng(seed)
+    truth = PAPER if size < 1.0 else LARGE_A
+    halves = [coast_data.white_observations(CoastPlan(truth), rng, JUMP_STD) for _ in range(2)]
+    v = np.concatenate([half[0] for half in halves])
+    y = np.concatenate([halves[0][1], halves[1][1] + size])
+    at, rows = len(halves[0][0]), list(zip((v * KMH).tolist(), y.tolist(), strict=True))
+    stream, thetas = RobustStream(_si(_wrong_prior(truth))), []
+    for speed, value in rows:
+        stream.update(speed, value)
+        thetas.append(stream.estimate.theta)
+    error_w = (np.array(thetas) - np.array(_si(truth))) @ _PHI.T
+    followed = tuple(_followed(_forgetful(factor, rows, truth), at, size) for factor in FORGETTING)
+    track = error_w.mean(axis=1)[at - 100 : at + 300]
+    return JumpResult(*_followed(error_w, at, size), tuple(track.tolist()), followed)
+
+
+def _forgetful(factor: float, rows: list[tuple[float, float]], truth: tuple[float, float, float]) -> Array:
+    """Return the errors of w of recursive least squares after each observation, shape (n, speeds)."""
+    peer, thetas = HandRls(forgetting=factor), []
+    for speed, value in rows:
+        peer.step(value, None, speed)
+        thetas.append(peer.theta)
+    return np.asarray((np.array(thetas) - np.array(_si(truth))) @ _PHI.T)
+
+
+def _followed(error_w: Array, at: int, size: float) -> tuple[int, float]:
+    """Return the delay until 90 % of a jump is followed and the error just before it."""
+    followed = error_w[at:].mean(axis=1) >= 0.9 * size
+    return int(np.argmax(followed)) if followed.any() else len(followed), _rms(error_w[at - 1])
+
+
+def metro_results(seed: int) -> tuple[MetroResult, ...]:
+    """Run V-MILS, settings as shipped, over the four scenarios of the metro ride."""
+    return tuple(metro_result(seed, scenario) for scenario in metro.SCENARIOS)
+
+
+def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
+    """Return the result of one scenario, including ticks under braking, since here the brake force is known."""
+    data, config = metro.metro_stream(seed, scenario), VMilsConfig()
+    tracker = tracker_of(_METRO_PRIOR, ForceErrors(0.0, 0.0, 0.0), config)
+    learner = WindowLearner(tracker, window_plan(config, metro.INERTIA, GRADIENT_STD))
+    raw = data.raw
+    columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
+    for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):
+        if moving:
+            learner.push(
+                WindowTick(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force)
+            )
+        else:
+            learner.interrupt(speed)
+    true, found = data.after, tracker.estimate
+    error_w = _METRO_PHI @ (found.theta[:3] - np.array([true.a, true.b, true.c]))
+    variance = np.sum((_METRO_PHI @ found.P[:3, :3]) * _METRO_PHI, axis=1)
+    batch = np.asarray(np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0], dtype=np.float64)
+    plain = metro.curve_error(batch, true)
+    return MetroResult(_rms(error_w), _rms(error_w / np.sqrt(variance)), tracker.steps_found, plain)
+
+
+def kernel_cost(p: int, updates: int = 20_000, repeats: int = 9) -> float:
+    """Return the least CPU time of one kernel update over some repeats [us]."""
+    rng = np.random.default_rng(1)
+    v = rng.uniform(2.0, 22.0, updates)
+    rows = list(zip(v.tolist(), (1.5 + 0.02 * v + 0.5 * rng.standard_normal(updates)).tolist(), strict=True))
+    best = np.inf
+    for _ in range(repeats):
+        state = (*information_of((1.4, 0.0, 0.01, 0.8, 0.0, 0.0, 4e-4, 0.0, 2.5e-5)), *NOTHING)
+        parts = deque([NOTHING] * p)
+        start = time.thread_time_ns()
+        for speed, y in rows:
+            state, newest, _, _ = mils_step(state, parts.popleft(), speed, speed * speed, y, 0.25, 1.0, 0.05, p)
+            parts.append(newest)
+        best = min(best, (time.thread_time_ns() - start) / updates / 1e3)
+    return float(best)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Brake rate estimators of the nodes on a metro train at 5 Hz: accuracy, coverage, jumps, long runs without braking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.brake_runs import (
+    JUMP_AFTER_S,
+    MAP_ERROR,
+    BrakeRun,
+    hard_run,
+    jump_run,
+    metro_run,
+    metro_train,
+    unbraked_run,
+    walk_run,
+)
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
+from trainid_ros.records import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Array = NDArray[np.float64]
+
+FIRST_SEED: Final = 5000
+# True settings of the train: the map error, and on the random walk the exact noise.
+METRO: Final[dict[str, float]] = {'disturbance_std': MAP_ERROR, 'acceleration_noise': 0.002}
+WALK: Final = METRO | {'speed_std': 0.02, 'force_error': 0.0}
+SHIPPED: Final[dict[str, float]] = {}
+DRIFTS: Final[dict[str, float]] = {'drift': 0.01}
+_SIGMA_95: Final = 1.959964
+_SETTLED_S: Final = 3.0
+_MOVING: Final = 1.0
+_GOOD: Final = 0.05
+# Printed filters may collapse to one value.
+_LEAST_STD: Final = 1e-12
+_FOUND: Final = 0.07
+_AFTER_JUMP_S: Final = 10.0
+# The growth law of the standard deviation is checked from this time after brake release on [s].
+_RELEASED_S: Final = 3.0
+LATER_S: Final = (0.0, 2.0, 4.0, 10.0)
+
+# Name of the row, algorithm, changed settings, given size of the disturbance [m/s^2] (NaN: estimated).
+Rows = tuple[tuple[str, str, dict[str, float], float], ...]
+
+ON_HARD: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA, 500 particles', 'GSMA', {'particles': 500}, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
+    ('GSMA, disturbance size given', 'GSMA', METRO, MAP_ERROR),
+    ('KF, disturbance size given', 'KF', METRO, MAP_ERROR),
+    ('GSMA, wrong size 0.006 m/s^2 given', 'GSMA', SHIPPED, 0.006),
+    ('KF without disturbance state', 'KF', METRO, 0.0),
+    ('SMA as printed', 'SMA', METRO, MAP_ERROR),
+    ('GSMA as printed', 'GSMA-printed', METRO, MAP_ERROR),
+)
+ON_METRO: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('KF, disturbance size given', 'KF', METRO, MAP_ERROR),
+)
+ON_WALK: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA without jumps', 'GSMA', {'jump_rate': 0.0}, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
+    ('KF, all noises given: exact', 'KF', WALK, MAP_ERROR),
+)
+ON_JUMP: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('KF, drift 0.02', 'KF', {'drift': 0.02}, math.nan),
+)
+ON_UNBRAKED: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA, drift 0.01', 'GSMA', DRIFTS, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Score of an estimator on one run, while braking, from 3 s after the command on and above 1 m/s.
+
+    Attributes:
+        mae: Mean absolute error of the brake rate [1].
+        bias: Mean error of the brake rate [1].
+        inside_68: Share of errors within one standard deviation.
+        inside_95: The same within 1.96.
+        good_s: Time after the first command from which on the error stays within 0.05 in the first braking [s].
+        found_s: Time from the jump to an error below 0.07 [s], inf if never; NaN without a jump.
+        law: Largest relative deviation of std from sqrt(s^2 + drift^2 t) without braking; NaN if not evaluated.
+        later: Absolute error 0, 2, 4 and 10 s after the brake command of the last phase [1].
+
+    """
+
+    mae: float
+    bias: float
+    inside_68: float
+    inside_95: float
+    good_s: float
+    found_s: float = math.nan
+    law: float = math.nan
+    later: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MetroScores:
+    """All estimators on one seed, in the order of the lists above."""
+
+    hard: tuple[Score, ...]
+    metro: tuple[Score, ...]
+    walk: tuple[Score, ...]
+    jump: tuple[Score, ...]
+    unbraked: tuple[Score, ...]
+
+
+def score_seed(seed: int) -> MetroScores:
+    """Run all estimators on all data of a seed."""
+    hard, metro, walk = hard_run(seed), metro_run(seed), walk_run(seed)
+    jump, unbraked = jump_run(seed), unbraked_run(seed)
+    return MetroScores(
+        tuple(score(hard, trace(hard, name, seed, s, known_std)) for _, name, s, known_std in ON_HARD),
+        tuple(score(metro, trace(metro, name, seed, s, known_std)) for _, name, s, known_std in ON_METRO),
+        tuple(score(walk, trace(walk, name, seed, s, known_std)) for _, name, s, known_std in ON_WALK),
+        tuple(_score_jump(jump, trace(jump, name, seed, s, known_std)) for _, name, s, known_std in ON_JUMP),
+        tuple(
+            _score_unbraked(unbraked, trace(unbraked, name, seed, s, known_std), s)
+            for _, name, s, known_std in ON_UNBRAKED
+        ),
+    )
+
+
+def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], known_std: float = math.nan) -> Array:
+    """Return mean and standard deviation of f, and 1 if f was observable, after every sample, shape (n, 3).
+
+    The size of the disturbance is estimated, or given as ``known_std`` [m/s^2].
+    """
+    choice = BRAKE_RATE.choose(name, **settings)
+    estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
+    if math.isfinite(known_std) and isinstance(estimator, BrakeRateEstimator):
+        estimator.state.disturbance = DisturbanceNoise.reported(known_std)
+    rows = []
+    for sample in run.samples:
+        estimator.step(sample)
+        e = estimator.estimate(sample.speed)
+        rows.append((e.brake_rate, e.brake_rate_std, float(e.observable)))
+    return np.array(rows)
+
+
+def score(run: BrakeRun, got: Array, without: NDArray[np.bool_] | None = None) -> Score:
+    """Score all braking samples except those in ``without``."""
+    counted = (run.braked_s > _SETTLED_S) & (run.speed > _MOVING)
+    if without is not None:
+        counted &= ~without
+    error = got[:, 0] - run.rate
+    z = np.abs(error / np.maximum(got[:, 1], _LEAST_STD))[counted]
+    first = run.phase == run.phase[int(np.argmax(run.braked_s >= 0.0))]
+    wrong = np.flatnonzero(np.abs(error[first]) >= _GOOD)
+    return Score(
+        mae=float(np.abs(error[counted]).mean()),
+        bias=float(error[counted].mean()),
+        inside_68=float((z <= 1.0).mean()),
+        inside_95=float((z <= _SIGMA_95).mean()),
+        good_s=float(run.braked_s[first][wrong[-1]]) if len(wrong) else 0.0,
+    )
+
+
+def _score_jump(run: BrakeRun, got: Array) -> Score:
+    """Score the time to detect the jump, and all samples except the ten seconds after it."""
+    since = np.where(run.phase == run.phase[-1], run.braked_s - JUMP_AFTER_S, math.nan)
+    after = since > 0.0
+    found = after & (np.abs(got[:, 0] - run.rate) < _FOUND)
+    rest = score(run, got, after & (since <= _AFTER_JUMP_S))
+    found_s = float(since[int(np.argmax(found))]) if found.any() else math.inf
+    return Score(rest.mae, rest.bias, rest.inside_68, rest.inside_95, rest.good_s, found_s)
+
+
+def _score_unbraked(run: BrakeRun, got: Array, settings: Mapping[str, float]) -> Score:
+    """Score the growth of the standard deviation between the brakings, and the errors at the next braking."""
+    drift = settings.get('drift', BrakeRateConfig().drift)
+    times = np.array([(s.stamp_ns - run.samples[0].stamp_ns) / NS_PER_S for s in run.samples])
+    last_learned = int(np.flatnonzero((got[:, 2] > 0.5) & (run.phase < run.phase[-1]))[-1])
+    start = last_learned + round(_RELEASED_S / 0.2)
+    rest = slice(start, int(np.flatnonzero(run.phase == run.phase[-1])[0]))
+    law = np.sqrt(got[start, 1] ** 2 + drift**2 * (times[rest] - times[start]))
+    begin = rest.stop
+    later = tuple(float(abs(got[begin + round(t / 0.2), 0] - run.rate[begin + round(t / 0.2)])) for t in LATER_S)
+    plain = score(run, got)
+    off = float(np.max(np.abs(got[rest, 1] / law - 1.0)))
+    return Score(plain.mae, plain.bias, plain.inside_68, plain.inside_95, plain.good_s, math.nan, off, later)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimators of trainid on the metro ride, with the interface of the comparison."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from research.peers.hand_filters import START, START_SD, VARIANCE, RowPeer
+from research.peers.metro_stream import INERTIA, PERIOD
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.force_errors import ForceErrors
+from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.vmils import tracker_of, window_plan
+from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.vectors import vec
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from research.peers.metro_stream import MetroStream
+
+    Item = tuple[Any, ...]
+
+P: Final = 10
+OUTLIERS: Final = 0.05
+PRIOR: Final = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)
+PLAN: Final = ChangePointConfig(
+    p=P,
+    outliers=OUTLIERS,
+    step_variances=(0.16, 1e-6, 6e-8),
+    hazard=1e-5,
+    spacing=300,
+    hypotheses=4,
+    min_age=300,
+    lockout=100,
+)
+# Standard deviation of the gradient of a surveyed line [per mille].
+GRADIENT_STD: Final = 0.05
+_TICK_NS: Final = round(PERIOD * NS_PER_S)
+
+
+class MilsPlain(RowPeer):
+    """The recursion of V-MILS alone: multi-innovation least squares with a soft gate."""
+
+    def __init__(self) -> None:
+        self._state = (*information_of(PRIOR), *NOTHING)
+        self._parts = deque([NOTHING] * P)
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        return [(y, None, v) for y, _, v in super().items(stream)]
+
+    def step(self, y: float, phi: Any, v: float) -> None:
+        del phi
+        oldest = self._parts.popleft()
+        self._state, newest, _, _ = mils_step(self._state, oldest, v, v * v, y, VARIANCE, 1.0, OUTLIERS, P)
+        self._parts.append(newest)
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return np.array(posterior_of(self._state[:9])[:3])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return _square(posterior_of(self._state[:9])[3:])
+
+
+class MilsTracker(RowPeer):
+    """V-MILS on rows: the recursion and step hypotheses, created every minute and evaluated after another minute."""
+
+    def __init__(self) -> None:
+        self._tracker = Tracker(independent(START, np.square(START_SD).tolist()), PLAN)
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        return [(vec[float]([1.0, v, v * v]), y, VARIANCE) for y, _, v in super().items(stream)]
+
+    @property
+    def step(self) -> Any:
+        return self._tracker.update
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return self._tracker.estimate.theta[:3]
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return self._tracker.estimate.P[:3, :3]
+
+
+class VMilsRaw(RowPeer):
+    """V-MILS as shipped, from raw ticks with exact force: windows, soft gate, step hypotheses, estimated noise."""
+
+    def __init__(self) -> None:
+        config = VMilsConfig()
+        self._tracker = tracker_of(START, ForceErrors(0.0, 0.0, 0.0), config)
+        self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA, GRADIENT_STD))
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        raw = stream.raw
+        known, force = (raw.force - raw.gradient).tolist(), raw.force.tolist()
+        parts = zip(raw.speed.tolist(), known, force, raw.moving.tolist(), strict=True)
+        return [
+            (WindowTick(_TICK_NS * k + 1, PERIOD, v, u, f) if moving else None, v)
+            for k, (v, u, f, moving) in enumerate(parts)
+        ]
+
+    def step(self, tick: WindowTick | None, speed: float) -> None:  # type: ignore[override]
+        if tick is None:
+            self._learner.interrupt(speed)
+        else:
+            self._learner.push(tick)
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return self._tracker.estimate.theta[:3]
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return self._tracker.estimate.P[:3, :3]
+
+
+def _square(upper: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the symmetric matrix (3, 3) of an upper triangle."""
+    square = np.zeros((3, 3))
+    square[np.triu_indices(3)] = upper
+    return square + np.triu(square, 1).T
