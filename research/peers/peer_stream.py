@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
-from research.papers import peer_filters as peers
+from research.peers import peer_filters as peers
 from research.peers.contest import FIRST_SEED, Times, copied, growth, installed, time_in_turns
 from research.peers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
 from research.peers.metro_stream import SCENARIOS, curve_error, metro_stream

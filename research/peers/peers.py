@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Other libraries compared with ours on the same data in one run: CPU time, accuracy, memory, saving.
 
-Libraries come from `.venv-peers` (``make research-peers``); without it only our estimators and the hand-written ones run,
-and the tables say so.
+Libraries come from `.venv-peers` (``make research-peers``); without it only our estimators and the hand-written ones
+run, and the tables say so.
 """
 
 from __future__ import annotations
