@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stops of an ATO with the values of the train file, stronger feedback, learning, live estimates, and the truth.
 
-Random days on three lines; the days are the same for all controllers. See ``trainid_ros.ato.days``.
+Random days on three lines; the days are the same for all controllers. See ``ato.days``.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
+from ato.days import CONTROLLERS, Drive, drive_day, plan_day
+from ato.stop_report import WINDOW
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table
-from trainid_ros.ato.days import CONTROLLERS, Drive, drive_day, plan_day
-from trainid_ros.report.stop_report import WINDOW
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.ato.days import DayPlan
+    from ato.days import DayPlan
 
     Array = NDArray[np.float64]
 

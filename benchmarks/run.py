@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def prepare() -> None:
     """Make the benchmarks importable and limit numpy to one thread, in this process and its children."""
-    sys.path[0] = str(REPOSITORY)
+    sys.path[:1] = [str(REPOSITORY), str(REPOSITORY / 'examples' / 'python')]
     for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
         os.environ.setdefault(name, '1')
 

@@ -15,7 +15,6 @@ import trainid_ros
 
 PACKAGE = Path(trainid_ros.__file__).parent
 PURE = (
-    'ato',
     'client',
     'stream',
     'train',

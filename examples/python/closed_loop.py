@@ -20,8 +20,8 @@ import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from trainid_ros.ato.days import DayPlan, Drive, drive_day, plan_day
-from trainid_ros.ato.knowledge import TrainValues, client_values
+from ato.days import DayPlan, Drive, drive_day, plan_day
+from ato.knowledge import TrainValues, client_values
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from ato.days import CONTROLLERS, Bound, DayPlan, Drive, plan_day
 from benchmarks.closed_loop import Outcome, _bounds, _rides, _stops, outcome_of
-from trainid_ros.ato.days import CONTROLLERS, Bound, DayPlan, Drive, plan_day
 from trainid_ros.sim.driver import StopEvent
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import rclpy
 
-from trainid_ros.ato.days import drive_day
+from ato.days import drive_day
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.train.train_file import dump_train_file
 

@@ -20,8 +20,6 @@ _NAMESPACE: Final = re.compile(r'/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?', re.ASCII)
 _FALSE_ALARM_DAYS: Final = 20_000.0
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
-STOPS_CHAPTER: Final = 'stops'
-"""The chapter of the demo in which a controller stops by the estimates."""
 
 
 def configure_demo(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +39,7 @@ def configure_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
     )
-    parser.add_argument('--only', choices=(*STOCK, EXPLAIN_CHAPTER, STOPS_CHAPTER), help='run only this chapter')
+    parser.add_argument('--only', choices=(*STOCK, EXPLAIN_CHAPTER), help='run only this chapter')
     parser.add_argument('--quick', action='store_true', help=f'only the first {DEMO_QUICK_S:g} s of each bag')
     _add_json(parser)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid demo``: play bags through the live nodes, find a hidden effect, and stop a train by the estimates."""
+"""``trainid demo``: play bags through the live nodes and find a hidden effect."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER, STOPS_CHAPTER
+from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER
 from trainid_ros.cli.output import prepare_page, print_json, progress, show
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.comparison import ComparisonOutcome
     from trainid_ros.demo.hidden import HiddenCase
-    from trainid_ros.demo.stops import StopCase
     from trainid_ros.demo.view import View
     from trainid_ros.report.accuracy_scores import AccuracyScore
 
@@ -28,7 +27,7 @@ _CHECK_FAILED: Final = 1
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if live estimates equal the replayed ones, the effect was found and stops are better.
+    """Run the demo; return 0 only if live estimates equal the replayed ones and the effect was found.
 
     Raises:
         InputError: A bag, a train file or the output folder cannot be used.
@@ -49,13 +48,13 @@ def run(args: argparse.Namespace) -> int:
     report = _prepare(bags, args)
     with _interruptible():
         outcomes = [] if report is None else _live(bags, args, view, report)
-        hidden, stops = _hidden(args, view), _stops(args, view)
+        hidden = _hidden(args, view)
     wall_s = time.monotonic() - start
-    worked = all(one.worked for one in (*outcomes, hidden, stops) if one is not None)
+    worked = all(one.worked for one in (*outcomes, hidden) if one is not None)
     if args.json:
-        print_json(_to_json(outcomes, hidden, stops, report, wall_s) | {'worked': worked})
+        print_json(_to_json(outcomes, hidden, report, wall_s) | {'worked': worked})
     else:
-        show(summary(outcomes, hidden, stops))
+        show(summary(outcomes, hidden))
         show(f'\nreport: {report}' if report else '')
         print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
     return 0 if worked else _CHECK_FAILED
@@ -74,13 +73,10 @@ def _prepare(bags: Sequence[DemoBag], args: argparse.Namespace) -> Path | None:
 
     """
     from trainid_ros.demo.hidden import prepare_hidden  # noqa: PLC0415
-    from trainid_ros.demo.stops import prepare_stops  # noqa: PLC0415
 
     report = prepare_page(args.out / 'report.html') if bags else None
     if _is_played(EXPLAIN_CHAPTER, args):
         prepare_hidden(args.out / EXPLAIN_CHAPTER)
-    if _is_played(STOPS_CHAPTER, args):
-        prepare_stops(args.out / STOPS_CHAPTER)
     return report
 
 
@@ -112,15 +108,6 @@ def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
     return play_hidden(args.out / EXPLAIN_CHAPTER, view.say)
 
 
-def _stops(args: argparse.Namespace, view: View) -> StopCase | None:
-    """Stop a train by the estimates, unless only bags are to be played."""
-    if not _is_played(STOPS_CHAPTER, args):
-        return None
-    from trainid_ros.demo.stops import play_stops  # noqa: PLC0415
-
-    return play_stops(args.out / STOPS_CHAPTER, view.say)
-
-
 def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> ComparisonOutcome:
     from trainid_ros.demo.comparison import conclude, describe_comparison  # noqa: PLC0415
     from trainid_ros.demo.live import run_live  # noqa: PLC0415
@@ -139,19 +126,13 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Com
     return outcome
 
 
-def summary(
-    outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None, stops: StopCase | None = None
-) -> str:
+def summary(outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None) -> str:
     """Return the results as lines of text."""
     chapters = [(outcome.chapter.title, _outcome_lines(outcome)) for outcome in outcomes]
     if hidden is not None:
         from trainid_ros.demo.hidden import describe_hidden  # noqa: PLC0415
 
         chapters.append(('Effect missing from the train file', describe_hidden(hidden).split('\n')))
-    if stops is not None:
-        from trainid_ros.demo.stops import describe_stops  # noqa: PLC0415
-
-        chapters.append(('Stops by different values', describe_stops(stops).split('\n')))
     return '\n'.join(text for title, lines in chapters for text in ('', title, *(f'  {x}'.rstrip() for x in lines)))
 
 
@@ -182,7 +163,6 @@ def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]
 def _to_json(
     outcomes: Sequence[ComparisonOutcome],
     hidden: HiddenCase | None,
-    stops: StopCase | None,
     report: Path | None,
     wall_s: float,
 ) -> dict[str, Any]:
@@ -203,7 +183,6 @@ def _to_json(
             for outcome in outcomes
         ],
         'explain': _hidden_to_json(hidden),
-        'stops': _stops_to_json(stops),
     }
 
 
@@ -213,14 +192,6 @@ def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
     from trainid_ros.demo.hidden import hidden_to_json  # noqa: PLC0415
 
     return hidden_to_json(hidden)
-
-
-def _stops_to_json(stops: StopCase | None) -> dict[str, Any] | None:
-    if stops is None:
-        return None
-    from trainid_ros.demo.stops import stops_to_json  # noqa: PLC0415
-
-    return stops_to_json(stops)
 
 
 @contextmanager

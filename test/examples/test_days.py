@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.ato import days
-from trainid_ros.ato.days import DayPlan, Drive, drive_day, plan_day
-from trainid_ros.ato.learning import StopBias
+from ato import days
+from ato.days import DayPlan, Drive, drive_day, plan_day
+from ato.learning import StopBias
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.sim.driver import StopEvent

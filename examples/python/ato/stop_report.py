@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.ato.days import DayPlan, Drive
+    from ato.days import DayPlan, Drive
 
 WINDOW: Final = 0.30
 """Largest error of a good stop [m]."""
@@ -54,7 +54,7 @@ def stop_page(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
         ('Brake rate of the day', _RATE_CAPTION, _rate_figure(plan)),
     )
     body = table + bullets([*comparison(drives), *brake_changes(plan, drives)]) + captioned(figures)
-    return page('trainid demo: stops', body, _FOOTER)
+    return page('stops of a simulated train', body, _FOOTER)
 
 
 def stop_lines(plan: DayPlan, drives: Mapping[str, Drive]) -> list[str]:

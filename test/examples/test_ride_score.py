@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.ato.ride_score import RideScore
+from ato.ride_score import RideScore
 from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile

@@ -1,25 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Last chapter of the demo: how much better a train stops whose controller uses the estimates."""
+"""How much better a simulated train stops whose controller uses the estimates: a day by each controller, and a report.
+
+.venv/bin/python examples/python/stops.py
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.ato.days import CONTROLLERS, drive_day, plan_day
-from trainid_ros.cli.output import prepare_page, progress
+from ato.days import CONTROLLERS, drive_day, plan_day
+from ato.stop_report import brake_changes, changed_stops, comparison, stop_lines, stop_page
+from trainid_ros.cli.output import prepare_page, print_json, progress
+from trainid_ros.errors import InputError
 from trainid_ros.report.page import write_page
-from trainid_ros.report.stop_report import brake_changes, changed_stops, comparison, stop_lines, stop_page
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Sequence
 
-    from trainid_ros.ato.days import DayPlan, Drive
+    from ato.days import DayPlan, Drive
 
-STOPS_HTML: Final = 'report.html'
 _WORLD: Final = 'metro'
 _SEED: Final = 2017
 _RUNS: Final = 12
@@ -27,7 +32,7 @@ _RUNS: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class StopCase:
-    """Result of the chapter: the day, how it was driven by each controller, and the path of its report."""
+    """Result: the day, how it was driven by each controller, and the path of its report."""
 
     plan: DayPlan
     drives: dict[str, Drive]
@@ -40,24 +45,14 @@ class StopCase:
         return bool(live < nominal)
 
 
-def prepare_stops(folder: Path) -> Path:
-    """Create the folder of the chapter, and return the path of its report.
-
-    Raises:
-        InputError: The folder cannot be used, or the report would overwrite a file of somebody else.
-
-    """
-    return prepare_page(folder / STOPS_HTML)
-
-
-def play_stops(folder: Path, say: Callable[[str], None]) -> StopCase:
+def play_stops(report: Path, say: Callable[[str], None]) -> StopCase:
     """Let an ATO drive a simulated day with each of the controllers.
 
     Raises:
         InputError: The folder cannot be used, or the report would overwrite a file of somebody else.
 
     """
-    report = prepare_stops(folder)
+    prepare_page(report)
     plan = plan_day(_WORLD, _RUNS, np.random.default_rng(_SEED))
     say(f'{_RUNS} stops of a {_WORLD} train on the Yizhuang line, by different values of brake and resistance')
     drives = {}
@@ -80,3 +75,25 @@ def stops_to_json(case: StopCase) -> dict[str, Any]:
     errors = {name: drive.errors.tolist() for name, drive in case.drives.items()}
     changed = {name: changed_stops(case.plan, drive) for name, drive in case.drives.items()}
     return {'errors': errors, 'brake_changed': changed, 'report': case.report}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Drive the day; return 0 only if the estimates made the stops better than the train file did."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--out', type=Path, default=Path('out/stops.html'), metavar='FILE', help='report')
+    parser.add_argument('--json', action='store_true', help='print JSON')
+    args = parser.parse_args(arguments)
+    try:
+        case = play_stops(args.out, lambda text: print(text, file=sys.stderr))
+    except InputError as error:
+        print(f'stops.py: error: {error}', file=sys.stderr)
+        return 2
+    if args.json:
+        print_json(stops_to_json(case) | {'worked': case.worked})
+    else:
+        print(describe_stops(case))
+    return 0 if case.worked else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

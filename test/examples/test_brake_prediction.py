@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.ato.brake_prediction import BrakePredictor, Motion
-from trainid_ros.ato.knowledge import TrainValues
-from trainid_ros.ato.train_state import PositionModel, TrainState
+from ato.brake_prediction import BrakePredictor, Motion
+from ato.knowledge import TrainValues
+from ato.train_state import PositionModel, TrainState
 from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile

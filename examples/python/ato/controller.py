@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.ato.brake_prediction import BrakePredictor, Motion
-from trainid_ros.ato.train_state import PositionModel, TrainState, stopping_curve
+from ato.brake_prediction import BrakePredictor, Motion
+from ato.train_state import PositionModel, TrainState, stopping_curve
 from trainid_ros.records import GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from trainid_ros.ato.knowledge import TrainKnowledge
+    from ato.knowledge import TrainKnowledge
     from trainid_ros.records import Record
     from trainid_ros.sim.plant import Plant
     from trainid_ros.train.line import LineProfile

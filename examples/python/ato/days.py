@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.ato.controller import Ato, AtoModel, Phase
-from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
-from trainid_ros.ato.learning import LearnedRate, StopBias
-from trainid_ros.ato.ride_score import RideScore
-from trainid_ros.ato.train_state import PositionModel
+from ato.controller import Ato, AtoModel, Phase
+from ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
+from ato.learning import LearnedRate, StopBias
+from ato.ride_score import RideScore
+from ato.train_state import PositionModel
 from trainid_ros.errors import InputError
 from trainid_ros.sim.realism import UNKNOWNS, make_case
 from trainid_ros.sim.scenario import Change, simulate

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrueValues, client_values
+from ato.knowledge import LiveValues, StatedValues, TrueValues, client_values
 from trainid_ros.client import TrainModel
 from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.plant import Plant

@@ -8,7 +8,7 @@ from typing import Final
 
 import pytest
 
-from trainid_ros.ato.learning import LearnedRate, StopBias
+from ato.learning import LearnedRate, StopBias
 from trainid_ros.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile

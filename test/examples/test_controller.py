@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from trainid_ros.ato.controller import Ato, AtoModel
-from trainid_ros.ato.knowledge import StatedValues, TrueValues
+from ato.controller import Ato, AtoModel
+from ato.knowledge import StatedValues, TrueValues
 from trainid_ros.errors import InputError
 from trainid_ros.records import BrakeRecord, SpeedRecord
 from trainid_ros.sim.driver import Decision

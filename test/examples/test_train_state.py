@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.ato.train_state import PositionModel, TrainState, stopping_curve
+from ato.train_state import PositionModel, TrainState, stopping_curve
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, GradientRecord, SpeedRecord
 from trainid_ros.train.line import LineProfile

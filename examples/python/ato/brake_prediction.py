@@ -11,8 +11,8 @@ from trainid_ros.train.brake import lag_response
 from trainid_ros.train.davis import acceleration, davis
 
 if TYPE_CHECKING:
-    from trainid_ros.ato.knowledge import TrainValues
-    from trainid_ros.ato.train_state import TrainState
+    from ato.knowledge import TrainValues
+    from ato.train_state import TrainState
 
 # Steps of the prediction [s]: while the brake builds up, afterwards, and below a speed [m/s].
 _BUILD_UP_S: Final = 2.0

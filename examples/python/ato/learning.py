@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.ato.knowledge import TrainValues
+from ato.knowledge import TrainValues
 from trainid_ros.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, actuator_response
 from trainid_ros.train.davis import acceleration, davis

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chapter of the demo that stops a train by the estimates."""
+"""The example that stops a train by the estimates."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.ato.days import CONTROLLERS, DayPlan, Drive, plan_day
-from trainid_ros.ato.knowledge import TrueValues
-from trainid_ros.demo import stops
+import stops
+from ato.days import CONTROLLERS, DayPlan, Drive, plan_day
+from ato.knowledge import TrueValues
+from ato.stop_report import actual_rates, brake_changes, comparison, stop_lines, stop_page
 from trainid_ros.records import NS_PER_S
-from trainid_ros.report.stop_report import actual_rates, brake_changes, comparison, stop_lines, stop_page
 from trainid_ros.sim.driver import StopEvent
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile
@@ -81,7 +81,7 @@ def test_a_short_day_is_driven_and_reported(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(stops, '_RUNS', 2)
     monkeypatch.setattr(stops, '_WORLD', 'tram')
     said: list[str] = []
-    case = stops.play_stops(tmp_path / 'stops', said.append)
+    case = stops.play_stops(tmp_path / 'stops.html', said.append)
     assert len(said) == 1
     assert [len(one.errors) for one in case.drives.values()] == [2] * len(CONTROLLERS)
     page = case.report.read_text(encoding='utf-8')
