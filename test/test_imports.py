@@ -42,7 +42,7 @@ LOWER = {
 SLOW = ('scipy', 'yaml')
 # Importing it takes 0.2 s of CPU time on a fast machine.
 MOST_MODULES = 150
-MOST_CALLS = 240_000
+MOST_CALLS = 120_000
 
 
 def run(code: str, bytecode: Path | None = None) -> str:

@@ -22,8 +22,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
-from test.hang import HANG_S
 from benchmarks.foreign_bag import MAPPING, write_foreign
+from test.hang import HANG_S
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.demo.live import parameter_file
