@@ -18,9 +18,10 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
+from test.hang import HANG_S
+
 PROGRAMS = ('chromium', 'chromium-browser', 'google-chrome')
 WIDTH, HEIGHT = 1200, 900
-DEADLINE_S = 60.0
 # Nothing outside this machine is found, so that a page that needs it fails.
 OPTIONS = (
     '--headless=new',
@@ -92,7 +93,7 @@ class Chromium:
         """Load a page and wait until it is complete."""
         self.events.clear()
         self.call('Page.navigate', url=url)
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while self.evaluate('document.readyState') != 'complete' or self.evaluate('location.href') == 'about:blank':
             assert time.monotonic() < end, f'{url} does not load'
             time.sleep(0.02)

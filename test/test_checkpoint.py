@@ -124,13 +124,16 @@ def test_no_kill_leaves_a_torn_file(tmp_path: Path) -> None:
     path, rng = written(tmp_path), np.random.default_rng(1)
     state = json.dumps({'x': list(range(20_000))})
     before_ns = SAVED.saved_ns
+    begin_s = time.monotonic()
+    CheckpointFile(path).write(replace(SAVED, state=state))
+    longest_s = max(0.03, 3.0 * (time.monotonic() - begin_s))  # long enough for a write
     for _ in range(40):
         child = os.fork()
         if child == 0:
             file = CheckpointFile(path)
             for k in range(1_000_000):
                 file.write(replace(SAVED, saved_ns=before_ns + k, state=state))
-        time.sleep(float(rng.uniform(0.0, 0.03)))
+        time.sleep(float(rng.uniform(0.0, longest_s)))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         found = CheckpointFile(path).read(LEARNED)

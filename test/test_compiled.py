@@ -157,9 +157,7 @@ def main() -> None:
 def outcome(switch: str) -> tuple[set[str], str]:
     """Return what :func:`main` prints in a process of its own: the words of the first line, and the second."""
     environment = os.environ | {SWITCH: switch, 'PYTHONPATH': os.pathsep.join(sys.path)}
-    process = subprocess.run(
-        [sys.executable, __file__], env=environment, capture_output=True, text=True, check=True, timeout=600
-    )
+    process = subprocess.run([sys.executable, __file__], env=environment, capture_output=True, text=True, check=True)
     first, second = process.stdout.splitlines()
     return set(first.split()), second
 

@@ -21,9 +21,7 @@ def test_without_rerun_one_line_names_the_extra(driven_bag: Path, tmp_path: Path
         "import sys; sys.modules['rerun'] = None; from trainid_ros.cli.main import main; "
         f"sys.exit(main(['view', {str(driven_bag)!r}, '--out', 'x.rrd']))"
     )
-    done = subprocess.run(
-        [sys.executable, '-c', code], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
+    done = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     package = "the viewer needs the Python package rerun: pip install 'trainid_ros[view]'"
     assert done.stderr == f'trainid: error: {package}\n'
@@ -89,7 +87,7 @@ class TestWithRerun:
             f"sys.exit(main(['view', {str(driven_bag)!r}, '--out', 'x.rrd']))"
         )
         command = [sys.executable, '-B', '-c', code]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert done.stderr == 'trainid: error: x.rrd: cannot be written (File too large)\n'
         assert not list(tmp_path.iterdir())

@@ -37,9 +37,7 @@ def trainid(folder: Path, *arguments: str, hidden: frozenset[str] = PACKAGES) ->
         'from trainid_ros.cli.main import main\n'
         f'sys.exit(main({list(arguments)!r}))\n'
     )
-    return subprocess.run(
-        [sys.executable, '-c', code], cwd=folder, capture_output=True, text=True, timeout=60, check=False
-    )
+    return subprocess.run([sys.executable, '-c', code], cwd=folder, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize('verb', NEED_BAGS)

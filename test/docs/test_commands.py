@@ -20,7 +20,6 @@ from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.cli.main import VERBS
 
 TRAINID = '.venv/bin/trainid'
-TIMEOUT_S = 100.0
 LIVE = 'needs a ROS graph and runs until it is stopped'
 BUILT = 'needs an installed workspace'
 SECURE = 'needs DDS security, which the wheels are built without'
@@ -278,7 +277,6 @@ def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=TIMEOUT_S,
         check=False,
     )
     assert done.returncode == 0, f'{command.page}:{command.line}: {command.text}\n{done.stdout}{done.stderr}'

@@ -184,7 +184,7 @@ def replay(bag: Path, *options: str, prelude: str = PRELUDE) -> subprocess.Compl
     command = ['trainid', 'replay', str(bag), '--train', str(METRO), *options]
     code = f'{prelude}\nimport sys\nfrom trainid_ros.cli.main import main\nsys.argv = {command!r}\nstatus = main()\n'
     code += "assert not sys.modules.get('trainid_lab')\nsys.exit(status)\n"
-    return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=False, timeout=100)
+    return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize('prelude', [PRELUDE, ''], ids=['without lab', 'with lab'])

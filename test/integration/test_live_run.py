@@ -23,6 +23,7 @@ from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
 from benchmarks.foreign_bag import MAPPING, write_foreign
+from test.hang import HANG_S
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.demo.live import parameter_file
@@ -50,8 +51,6 @@ PLAYED_S = 100.0
 FOREIGN_S = 40.0
 # This machine, and the group of DDS discovery, which is joined there.
 LOCAL = ('127.', '239.255.0.1:')
-# Reached only by failures: a busy machine may stall a process for seconds.
-DEADLINE_S = 100.0
 
 
 class Processes:
@@ -88,7 +87,7 @@ def finish(process: subprocess.Popen[str], signal_number: int | None = None) -> 
     """Wait for the end of a process, after a signal if one is given."""
     if signal_number is not None:
         process.send_signal(signal_number)
-    out, err = process.communicate(timeout=DEADLINE_S)
+    out, err = process.communicate()
     return process.returncode, out, err
 
 
@@ -131,7 +130,7 @@ class Listener:
             self.node.create_subscription(kind, topic, self.received[topic].append, QoSProfile(depth=10000))
 
     def until(self, condition: Callable[[], object]) -> None:
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while not condition():
             assert time.monotonic() < end, 'condition not met in time'
             self._executor.spin_once(timeout_sec=0.05)
@@ -180,7 +179,6 @@ def without_stale_repeats(outputs: list[Any]) -> list[dict[str, bytes]]:
     return contents
 
 
-@pytest.mark.timeout(400)
 def test_live_estimates_equal_the_replay_to_the_bit(
     processes: Processes, listener: Listener, bag: Path, tmp_path: Path
 ) -> None:
@@ -261,7 +259,7 @@ def listening(pid: int) -> set[str]:
     return found
 
 
-def test_a_killed_node_is_seen_within_two_seconds(processes: Processes, listener: Listener) -> None:
+def test_a_killed_node_is_seen_once_its_lease_ends(processes: Processes, listener: Listener) -> None:
     alive: list[int] = []
     callbacks = SubscriptionEventCallbacks(liveliness=lambda event: alive.append(event.alive_count))
     kind, topic = messages.ResistanceEstimate, 'trainid/last_valid/resistance'
@@ -272,10 +270,11 @@ def test_a_killed_node_is_seen_within_two_seconds(processes: Processes, listener
     # A node without inputs says so, at least once a second.
     listener.until(lambda: len(listener.received['trainid/resistance']) > 1)
     assert {message.status for message in listener.received['trainid/resistance']} == {kind.STALE}
+    ticks: list[None] = []  # at 10 Hz, in this process: where it is kept waiting, so are they
+    listener.node.create_timer(0.1, lambda: ticks.append(None))
     nodes.kill()
-    start = time.monotonic()
     listener.until(lambda: alive == [1, 0])
-    assert time.monotonic() - start < LEASE_S + 1.0  # a busy machine wakes this process late
+    assert len(ticks) < 10.0 * (LEASE_S + 1.0)
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
+from test.hang import HANG_S
 from trainid_ros.demo.processes import free_domain, local_environment
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.ros.estimator_node import EstimatorNode
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 TRAIN_FILE = 'train: {mass: 194000.0, length: 118.0}\nresistance: {a: 1.5, b: 0.02, c: 0.0012}\n'
 PROFILE = Path(__file__).parents[2] / 'config' / 'fastdds_localhost.xml'
-# Reached only by failures: a busy machine may stall a process for seconds.
-DEADLINE_S = 50.0
-
-
 START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE_NODE = partial(EstimatorNode, RESISTANCE)
 
@@ -127,8 +124,8 @@ class Graph:
     def plain(self, name: str) -> Any:
         return self.add(rclpy.create_node(name, context=self.context))
 
-    def until(self, condition: Callable[[], object], deadline_s: float = DEADLINE_S) -> None:
-        end = time.monotonic() + deadline_s
+    def until(self, condition: Callable[[], object]) -> None:
+        end = time.monotonic() + HANG_S
         while not condition():
             assert time.monotonic() < end, 'condition not met in time'
             self.executor.spin_once(timeout_sec=0.02)

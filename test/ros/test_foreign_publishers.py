@@ -27,7 +27,7 @@ SPEED_INPUT = 'resistance_estimator: input ato/speed'
 def start(graph: Graph, tmp_path: Path) -> Iterator[Start]:
     """Starts an odometer that publishes speeds at 5 Hz."""
     begin_ns, path = time.time_ns(), tmp_path / 'speeds.json'
-    stamps = [begin_ns + k * NS_PER_S // 5 for k in range(600)]
+    stamps = [begin_ns + k * NS_PER_S // 5 for k in range(3000)]
     write_rows(path, [Sending(stamp_ns, (SPEED, stamp_ns, 20.0, 1.0, False)) for stamp_ns in stamps])
     started = []
 

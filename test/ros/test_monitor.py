@@ -18,10 +18,10 @@ from collections.abc import Iterator
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
 
 import pytest
 
+from test.hang import HANG_S
 from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
 
 pytestmark = pytest.mark.ros
@@ -34,8 +34,6 @@ NODES = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'
 ESCAPES = re.compile(r'\x1b\[[0-9;?]*[A-Za-z]')
 HOME = '\x1b[H'
 COLUMNS, ROWS = 100, 40
-# Reached only by failures: a busy machine may stall a process for seconds.
-DEADLINE_S = 50.0
 
 
 class Terminal:
@@ -68,18 +66,17 @@ class Terminal:
         """Return the words of the last picture that was drawn."""
         return ' '.join(ESCAPES.sub('', self.received.split(HOME)[-1]).split())
 
-    def until(self, *wanted: str, deadline_s: float = DEADLINE_S) -> float:
-        """Wait until a picture holds all these words; return the time this took [s]."""
-        begin = time.monotonic()
+    def until(self, *wanted: str) -> None:
+        """Wait until a picture holds all these words."""
+        end = time.monotonic() + HANG_S
         while not all(word in self.screen() for word in wanted):
             assert self.process.poll() is None, self.received[-2000:]
-            assert time.monotonic() < begin + deadline_s, f'{wanted} are not in:\n{self.screen()}'
+            assert time.monotonic() < end, f'{wanted} are not in:\n{self.screen()}'
             self.read()
-        return time.monotonic() - begin
 
     def until_input(self, name: str, rate: float) -> None:
         """Wait until an input comes with about this rate [Hz], which a loaded machine may upset for some seconds."""
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while True:
             shown = re.findall(rf'{name} ([\d.]+) Hz ([\d.]+) s', self.screen())
             if shown and abs(float(shown[0][0]) - rate) < 0.3 * rate and float(shown[0][1]) < 1.0:
@@ -90,7 +87,7 @@ class Terminal:
     def end(self, number: signal.Signals) -> int:
         """Send a signal and return the exit code."""
         self.process.send_signal(number)
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while self.process.poll() is None:
             assert time.monotonic() < end, 'the monitor does not end'
             self.read()
@@ -130,21 +127,22 @@ def test_a_person_sees_the_train_and_a_killed_node(terminals: list[Terminal], tm
         nodes = {name: group.start(name, ['run', '--train', TRAIN, '--node', name, *space, *clock]) for name in NODES}
         group.start('player', ['play', BAG, '--rate', '2', '--start', '20', '--wait', '3', '--loop', *space])
         monitor.until('/train_7', '3 of 3 estimates', 'N/kN w at', 'mass factor', '1 = nominal')
-        monitor.until('CONVERGING', 'drive on, it learns at changing speeds', deadline_s=20.0)
+        monitor.until('CONVERGING', 'drive on, it learns at changing speeds')
         monitor.until('/train_7/bag_player', 'km/h', 'used', 'stated ±')
         monitor.until_input('ato/speed', 10.0)
         nodes['brake_rate_estimator'].process.kill()
-        took = monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate since')
-        assert took < 2.0
+        drawn = monitor.received.count(HOME)
+        monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate since')
+        assert monitor.received.count(HOME) - drawn <= 10  # of 2 s, one every 0.25 s, and two not read
     assert monitor.end(signal.SIGINT) == 0
     assert 'Traceback' not in monitor.received
     assert monitor.received.endswith('\x1b[?25h\x1b[?1049l')  # the cursor is back, and the screen from before
 
 
-def test_without_colours_there_is_a_line_each_second(terminals: list[Terminal], tmp_path: Path) -> None:
+def test_without_colours_there_is_a_line_each_second_at_most(terminals: list[Terminal], tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
         group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
-        monitor = open_monitor(terminals, '--namespace', 'train_7', '--duration', '30', NO_COLOR='1')
+        monitor = open_monitor(terminals, '--namespace', 'train_7', '--duration', str(HANG_S), NO_COLOR='1')
         monitor.until('/train_7 ', 'STALE', 'ato/speed never', 'start the node that publishes it')
         seen = monitor.received.count(' UTC /train_7 ')
         while monitor.received.count(' UTC /train_7 ') < seen + 4:
@@ -154,16 +152,14 @@ def test_without_colours_there_is_a_line_each_second(terminals: list[Terminal], 
     lines = [line for line in monitor.received.splitlines() if ' UTC /train_7 ' in line]
     times = [datetime.strptime(line.split()[0], '%H:%M:%S') for line in lines]
     steps_s = [(after - before).seconds for before, after in pairwise(times)]
-    # A second is skipped now and then, since each line is printed a moment later than a second after the last.
     assert steps_s
-    assert min(steps_s) >= 1
-    assert median(steps_s) == 1
+    assert min(steps_s) >= 1  # each comes a moment later than a second after the last
 
 
 def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal], tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
         group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
-        monitor = open_monitor(terminals, '--namespace', '/train_8', '--duration', '20', TERM='dumb')
+        monitor = open_monitor(terminals, '--namespace', '/train_8', '--duration', str(HANG_S), TERM='dumb')
         monitor.until('in the namespace /train_8', 'There are trains in /train_7')
         assert monitor.end(signal.SIGINT) == 0
     assert '\x1b' not in monitor.received  # it cannot draw
@@ -171,7 +167,7 @@ def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal]
 
 def test_a_time_with_nothing_published_gives_no_answer(terminals: list[Terminal]) -> None:
     monitor = open_monitor(terminals, '--duration', '1', NO_COLOR='1')
-    assert monitor.process.wait(DEADLINE_S) == 1
+    assert monitor.process.wait() == 1
 
 
 MUTE = """
@@ -187,7 +183,7 @@ def test_a_publisher_that_publishes_nothing_gives_no_answer(terminals: list[Term
     with subprocess.Popen([sys.executable, '-c', MUTE], stdin=subprocess.PIPE) as node:
         open_monitor(terminals).until('/mute', 'never')
         monitor = open_monitor(terminals, '--duration', '2', NO_COLOR='1')
-        assert monitor.process.wait(DEADLINE_S) == 1
+        assert monitor.process.wait() == 1
         node.kill()
 
 
@@ -197,7 +193,7 @@ def test_a_short_time_is_enough_where_something_is_published(terminals: list[Ter
         open_monitor(terminals).until('/bag_player', '5.0 Hz')
         command = [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', '--duration', '1.5']
         forced = os.environ | {'FORCE_COLOR': '1', 'LC_ALL': 'C'}
-        found = subprocess.run(command, capture_output=True, check=False, timeout=DEADLINE_S, env=forced)
+        found = subprocess.run(command, capture_output=True, check=False, env=forced)
     assert found.returncode == 0
     assert b'km/h | resistance' in found.stdout
     assert found.stdout.isascii()
@@ -212,7 +208,6 @@ def test_a_number_for_use_sim_time_is_refused(command: tuple[str, ...]) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=DEADLINE_S,
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
@@ -225,6 +220,6 @@ def test_a_number_for_use_sim_time_is_refused(command: tuple[str, ...]) -> None:
 )
 def test_a_namespace_that_cannot_be_is_refused(name: str, said: str) -> None:
     command = [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', '--namespace', name, '--duration', '1']
-    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=DEADLINE_S)
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 2
     assert found.stderr.splitlines() == [f'trainid: error: --namespace {name}: namespace {said}']

@@ -69,7 +69,7 @@ assert all(pipeline.used for pipeline in pipelines)
 def loaded(work: str, compiled: str = '0') -> set[str]:
     """Return the third-party packages that code loads in a fresh interpreter, by default with uncompiled modules."""
     command, env = [sys.executable, '-c', CODE.format(work=work)], os.environ | {SWITCH: compiled}
-    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return set(done.stdout.split()) - OURS
 

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from test.chromium import Chromium, find_chromium, ink
+from test.hang import HANG_S
 from trainid_ros.cli.main import main
 from trainid_ros.view import telemetry
 from trainid_ros.view.tracks import Series
@@ -30,8 +31,6 @@ pytest.importorskip('rerun')
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
 PLOTS = ('inputs/speed', 'inputs/force', 'inputs/gradient', 'inputs/brake_command')
 ESTIMATES = ('resistance', 'speed_model', 'brake_rate')
-# Reached only by failures: software draws slowly.
-DEADLINE_S = 90.0
 
 
 @pytest.fixture(scope='module')
@@ -147,7 +146,7 @@ def test_a_browser_draws_every_view(recording: Path, tmp_path: Path) -> None:
         with served(recording, log) as url:
             browser.call('Emulation.setDeviceMetricsOverride', width=960, height=800, deviceScaleFactor=1, mobile=False)
             browser.open(url)
-            end = time.monotonic() + DEADLINE_S
+            end = time.monotonic() + HANG_S
             while min(blue := views_with_line(browser.picture())) < 0.002:
                 assert time.monotonic() < end, f'share of the pixels of a line in each plot: {blue}'
                 time.sleep(1.0)

@@ -157,7 +157,6 @@ def test_it_works_at_twenty_samples_a_second(World: Any, drive: Any, run: Any) -
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_the_stated_standard_deviations_cover_the_errors_of_many_new_drives(coverage: Any) -> None:
     in_w, in_force = coverage(range(24), 180.0, CONFIG)
     for z in (*in_w.T, *in_force.T):

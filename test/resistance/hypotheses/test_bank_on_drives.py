@@ -78,7 +78,6 @@ def test_one_filter_is_consistent_over_many_drives(errors_squared: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive(
     still: Any, held: Any, plan: BankPlan
 ) -> None:
