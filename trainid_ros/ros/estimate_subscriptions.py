@@ -8,7 +8,7 @@ of the nodes. The latched ones ask for the lease of the nodes and say when a nod
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import qos_policy_name_from_kind
@@ -18,35 +18,47 @@ from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, stamp_of, s
 from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
 
 if TYPE_CHECKING:
-    from trainid_ros.client.train_model import TrainModel
     from trainid_ros.messages import OutputTopic
+    from trainid_ros.results import Status
 
 
-def subscribe_estimates(node: Any, model: TrainModel) -> tuple[Any, ...]:
+class Receiver(Protocol):
+    """Takes the messages of estimates."""
+
+    def take_message(
+        self, topic: OutputTopic, status: Status, estimate: Any, stamp_ns: int, *, latched: bool = False
+    ) -> None:
+        """Take in an estimate."""
+
+    def lose(self, topic: OutputTopic, reason: str) -> None:
+        """Take in why a topic sends nothing any more."""
+
+
+def subscribe_estimates(node: Any, receiver: Receiver) -> tuple[Any, ...]:
     """Subscribe to resistance and brake rate, live and latched; return the subscriptions."""
     topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
-    return tuple(make(node, model, topic) for topic in topics for make in (_subscribe_live, _subscribe_latched))
+    return tuple(make(node, receiver, topic) for topic in topics for make in (_subscribe_live, _subscribe_latched))
 
 
-def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
+def _subscribe_live(node: Any, receiver: Receiver, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, status_of(message), message, stamp_of(message))
+        receiver.take_message(topic, status_of(message), message, stamp_of(message))
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        model.lose(topic, f'its publisher has an incompatible quality of service ({policy})')
+        receiver.lose(topic, f'its publisher has an incompatible quality of service ({policy})')
 
     events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.name, take, estimate_qos(), event_callbacks=events)
 
 
-def _subscribe_latched(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
+def _subscribe_latched(node: Any, receiver: Receiver, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, status_of(message), message, stamp_of(message), latched=True)
+        receiver.take_message(topic, status_of(message), message, stamp_of(message), latched=True)
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:
-            model.lose(topic, GONE)
+            receiver.lose(topic, GONE)
 
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.last_valid, take, latched_qos(), event_callbacks=events)
