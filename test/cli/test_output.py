@@ -15,7 +15,6 @@ import pytest
 from trainid_ros.cli.output import (
     check_distinct,
     check_output,
-    in_ascii,
     print_json,
     progress,
     report_error,
@@ -28,6 +27,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.report import HTML_START
 from trainid_ros.report.page import page
 from trainid_ros.results import BrakeRateEstimate, Output, Status
+from trainid_ros.text import in_ascii
 
 BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
 

@@ -21,8 +21,8 @@ from trainid_ros.bag.types import full_type, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.messages import record_from_message
-from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, InputTopic, record_of
+from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

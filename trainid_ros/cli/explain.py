@@ -23,8 +23,8 @@ from trainid_ros.cli.output import (
 )
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.plural import pluralise
 from trainid_ros.report import HTML_START
+from trainid_ros.text import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from trainid_ros.fleet.listing import find_bags, list_bags
 from trainid_ros.fleet.plan import Setup, bags_in, make_plan, setup_in
 from trainid_ros.fleet.run_fleet import Files, known_rows, rows_here, run_plan
 from trainid_ros.fleet.table_file import check_table, read_table
-from trainid_ros.plural import pluralise
 from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     import argparse

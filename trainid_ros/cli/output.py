@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.errors import InputError
 from trainid_ros.report import HTML_START
 from trainid_ros.results import Output
+from trainid_ros.text import in_ascii, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 
 _OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
-_PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...', '≥': '>='})
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 
@@ -58,18 +58,6 @@ def _is_shown(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def in_ascii(text: str) -> str:
-    """Return text for terminals without Unicode."""
-    return text.translate(_PLAIN).encode('ascii', 'replace').decode()
-
-
-def printable(text: str) -> str:
-    """Return text with all characters escaped that are neither printable nor line breaks."""
-    return ''.join(
-        char if char.isprintable() or char == '\n' else char.encode('unicode_escape').decode() for char in text
-    )
 
 
 def to_plain(value: Any) -> Any:

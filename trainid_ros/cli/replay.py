@@ -21,7 +21,6 @@ from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.plural import pluralise
 from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
@@ -30,6 +29,7 @@ from trainid_ros.results import Reason
 from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
+from trainid_ros.text import pluralise
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ import numpy as np
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show
 from trainid_ros.errors import InputError
-from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.sim.realism import make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
 from trainid_ros.sim.truth import plain_truth, save_truth
 from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.text import pluralise
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 

@@ -27,7 +27,7 @@ from trainid_ros.explain.result import (
     Verdict,
 )
 from trainid_ros.explain.search import Search, Selection
-from trainid_ros.plural import pluralise
+from trainid_ros.text import pluralise
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis, Effect
 

@@ -14,7 +14,6 @@ from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.mapping.message_fields import type_of
 from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
-from trainid_ros.plural import pluralise
 from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
@@ -24,6 +23,7 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
+from trainid_ros.text import pluralise
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line
 

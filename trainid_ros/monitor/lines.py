@@ -7,8 +7,8 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.cli.output import printable
 from trainid_ros.monitor.view import number, state_of, with_band
+from trainid_ros.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -10,7 +10,6 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from trainid_ros.cli.output import in_ascii, printable
 from trainid_ros.monitor.chart import ASCII, UNICODE, chart
 from trainid_ros.monitor.view import (
     EstimateView,
@@ -24,6 +23,7 @@ from trainid_ros.monitor.view import (
     with_band,
 )
 from trainid_ros.results import Status
+from trainid_ros.text import in_ascii, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -7,11 +7,11 @@ from html import escape
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.fleet.mixed_model import LEAST_TRAINS
-from trainid_ros.plural import pluralise
 from trainid_ros.report.fleet_figures import common_over_days, fleet_over_days, train_over_days
 from trainid_ros.report.page import bullets, captioned, facts_list, page
 from trainid_ros.report.tables import html_table
 from trainid_ros.report.words import plus_minus
+from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,13 +13,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
-from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, Record
 from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
 from trainid_ros.ros.publishers import is_hash
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
+from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
