@@ -19,20 +19,18 @@ from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_lab.speed_model.upper_triangle import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import GsmaConfig, VMilsConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.resistance.resistance_settings import VMilsConfig
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.speed_model.physical_parameters import resistance_variance
+from trainid_ros.speed_model.am_vff_rls import resistance_variance
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.forces import specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.estimators.algorithm_registry import Algorithms, Estimator
     from trainid_ros.sim.truth import Truth
     from trainid_ros.stream.samples import Sample
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Rejection
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
@@ -24,19 +25,15 @@ from trainid_ros.resistance.speed_window import (
     observe_resistance,
     overlap_factor,
 )
-from trainid_ros.results import Rejection
-from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
-from trainid_ros.train.davis import davis
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.train.forces import CommandHistory, davis, lag_integral, lag_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-    from trainid_ros.resistance.resistance_settings import VMilsConfig
+    from trainid_ros.estimators.settings import GsmaConfig, VMilsConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

@@ -17,10 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample, coasting_sample
-from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import BrakeCommandChange, G, lag_integral, lag_response
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 Array = NDArray[np.float64]

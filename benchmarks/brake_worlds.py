@@ -21,20 +21,19 @@ from benchmarks.tables import Table
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Drive, drive
 from benchmarks.worlds.unknowns import random_of
 from benchmarks.worlds.vehicles import KINDS, draw_vehicle
-from trainid_ros.brake_rate.brake_kinematics import brake_step
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.records import NS_PER_S
+from trainid_ros.brake_rate.motion_model import brake_step
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import CommandHistory
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import CommandHistory, davis
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.estimators.algorithm_registry import Estimator
     from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]

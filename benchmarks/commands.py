@@ -73,6 +73,5 @@ def _cpu_s(command: Sequence[object]) -> float:
     done = subprocess.run(program, cwd=REPOSITORY, env=dict(os.environ), stdout=subprocess.DEVNULL, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode not in (0, 1):  # 1: the command worked, and found nothing to say
-        msg = f'trainid {" ".join(map(str, command))}: exit code {done.returncode}'
-        raise RuntimeError(msg)
+        raise RuntimeError(f'trainid {" ".join(map(str, command))}: exit code {done.returncode}')
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

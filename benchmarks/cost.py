@@ -17,11 +17,11 @@ import numpy as np
 
 from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.results import Rejection
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.results import Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from benchmarks.days import TickOfRecords
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.results import Output
+    from trainid_ros.interface.results import Output
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

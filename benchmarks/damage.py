@@ -24,13 +24,13 @@ from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_definition, full_type, message_from_record, typestore
-from trainid_ros.errors import InputError
-from trainid_ros.records import MassRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import MassRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 _MESSAGES: Final = 5_000
 _CHUNK_BYTES: Final = 16_384

@@ -19,7 +19,7 @@ from trainid_ros.train.train_file import TrainFile, load_train_file
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 TRAIN_FILE: Final = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'

@@ -18,28 +18,27 @@ import numpy as np
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import ACCELERATION, KM_H, Manoeuvre
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
-from trainid_ros.sim.realism import REALISMS, make_case
+from trainid_ros.sim.plant import TICK_S, Decision, StopEvent
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.worlds import WORLDS, find_world, world_train
-from trainid_ros.train.davis import davis, required_force
+from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, world_train
+from trainid_ros.train.forces import davis, required_force
 from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
+    from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
     from trainid_ros.sim.plant import Plant
-    from trainid_ros.sim.realism import Case
     from trainid_ros.sim.scenario import Simulation
+    from trainid_ros.sim.worlds import Case
     from trainid_ros.train.train_file import TrainFile
 
 ALGORITHMS: Final = ('filter-bank', 'V-MILS')

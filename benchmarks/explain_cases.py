@@ -12,7 +12,7 @@ from benchmarks import hidden_cases, hidden_cases_b
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 Generator = Literal['A', 'B']
 GENERATORS: Final[tuple[Generator, ...]] = ('A', 'B')

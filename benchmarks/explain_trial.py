@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Final
 
 from benchmarks.explain_cases import Answer, Opened, Spec, open_case
-from trainid_ros.explain.run_data import RunCollector
+from trainid_ros.explain.dataset import RunCollector
 from trainid_ros.explain.workflow import explain
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.samples import Sample
@@ -20,9 +20,9 @@ from trainid_ros.train.train_file import parse_train_file
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from trainid_ros.explain.dataset import Run
     from trainid_ros.explain.result import Explanation, FoundEffect
-    from trainid_ros.explain.run_data import Run
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import NamedValues, TrainFile
 
 CRASHED: Final = 'crashed'

@@ -33,7 +33,7 @@ from trainid_ros.train.train_file import dump_train_file
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.table_file import Row
 
 # Seeds from here on were not used in development.
 FIRST_SEED: Final = 8_800
@@ -105,8 +105,7 @@ def replay_three_ways(folder: Path) -> tuple[dict[str, Cost], list[Row]]:
             costs['Dask, 2 workers'] = measure_command(command, processes)
         tables.append(read_table(folder / 'dask.parquet')[0])
     if any(table != tables[0] for table in tables):
-        msg = 'the ways of replaying give different rows'
-        raise RuntimeError(msg)
+        raise RuntimeError('the ways of replaying give different rows')
     return costs, tables[0]
 
 

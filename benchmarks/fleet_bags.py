@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import GustModel
-from trainid_ros.sim.scenario import Scenario, Simulation, simulate
-from trainid_ros.sim.sensors import SensorModel
+from trainid_ros.sim.scenario import Scenario, SensorModel, Simulation, simulate
 from trainid_ros.sim.worlds import WORLDS, world_train
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 

@@ -57,8 +57,7 @@ def measure_command(command: Sequence[str], others: Sequence[int] = ()) -> Cost:
             time.sleep(_EVERY_S)
     wall_s, after = time.perf_counter() - start, os.times()
     if process.returncode:
-        msg = f'{" ".join(command)}: exit code {process.returncode}'
-        raise RuntimeError(msg)
+        raise RuntimeError(f'{" ".join(command)}: exit code {process.returncode}')
     cpu_s = after.children_user + after.children_system - cpu.children_user - cpu.children_system
     cpu_s += sum(_cpu_s(other) for other in others) - before
     memories = [memory for at, memory in readings if at > _EARLY * wall_s and memory]
@@ -98,8 +97,7 @@ def _address(scheduler: subprocess.Popen[str]) -> str:
     while time.monotonic() < end and scheduler.stdout is not None:
         if match := re.search(r'tcp://[\d.]+:\d+', scheduler.stdout.readline()):
             return match.group()
-    msg = 'the scheduler does not start'
-    raise RuntimeError(msg)
+    raise RuntimeError('the scheduler does not start')
 
 
 def _children(process: int) -> list[int]:

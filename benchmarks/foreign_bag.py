@@ -16,7 +16,15 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

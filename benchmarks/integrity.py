@@ -16,16 +16,16 @@ from benchmarks.worlds import WORLDS
 from benchmarks.yizhuang_day import DRY, RAIN, yizhuang_day
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.results import Output, Status
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.forces import specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]

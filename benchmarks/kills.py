@@ -26,9 +26,8 @@ from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.checkpoint import Checkpoint, parse_checkpoint
 from trainid_ros.demo.processes import free_domain
-from trainid_ros.errors import InputError
-from trainid_ros.messages import stamp_of
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.ros.jobs import JOBS
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
 

@@ -29,8 +29,7 @@ from trainid_msgs import msg as trainid_msgs
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
-from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, stamp_of
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
@@ -38,7 +37,7 @@ from trainid_ros.stream.samples import Sample
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 _PROFILE: Final = Path(__file__).parents[1] / 'config' / 'fastdds_localhost.xml'
 _SEED: Final = 1
@@ -170,8 +169,7 @@ class _Meter:
         end = time.monotonic() + _DISCOVERY_S
         while not self._sees_all(processes):
             if time.monotonic() > end:
-                msg = f'the nodes did not start within {_DISCOVERY_S:g} s'
-                raise TimeoutError(msg)
+                raise TimeoutError(f'the nodes did not start within {_DISCOVERY_S:g} s')
             time.sleep(0.1)
 
     def _sees_all(self, processes: int) -> bool:

@@ -26,19 +26,19 @@ from scipy.signal import lfilter
 
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.interface.results import Status
 from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import Status
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.records import Record
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.interface.records import Record
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, Final
 from benchmarks.days import assumed_train, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 _SEED: Final = 1
 _HOURS: Final = (0.1, 1.0, 6.0, 24.0)

@@ -11,15 +11,15 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import A, C
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth
-    from trainid_ros.results import Rejection, ResistanceEstimate
+    from trainid_ros.interface.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmarks.real_train_informed import InformedFilter
     from benchmarks.worlds import Truth
-    from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.estimators.algorithm_registry import Estimator
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from benchmarks.real_train_scores import Score
     from benchmarks.worlds import Drive
-    from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.estimators.algorithm_registry import Estimator
+    from trainid_ros.interface.results import ResistanceEstimate
 
 INFORMED: Final = 'informed filter'
 COMPARED: Final = ('V-MILS', 'filter-bank', 'two-window')

@@ -13,8 +13,14 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
-from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, SPEED_TOPIC, InputTopic
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    OUTPUT_TOPICS,
+    REQUIRED_TOPICS,
+    SPEED_TOPIC,
+    InputTopic,
+    stamp_of,
+)
 from trainid_ros.ros.topics import estimate_qos, input_qos, message_class
 
 if TYPE_CHECKING:

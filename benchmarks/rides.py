@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]

@@ -32,8 +32,7 @@ from benchmarks.memory import open_files, repeated, resident_kb
 from benchmarks.tables import Table, as_text
 from trainid_ros.demo.live import parameter_file
 from trainid_ros.demo.processes import ProcessGroup
-from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, stamp_of
 from trainid_ros.ros.topics import message_class, message_from_record
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
@@ -123,8 +122,7 @@ class _Feed:
             self._node.count_publishers(topic.name) for topic in OUTPUT_TOPICS
         ):
             if time.monotonic() > end:
-                msg = f'the nodes did not start within {_DISCOVERY_S:g} s'
-                raise TimeoutError(msg)
+                raise TimeoutError(f'the nodes did not start within {_DISCOVERY_S:g} s')
             time.sleep(0.1)
         time.sleep(1.0)
 

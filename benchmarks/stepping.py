@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.results import Rejection
+    from trainid_ros.estimators.algorithm_registry import Estimator
+    from trainid_ros.interface.results import Rejection
     from trainid_ros.stream.samples import Sample
 
 EstimateT = TypeVar('EstimateT')

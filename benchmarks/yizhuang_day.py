@@ -21,8 +21,7 @@ from dataclasses import replace
 from typing import Final
 
 from trainid_ros.sim.plant import GustModel
-from trainid_ros.sim.scenario import DEFAULT_START_NS, Change, Scenario
-from trainid_ros.sim.sensors import SensorModel
+from trainid_ros.sim.scenario import DEFAULT_START_NS, Change, Scenario, SensorModel
 from trainid_ros.train.train_file import Davis, TrainFile
 
 RUNS: Final = 26

@@ -25,13 +25,11 @@ def check(context):
     except ValueError:
         is_valid = False
     if not is_valid:
-        msg = f'rate:={rate} must be a number from {RATES[0]:g} to {RATES[1]:g}'
-        raise RuntimeError(msg)
+        raise RuntimeError(f'rate:={rate} must be a number from {RATES[0]:g} to {RATES[1]:g}')
     for name in ('bag', 'train_file', 'mapping_file'):
         path = LaunchConfiguration(name).perform(context)
         if not Path(path).exists() and (path or name != 'mapping_file'):
-            msg = f'{name}:={path} does not exist'
-            raise RuntimeError(msg)
+            raise RuntimeError(f'{name}:={path} does not exist')
     return []
 
 

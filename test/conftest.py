@@ -26,11 +26,11 @@ from trainid_ros.explain.result import (
     RunTrace,
     Verdict,
 )
-from trainid_ros.records import NS_PER_S, Record
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.state import packed, unpacked
 from trainid_ros.stream.samples import Sample, coasting_sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 
 STATED = TrainFile(

@@ -26,7 +26,7 @@ from trainid_ros.checkpoint import (
     parse_checkpoint,
     provenance_of,
 )
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.train.train_file import Effect, TrainFile

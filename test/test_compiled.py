@@ -19,10 +19,10 @@ import pytest
 from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import Reason, Rejection
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.stream import alignment
 from trainid_ros.stream.alignment import TimeJump
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.records import Record
-    from trainid_ros.results import Output
+    from trainid_ros.interface.records import Record
+    from trainid_ros.interface.results import Output
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 EFFECTS: Final = (

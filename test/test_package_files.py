@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.package_files import shared_path
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import find_fault
 
 NS = 1_700_000_000_000_000_000
 GOOD: tuple[Record, ...] = (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.results import (
+from trainid_ros.interface.results import (
     BrakeRateEstimate,
     Reason,
     Rejection,
@@ -20,7 +20,7 @@ from trainid_ros.results import (
 
 MESSAGES = Path(__file__).parents[1] / 'msg_defs' / 'msg'
 ESTIMATES = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
-# What drivers add to an estimate; see trainid_ros.results.Output.
+# What drivers add to an estimate; see trainid_ros.interface.results.Output.
 ADDED = {'header', 'status', 'used', 'rejected', 'last_reject_reason', 'last_reject_text'}
 EstimateKind = type[ResistanceEstimate] | type[SpeedModelEstimate] | type[BrakeRateEstimate]
 

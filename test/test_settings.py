@@ -9,12 +9,9 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import PipelineConfig
-from trainid_ros.resistance.resistance_settings import VMilsConfig
-from trainid_ros.settings import SettingInfo, check_settings, check_value, setting, setting_info
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
+from trainid_ros.estimators.settings import AmVffRlsConfig, GsmaConfig, VMilsConfig
+from trainid_ros.interface.errors import InputError, SettingInfo, check_settings, check_value, setting, setting_info
 from trainid_ros.stream.alignment import AlignmentConfig
 
 CONFIGS = (AlignmentConfig(), PipelineConfig(), VMilsConfig(), AmVffRlsConfig(), GsmaConfig())

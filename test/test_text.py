@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from trainid_ros.text import pluralise
+from trainid_ros.interface.text import pluralise
 
 
 @pytest.mark.parametrize(('count', 'text'), [(0, '0 runs'), (1, '1 run'), (2, '2 runs')])

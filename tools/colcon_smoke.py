@@ -68,8 +68,7 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
     done = subprocess.run(command, env=base, capture_output=True, check=False, stdin=subprocess.DEVNULL)
     message = done.stderr.decode(errors='replace').strip()
     if done.returncode or message:
-        msg = f'source {setup.name}: exit code {done.returncode}: {message}'
-        raise SmokeError(msg)
+        raise SmokeError(f'source {setup.name}: exit code {done.returncode}: {message}')
     pairs = (item.partition('=') for item in done.stdout.decode().split('\0') if item)
     return {name: value for name, _, value in pairs}
 
@@ -109,8 +108,7 @@ def build(scratch: Path) -> None:
     if done.returncode or missing:
         details = [file.read_text(errors='replace') for file in scratch.glob('log/latest_build/*/stderr.log')]
         text = '\n'.join([log.read_text(errors='replace'), *details])
-        msg = f'colcon build: exit code {done.returncode}, not installed: {missing}\n{text}'
-        raise SmokeError(msg)
+        raise SmokeError(f'colcon build: exit code {done.returncode}, not installed: {missing}\n{text}')
 
 
 def run_node(scratch: Path) -> str:
@@ -147,18 +145,16 @@ def run_node(scratch: Path) -> str:
             node.send_signal(signal.SIGINT)
             code = node.wait(timeout=HANG_S)
         except subprocess.TimeoutExpired as error:
-            msg = f'{NODE} or its probe does not end: {error}\n{log.read_text(errors="replace")}'
-            raise SmokeError(msg) from error
+            raise SmokeError(f'{NODE} or its probe does not end: {error}\n{log.read_text(errors="replace")}') from error
         finally:
             if node.poll() is None:
                 node.kill()
                 node.wait()
     if probe.returncode or code:
-        msg = (
+        raise SmokeError(
             f'{NODE}: probe exit code {probe.returncode}, node exit code {code}\n'
             f'{probe.stdout}{probe.stderr}{log.read_text(errors="replace")}'
         )
-        raise SmokeError(msg)
     return probe.stdout.strip()
 
 

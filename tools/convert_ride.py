@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.train.davis import G
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile, dump_train_file
 
 if TYPE_CHECKING:

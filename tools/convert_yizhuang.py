@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile, dump_train_file
 
 KMH = 3.6

@@ -86,8 +86,7 @@ def entry(package: dict[str, Any]) -> str:
     if not wheels:
         files = [package['sdist']]
     if not files:
-        msg = f'{package["name"]} {package["version"]}: no wheel for the supported machines'
-        raise ValueError(msg)
+        raise ValueError(f'{package["name"]} {package["version"]}: no wheel for the supported machines')
     digests = sorted(item['hashes']['sha256'] for item in files)
     lines = [f'{package["name"]}=={package["version"]}', *(f'--hash=sha256:{digest}' for digest in digests)]
     return ' \\\n    '.join(lines)

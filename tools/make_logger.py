@@ -16,7 +16,7 @@ from bisect import bisect_right
 from pathlib import Path
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, SPEED, Row
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED, Row
 
 MOST_BRAKE = 1.2  # m/s^2
 ROWS_A_MASS = 5

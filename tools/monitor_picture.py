@@ -18,12 +18,17 @@ from rich.console import Console
 from tools.documents import ROOT
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.messages import OUTPUT_TOPICS, output_topic, output_values
-from trainid_ros.monitor.reports import Report
+from trainid_ros.interface.records import (
+    FORCE_TOPIC,
+    INPUT_TOPICS,
+    NS_PER_S,
+    OUTPUT_TOPICS,
+    output_topic,
+    output_values,
+)
 from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.trains import Trains
+from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.records import FORCE_TOPIC, INPUT_TOPICS, NS_PER_S
 from trainid_ros.ros.diagnostics import NodeHealth, StepTimeSummary, estimator_status
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.input_monitor import InputMonitors

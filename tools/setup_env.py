@@ -114,8 +114,9 @@ def run(
             failure = 'the disk is full'
         tail = '\n'.join(line for line in lines if 'is ignored: it is neither' not in line)
         shown = '\n'.join(tail.splitlines()[-LOG_LINES_SHOWN:])
-        msg = f'{shown}\nsetup: {failure} (exit code {done.returncode}, log in {log_file.relative_to(ROOT)})'
-        raise SetupError(msg)
+        raise SetupError(
+            f'{shown}\nsetup: {failure} (exit code {done.returncode}, log in {log_file.relative_to(ROOT)})'
+        )
 
 
 def check_machine() -> None:
@@ -125,17 +126,16 @@ def check_machine() -> None:
         SetupError: A prerequisite is missing; the message names it.
     """
     if platform.machine() != 'x86_64':
-        msg = f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; use colcon and an installed ROS 2'
-        raise SetupError(msg)
+        raise SetupError(
+            f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; use colcon and an installed ROS 2'
+        )
     for variable, names in (('CC', ('cc', 'gcc', 'clang')), ('CXX', ('c++', 'g++', 'clang++'))):
         chosen = os.environ.get(variable)
         if not any(shutil.which(name) for name in ((chosen,) if chosen else names)):
-            msg = f'setup: no C and C++ compiler found ({variable}); install gcc and g++ (build-essential)'
-            raise SetupError(msg)
+            raise SetupError(f'setup: no C and C++ compiler found ({variable}); install gcc and g++ (build-essential)')
     header = Path(sysconfig.get_path('include')) / 'Python.h'
     if not header.is_file():
-        msg = f'setup: {header} is missing; install {INTERPRETER}-dev'
-        raise SetupError(msg)
+        raise SetupError(f'setup: {header} is missing; install {INTERPRETER}-dev')
 
 
 def make_environment() -> None:

@@ -162,12 +162,10 @@ def try_out(clean: Path, wheel: Path, scratch: Path, expected: dict[str, object]
     home = clean.parent.parent
     for place in run([clean, '-c', PROBE], cwd=scratch).split():
         if not (place.endswith('.so') and place.startswith(str(home))):
-            msg = f'{wheel.name}: uses {place}'
-            raise SmokeError(msg)
+            raise SmokeError(f'{wheel.name}: uses {place}')
     found = replayed(next(home.rglob('bin/trainid')))
     if found != expected:
-        msg = f'{wheel.name}: trainid {" ".join(REPLAY)} gives\n{found}\nnot\n{expected}'
-        raise SmokeError(msg)
+        raise SmokeError(f'{wheel.name}: trainid {" ".join(REPLAY)} gives\n{found}\nnot\n{expected}')
 
 
 def replayed(program: Path, **variables: str) -> dict[str, object]:
@@ -207,8 +205,7 @@ def run(command: list[str | Path], cwd: Path = ROOT, **variables: str) -> str:
         words, cwd=cwd, env=env | pip | variables, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
     )
     if done.returncode:
-        msg = f'{" ".join(words)}: exit code {done.returncode}\n{done.stdout}{done.stderr}'
-        raise SmokeError(msg)
+        raise SmokeError(f'{" ".join(words)}: exit code {done.returncode}\n{done.stdout}{done.stderr}')
     return done.stdout
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros import __version__
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -60,20 +60,12 @@ class ForeignFileError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a saved state was learned with, and what it fits.
+    """What a saved state was learned with, and what it fits."""
 
-    Attributes:
-        version: Version of the package.
-        estimate: What is estimated, as in EstimatorSettings.
-        algorithm: Name of the algorithm.
-        values: Numbers of the train file and settings by name; a digest in place of a table.
-
-    """
-
-    version: str
-    estimate: str
-    algorithm: str
-    values: Values
+    version: str  # Version of the package
+    estimate: str  # What is estimated, as in EstimatorSettings
+    algorithm: str  # Name of the algorithm
+    values: Values  # Numbers of the train file and settings by name; a digest in place of a table
 
     def mismatch(self, other: Provenance) -> str:
         """Return in one sentence why a state of this provenance does not fit another one, empty if it does."""
@@ -94,7 +86,6 @@ def provenance_of(estimate: str, train_file: TrainFile, settings: EstimatorSetti
         estimate: Name of the estimate in the settings.
         train_file: The train file with all overrides; its text does not matter.
         settings: All settings of the estimators.
-
     """
     choice = getattr(settings, estimate)
     effects = [(item.name, item.parameters, item.std) for item in train_file.effects]
@@ -118,20 +109,12 @@ def _brief(value: object) -> int | float | str:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """Saved state of an estimator.
+    """Saved state of an estimator."""
 
-    Attributes:
-        provenance: What it was learned with.
-        saved_ns: Node time at which it was saved [ns], 0 if there was none.
-        stamp_ns: Stamp of the newest sample used [ns], 0 if there was none.
-        state: State as returned by the pipeline's ``save``, JSON in one line.
-
-    """
-
-    provenance: Provenance
-    saved_ns: int
-    stamp_ns: int
-    state: str
+    provenance: Provenance  # What it was learned with
+    saved_ns: int  # Node time at which it was saved [ns], 0 if there was none
+    stamp_ns: int  # Stamp of the newest sample used [ns], 0 if there was none
+    state: str  # State as returned by the pipeline's ``save``, JSON in one line
 
     def text(self) -> str:
         """Return the content of the file."""
@@ -155,32 +138,26 @@ def parse_checkpoint(text: str, source: str) -> Checkpoint:
     Raises:
         ForeignFileError: It is something else.
         InputError: It is damaged, or of another format; the message starts with the source.
-
     """
     end = _END.search(text, max(len(text) - _HEAD, 0))
     if not (_PACKAGE in text[:_HEAD] or end or not text.strip('\0 \n')):
-        msg = f'{source}: is not a checkpoint of this package'
-        raise ForeignFileError(msg)
+        raise ForeignFileError(f'{source}: is not a checkpoint of this package')
     if (other := re.search(r'"format": (\d{1,9}),', text[:_HEAD])) and int(other[1]) != _FORMAT:
-        msg = f'{source}: checkpoint of format {other[1]}, this version reads format {_FORMAT}'
-        raise InputError(msg)
+        raise InputError(f'{source}: checkpoint of format {other[1]}, this version reads format {_FORMAT}')
     if end is None or end.end() != len(text) or _digest(text[: end.start()]) != end[1]:
-        msg = f'{source}: checkpoint is damaged: its content does not match its sha256'
-        raise InputError(msg)
+        raise InputError(f'{source}: checkpoint is damaged: its content does not match its sha256')
     head, _, state = text[: end.start()].partition(f',\n{_STATE}')
     try:
         return _checkpoint(json.loads(f'{head}}}'), state)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        msg = f'{source}: checkpoint is invalid: {type(error).__name__} {error}'
-        raise InputError(msg) from None
+        raise InputError(f'{source}: checkpoint is invalid: {type(error).__name__} {error}') from None
 
 
 def _checkpoint(head: dict[str, Any], state: str) -> Checkpoint:
     kinds = {'version': str, 'estimate': str, 'algorithm': str, 'values': dict, 'saved_ns': int, 'stamp_ns': int}
     for name, kind in kinds.items():
         if type(head[name]) is not kind:
-            msg = f'{name} is not a {kind.__name__}'
-            raise TypeError(msg)
+            raise TypeError(f'{name} is not a {kind.__name__}')
     provenance = Provenance(**{item.name: head[item.name] for item in fields(Provenance)})
     return Checkpoint(provenance, head['saved_ns'], head['stamp_ns'], state)
 
@@ -190,15 +167,13 @@ class CheckpointFile:
 
     Attributes:
         path: Where it is; a link is followed, and stays.
-
     """
 
     def __init__(self, path: Path) -> None:
         """Prepare; InputError if this can be no checkpoint file, ForeignFileError if it is something else."""
         self.path = Path(os.path.realpath(path))
         if not path.suffix == self.path.suffix == SUFFIX:
-            msg = f'checkpoint_file = {str(path)!r} must end in {SUFFIX}, and so must what it links to'
-            raise InputError(msg)
+            raise InputError(f'checkpoint_file = {str(path)!r} must end in {SUFFIX}, and so must what it links to')
         _remove_parts(self.path)
         self._seen = self._identity()
         self._unmoved = ''
@@ -214,17 +189,14 @@ class CheckpointFile:
         try:
             found = self.path.stat()
             if not stat.S_ISREG(found.st_mode):
-                msg = f'{self.path}: is not a file'
-                raise ForeignFileError(msg)
+                raise ForeignFileError(f'{self.path}: is not a file')
             if found.st_size > _LARGEST:
-                msg = f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_LARGEST}'
-                raise ForeignFileError(msg)
+                raise ForeignFileError(f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_LARGEST}')
             return parse_checkpoint(self.path.read_text(encoding='utf-8', errors='replace'), str(self.path))
         except FileNotFoundError:
             return None
         except OSError as error:
-            msg = f'{self.path}: checkpoint cannot be read: {error.strerror or error}'
-            raise InputError(msg) from error
+            raise InputError(f'{self.path}: checkpoint cannot be read: {error.strerror or error}') from error
 
     def read(self, provenance: Provenance) -> Checkpoint | None:
         """Return the checkpoint; None if there is no file.
@@ -232,17 +204,16 @@ class CheckpointFile:
         Raises:
             ForeignFileError: It is that of another estimate.
             InputError: The file cannot be read, is damaged or does not fit; the message says why.
-
         """
         checkpoint = self._content()
         if checkpoint is None:
             return None
         if (found := checkpoint.provenance).estimate != provenance.estimate:
-            msg = f'{self.path}: is a checkpoint of {found.algorithm}: each node needs a checkpoint file of its own'
-            raise ForeignFileError(msg)
+            raise ForeignFileError(
+                f'{self.path}: is a checkpoint of {found.algorithm}: each node needs a checkpoint file of its own'
+            )
         if reason := found.mismatch(provenance):
-            msg = f'{self.path}: checkpoint {reason}'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: checkpoint {reason}')
         return checkpoint
 
     def write(self, checkpoint: Checkpoint) -> None:
@@ -250,22 +221,19 @@ class CheckpointFile:
 
         Raises:
             InputError: It cannot be written, or somebody else has written it.
-
         """
         if self._unmoved:
             self.set_aside()
         found = self._identity()
         if found is not None and found != self._seen:
             reason = self._unmoved or 'was written by another node: each node needs a checkpoint file of its own'
-            msg = f'{self.path}: {reason}'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: {reason}')
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._seen = _replace(self.path, checkpoint.text().encode())
             _sync_folder(self.path.parent)
         except OSError as error:
-            msg = f'{self.path}: checkpoint cannot be written: {error.strerror or error}'
-            raise InputError(msg) from error
+            raise InputError(f'{self.path}: checkpoint cannot be written: {error.strerror or error}') from error
 
     def set_aside(self) -> Path:
         """Rename a file that was refused, so that it is not overwritten; return its new name.

@@ -6,7 +6,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 
 def shared_path(relative: str) -> Path:
@@ -14,14 +14,12 @@ def shared_path(relative: str) -> Path:
 
     Raises:
         InputError: It is not found in either place.
-
     """
     places = [Path(__file__).parents[1], *_share()]
     for place in places:
         if (place / relative).exists():
             return place / relative
-    msg = f'{relative}: not found (looked in {", ".join(map(str, places))})'
-    raise InputError(msg)
+    raise InputError(f'{relative}: not found (looked in {", ".join(map(str, places))})')
 
 
 def _share() -> list[Path]:

@@ -11,8 +11,8 @@ import numpy as np
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
+from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import BrakeRateEstimate, EstimateT, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig

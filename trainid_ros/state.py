@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -72,26 +72,22 @@ def decode(text: str, kind: type[T]) -> T:
 
     Raises:
         InputError: The text is not JSON, holds another class, or a field is missing or has the wrong type.
-
     """
     try:
         data = json.loads(text)
         if data['type'] != kind.__name__:
-            msg = f'saved state is a {data["type"]}, not a {kind.__name__}'
-            raise InputError(msg)
+            raise InputError(f'saved state is a {data["type"]}, not a {kind.__name__}')
         restored: T = _build(data['state'], kind, kind.__name__)
     # Integers too large for a float overflow; deeply nested lists exhaust the stack.
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        msg = f'saved {kind.__name__} cannot be read: {error}'
-        raise InputError(msg) from None
+        raise InputError(f'saved {kind.__name__} cannot be read: {error}') from None
     return restored
 
 
 def check_restored(valid: bool, kind: str, what: str) -> None:
     """Raise InputError unless the part ``what`` of a restored state is valid."""
     if not valid:
-        msg = f'saved {kind}: {what} is not finite, has the wrong size or is out of bounds'
-        raise InputError(msg)
+        raise InputError(f'saved {kind}: {what} is not finite, has the wrong size or is out of bounds')
 
 
 def _build(data: Any, kind: Any, name: str) -> Any:
@@ -108,11 +104,9 @@ def _build(data: Any, kind: Any, name: str) -> Any:
         # Compiled classes do not keep the types of the items; those of a bare tuple are numbers.
         return _build_tuple(data, typing.get_args(kind) or (float, ...), name)
     if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
-        msg = f'{name} = {_shown(data)} is not a {kind.__name__}'
-        raise InputError(msg)
+        raise InputError(f'{name} = {_shown(data)} is not a {kind.__name__}')
     if kind is int and abs(data) > _MAX_INT:
-        msg = f'{name} is an integer out of range'
-        raise InputError(msg)
+        raise InputError(f'{name} is an integer out of range')
     return float(data) if kind is float else data
 
 
@@ -120,32 +114,27 @@ def _build_array(data: Any, name: str) -> NDArray[np.float64]:
     try:
         return unpacked(data)
     except (ValueError, KeyError, TypeError):
-        msg = f'{name} = {_shown(data)} is not an array with its shape and its bytes'
-        raise InputError(msg) from None
+        raise InputError(f'{name} = {_shown(data)} is not an array with its shape and its bytes') from None
 
 
 def _build_dataclass(data: Any, kind: Any, name: str) -> Any:
     if not isinstance(data, dict):
-        msg = f'{name} = {_shown(data)} is not a {kind}'
-        raise InputError(msg)
+        raise InputError(f'{name} = {_shown(data)} is not a {kind}')
     hints = typing.get_type_hints(kind)
     for item in fields(kind):
         if _ITEMS in item.metadata:
             hints[item.name] = types.GenericAlias(tuple, (item.metadata[_ITEMS], ...))
     if set(data) != {item.name for item in fields(kind)}:
-        msg = f'{name}: fields do not match this version: {sorted(data)}'
-        raise InputError(msg)
+        raise InputError(f'{name}: fields do not match this version: {sorted(data)}')
     return kind(**{key: _build(value, hints[key], f'{name}.{key}') for key, value in data.items()})
 
 
 def _build_tuple(data: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
     if not isinstance(data, list):
-        msg = f'{name} = {_shown(data)} is not a list'
-        raise InputError(msg)
+        raise InputError(f'{name} = {_shown(data)} is not a list')
     first, *rest = kinds
     if rest != [...] and len(data) != len(kinds):
-        msg = f'{name} has {len(data)} entries, not {len(kinds)}'
-        raise InputError(msg)
+        raise InputError(f'{name} has {len(data)} entries, not {len(kinds)}')
     return tuple(_build(item, first, name) for item in data)
 
 
@@ -171,13 +160,11 @@ def check_numbers(state: DataclassInstance, *, may_be_nan: Collection[str] = ())
 
     Raises:
         InputError: A number is not finite or too large; the message names its field.
-
     """
     for name, values in _numbers(state, ''):
         unknown = np.isnan(values) if name.rpartition('.')[2] in may_be_nan else False
         if not bool(np.all((np.abs(values) < MAX_NUMBER) | unknown)):
-            msg = f'saved {type(state).__name__}: {name} is not finite or too large'
-            raise InputError(msg)
+            raise InputError(f'saved {type(state).__name__}: {name} is not finite or too large')
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, Any]]:
@@ -195,8 +182,7 @@ def check_not_negative(kind: str, **numbers: float) -> None:
     """Raise InputError, naming the first invalid number of a saved ``kind`` of state, unless all are >= 0."""
     for name, value in numbers.items():
         if not value >= 0.0:
-            msg = f'saved {kind}: {name} = {value:g} must be >= 0'
-            raise InputError(msg)
+            raise InputError(f'saved {kind}: {name} = {value:g} must be >= 0')
 
 
 def is_covariance(upper: Sequence[float]) -> bool:
@@ -204,7 +190,6 @@ def is_covariance(upper: Sequence[float]) -> bool:
 
     Args:
         upper: n (n + 1) / 2 finite numbers.
-
     """
     n = (math.isqrt(8 * len(upper) + 1) - 1) // 2
     P = np.zeros((n, n))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
+from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

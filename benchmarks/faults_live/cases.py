@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, SPEED
+from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, MASS, SPEED
 
 FAULT_S: Final = 30.0
 """How long a fault lasts that ends [s]."""

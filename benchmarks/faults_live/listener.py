@@ -16,7 +16,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from trainid_ros.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
+from trainid_ros.interface.records import OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.ros.topics import LEASE_S, diagnostics_qos, estimate_qos, message_class
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from benchmarks.faults.catalogue import BY_NAME
-from trainid_ros.messages import BRAKE_RATE_TOPIC, MAY_BE_UNKNOWN, RESISTANCE_TOPIC, stamp_of
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, MAY_BE_UNKNOWN, NS_PER_S, RESISTANCE_TOPIC, stamp_of
+from trainid_ros.interface.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -24,8 +24,8 @@ from benchmarks.kills import Nodes
 from benchmarks.sender import Sending, write_rows
 from trainid_ros.checkpoint import Checkpoint, provenance_of
 from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.interface.records import BRAKE, NS_PER_S, Row
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.records import BRAKE, NS_PER_S, Row
 from trainid_ros.ros.jobs import JOBS
 
 if TYPE_CHECKING:

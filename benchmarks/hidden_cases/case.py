@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 Kind = Literal['none', 'single', 'pair', 'outside']
 

@@ -61,8 +61,7 @@ def make_case(name: str, seed: int) -> Case:
     wanted = _pair(np.random.default_rng([seed, 5])) if name == 'pair' else name
     names = [] if wanted == 'none' else wanted.split(PAIR_MARK)
     if unknown := [one for one in names if one not in LIBRARY and one not in OUTSIDE]:
-        msg = f'effect {unknown[0]!r} is not known; known are none, {", ".join([*LIBRARY, *OUTSIDE])}'
-        raise ValueError(msg)
+        raise ValueError(f'effect {unknown[0]!r} is not known; known are none, {", ".join([*LIBRARY, *OUTSIDE])}')
     world = draw_world(np.random.default_rng([seed, 1]), one_bag=not COUNTS_FROM_START.isdisjoint(names))
     effects = [(LIBRARY | OUTSIDE)[one](world, np.random.default_rng([seed, crc32(one.encode())])) for one in names]
     return ride_case(wanted, seed, world, effects)

@@ -119,8 +119,7 @@ class Ride:
             self._stand(leg, front, leg.dwell + (40.0 if turned else 0.0))
             front = self._run(number, leg, front)
             if abs(front - leg.end) > _STOP_WINDOW:
-                msg = f'run {number} of the ride ended at {front:.0f} m instead of {leg.end:.0f} m'
-                raise RuntimeError(msg)
+                raise RuntimeError(f'run {number} of the ride ended at {front:.0f} m instead of {leg.end:.0f} m')
         self._stand(legs[-1], front, 8.0)
         columns = np.array(self._rows).T
         front, heading, run, speed, force, command, weighed, noise = columns[:8]
@@ -183,8 +182,7 @@ class Ride:
                 moment.travelled += moved
                 if new <= 0.0 and command < 0.0:
                     return front
-        msg = f'run {number} of the ride did not reach its stop within {_MOST_S:.0f} s'
-        raise RuntimeError(msg)
+        raise RuntimeError(f'run {number} of the ride did not reach its stop within {_MOST_S:.0f} s')
 
     def _track_at(self, front: float, heading: int) -> tuple[float, float]:
         """Return true and mapped gradient in the direction of travel [per mille]; update curvature and tunnel share."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.hidden_cases.hidden import G
 from benchmarks.hidden_cases.motion import STEP
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from numpy.random import Generator

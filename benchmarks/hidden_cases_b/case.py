@@ -17,7 +17,7 @@ from benchmarks.hidden_cases_b.recorder import sense
 from benchmarks.hidden_cases_b.scene import Scene, draw_scene, drive
 from benchmarks.hidden_cases_b.sensing import draw_instruments, flags_of
 from benchmarks.hidden_cases_b.visibility import Visible, visible
-from trainid_ros.records import Record
+from trainid_ros.interface.records import Record
 
 Array = NDArray[np.float64]
 PAIRS: Final = (
@@ -109,8 +109,7 @@ def make_case(name: str, seed: int) -> Case:
             return _observe(name, seed, scene, quirks, draws, log, np.random.default_rng([root, attempt, 7]))
         except RuntimeError:
             continue
-    msg = f'{name} {seed}: no drivable scene found'
-    raise RuntimeError(msg)
+    raise RuntimeError(f'{name} {seed}: no drivable scene found')
 
 
 def draw_cases(seed: int, count: int) -> list[tuple[str, int]]:

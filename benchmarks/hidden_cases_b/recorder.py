@@ -14,7 +14,7 @@ from benchmarks.hidden_cases_b.motion import CMD, LEG, NOM, PULL, REAL, WAY, WEI
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
 from benchmarks.hidden_cases_b.sensing import Instruments, map_gradient, odometer_error, slip_bursts
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 Array = NDArray[np.float64]
 _STRAIGHT: Final = 1e-4  # 1/m

@@ -144,8 +144,7 @@ def drive(scene: Scene, quirks: Quirks) -> Array:
                 state[S_HEAT] *= 0.1
         row = run_leg(quirks, stock, track, gusts, state, leg.way, float(k), leg.target, leg.dwell, log, row)
         if row < 0:
-            msg = f'leg {k} was not finished'
-            raise RuntimeError(msg)
+            raise RuntimeError(f'leg {k} was not finished')
     return log[:row].copy()
 
 

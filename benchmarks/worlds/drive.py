@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.worlds.motion import Log
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import TrainFile
 
 WORLDS: Final = ('metro', 'emu', 'high_speed', 'freight', 'tram')
@@ -64,8 +64,7 @@ def drive(
 
     """
     if world not in WORLDS:
-        msg = f'world must be one of {", ".join(WORLDS)}, not {world}'
-        raise ValueError(msg)
+        raise ValueError(f'world must be one of {", ".join(WORLDS)}, not {world}')
     plan = _plan(world, seed, unknowns, DURATIONS[world] if duration is None else duration)
     log = simulate(plan, random_of(world, seed, 'driver'))
     map_error, weighed = draw_map_error(plan, world, seed), draw_weighed(plan, world, seed)

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.worlds.unknowns import random_of
 from benchmarks.worlds.vehicles import G
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

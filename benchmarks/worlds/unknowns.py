@@ -79,8 +79,7 @@ def draw_errors(world: str, seed: int, unknowns: Collection[str]) -> Errors:
     """
     wrong = sorted(set(unknowns) - FIELD)
     if wrong:
-        msg = f'unknowns must be of {", ".join(UNKNOWNS)}, not {", ".join(wrong)}'
-        raise ValueError(msg)
+        raise ValueError(f'unknowns must be of {", ".join(UNKNOWNS)}, not {", ".join(wrong)}')
     values: dict[str, float] = {}
     for name in UNKNOWNS:
         if name in unknowns:

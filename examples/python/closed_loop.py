@@ -26,15 +26,15 @@ from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel
 from trainid_ros.client.channel import MAX_AGE_S
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, input_topic
+from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos
-from trainid_ros.sim.driver import TICK_S
+from trainid_ros.sim.plant import TICK_S
 from trainid_ros.sim.worlds import WORLDS
 from trainid_ros.train.train_file import TrainFile, dump_train_file
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 DISCOVERY_S = 10.0
 """Longest wait for the nodes [s]."""
@@ -75,8 +75,7 @@ class NodeValues:
     def live_share(self) -> float:
         """Share of the commands with a live estimate of the brake rate; NoAnswerError if none had one."""
         if self._live == 0:
-            msg = f'no live estimate of the brake rate was used: {self.model.brake_rate().reason}'
-            raise NoAnswerError(msg)
+            raise NoAnswerError(f'no live estimate of the brake rate was used: {self.model.brake_rate().reason}')
         return self._live / self._asked
 
 
@@ -96,8 +95,9 @@ def drive(plan: DayPlan, seed: int, rate: float, node: Any) -> tuple[Drive, floa
     until = time.monotonic() + DISCOVERY_S
     while node.count_subscribers('ato/speed') == 0:
         if time.monotonic() > until:
-            msg = f'no node takes in ato/speed in {node.get_namespace()}: start trainid run --train day.yaml'
-            raise NoAnswerError(msg)
+            raise NoAnswerError(
+                f'no node takes in ato/speed in {node.get_namespace()}: start trainid run --train day.yaml'
+            )
         time.sleep(0.1)
     return drive_day(plan, values, seed), values.live_share
 

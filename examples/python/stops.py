@@ -17,7 +17,7 @@ import numpy as np
 from ato.days import CONTROLLERS, drive_day, plan_day
 from ato.stop_report import brake_changes, changed_stops, comparison, stop_lines, stop_page
 from trainid_ros.cli.output import prepare_page, print_json, progress
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.report.page import write_page
 
 if TYPE_CHECKING:

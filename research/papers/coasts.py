@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample, coasting_sample
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:

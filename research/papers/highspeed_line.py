@@ -18,7 +18,7 @@ import numpy as np
 
 from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
 from trainid_lab.resistance.trajectory.stages import Stages, reach
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from trainid_lab.resistance.regressions import (
     run,
     strict_step,
 )
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-    from trainid_ros.speed_model.method import Method
-    from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
+    from trainid_ros.speed_model.am_vff_rls import Method, Symmetric, Theta
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -19,9 +19,9 @@ from research.peers.hand_filters import HandRls
 from research.peers.our_filters import GRADIENT_STD
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
-from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.force_errors import ForceErrors
-from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.resistance.davis_posterior import ForceErrors
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

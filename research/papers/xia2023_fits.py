@@ -16,8 +16,7 @@ from trainid_lab.resistance.trajectory.derivatives import first_derivatives, obj
 from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, Restart, newton
 from trainid_lab.resistance.trajectory.stages import Coefficients
-from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory import Trajectory
+from trainid_ros.resistance.davis_fit import DavisFitConfig, Trajectory, fit_davis
 
 if TYPE_CHECKING:
     from collections.abc import Callable

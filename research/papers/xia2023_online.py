@@ -18,7 +18,7 @@ from trainid_lab.resistance.trajectory.derivatives import objective
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
 from trainid_lab.resistance.trajectory.stages import Stages
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 

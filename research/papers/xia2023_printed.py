@@ -10,7 +10,7 @@ import numpy as np
 from research.papers.highspeed_line import INERTIA
 from trainid_lab.resistance.trajectory.derivatives import PAIRS, Objective, assemble, first_derivatives
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
-from trainid_ros.resistance.trajectory import recur
+from trainid_ros.resistance.davis_fit import recur
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

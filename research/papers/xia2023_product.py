@@ -21,9 +21,8 @@ from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
 from trainid_lab.resistance.trajectory.two_window import TwoWindow
 from trainid_lab.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
-from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory import PieceCollector, Trajectory
-from trainid_ros.results import Reason
+from trainid_ros.interface.results import Reason
+from trainid_ros.resistance.davis_fit import DavisFitConfig, PieceCollector, Trajectory, fit_davis
 from trainid_ros.sim.scenario import simulate
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from research.papers.station_lines import Lines, Noise
 from trainid_lab.speed_model import integral_rls, rls
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
 from trainid_lab.speed_model.upper_triangle import upper
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.speed_model.physical_parameters import Symmetric, Theta, prior
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig, SpeedModelConfig
-from trainid_ros.train.davis import G
+from trainid_ros.estimators.settings import AmVffRlsConfig, SpeedModelConfig
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Symmetric, Theta, Tuning, prior
+from trainid_ros.train.forces import G
 
 # Fleet prior: Davis parameters, their standard deviations, and a load of +-12 %.
 _FLEET: Final = SpeedModelConfig(prior_share=0.0, prior_std_a=3.0, prior_std_b=0.03, prior_std_c=0.004)

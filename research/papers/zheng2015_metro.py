@@ -22,10 +22,9 @@ from benchmarks.brake_runs import (
     walk_run,
 )
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
-from trainid_ros.records import NS_PER_S
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator, DisturbanceNoise
+from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

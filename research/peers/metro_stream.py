@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:

@@ -11,15 +11,15 @@ import numpy as np
 from research.peers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from research.peers.metro_stream import INERTIA, PERIOD
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.force_errors import ForceErrors
+from trainid_ros.resistance.davis_posterior import ForceErrors
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.vmils import tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -28,15 +28,15 @@ from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance
 from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-from trainid_ros.brake_rate.posterior import STATES
-from trainid_ros.results import Rejection
+from trainid_ros.brake_rate.motion_model import STATES
+from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.results import Rejection
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.brake_runs import BrakeRun
-    from trainid_ros.brake_rate.posterior import Errors, Start, Transition
+    from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
 
     Array = NDArray[np.float64]
 

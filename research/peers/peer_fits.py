@@ -19,9 +19,8 @@ from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from research.peers.contest import FIRST_SEED, installed
 from research.peers.metro_stream import INERTIA, PERIOD, SPEED_SD, curve_error, metro_stream
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory import Trajectory
+from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.resistance.davis_fit import DavisFitConfig, Trajectory, fit_davis
 
 if TYPE_CHECKING:
     from collections.abc import Callable

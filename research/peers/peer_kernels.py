@@ -20,11 +20,10 @@ from research.peers.hand_filters import VARIANCE, HandRls
 from research.peers.metro_stream import SPEED_SD, metro_stream
 from research.peers.our_filters import OUTLIERS, PRIOR, P
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.brake_rate.posterior import Start, Transition
+from trainid_ros.brake_rate.motion_model import Start, Transition
+from trainid_ros.estimators.settings import AmVffRlsConfig, GsmaConfig
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from pathlib import Path

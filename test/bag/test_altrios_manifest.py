@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import Output, ResistanceEstimate, Status
 from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import Output, ResistanceEstimate, Status
 from trainid_ros.sim.truth import load_truth
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'

@@ -14,11 +14,11 @@ from trainid_ros.bag.observers import BagRecorder
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
+from trainid_ros.interface.results import Reason
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import Reason
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 

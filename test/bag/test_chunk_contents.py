@@ -14,7 +14,7 @@ from trainid_ros.bag import mcap_file, record_file
 from trainid_ros.bag.reader import BagReader
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Row
+    from trainid_ros.interface.records import Row
 
 IMAGE = bytes(300_000)
 IMAGES = 40

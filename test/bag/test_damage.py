@@ -23,11 +23,11 @@ from trainid_ros.bag.chunk import ChunkHead, unpack
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_type, message_from_record, typestore
-from trainid_ros.errors import InputError
-from trainid_ros.records import MassRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import MassRecord
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 STAMP = 1_700_000_000_000_000_000
 COUNT = 2000

@@ -14,10 +14,9 @@ import pytest
 from benchmarks.measured_car import FOLDER, load_trip, records
 from trainid_ros.bag.input_check import check_inputs
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.records import GradientRecord, Record, SpeedRecord
-from trainid_ros.sim.realism import make_case, unknowns_of
+from trainid_ros.interface.records import GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate
-from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.sim.worlds import WORLDS, make_case, unknowns_of, world_train
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.train_file import TrainFile
 

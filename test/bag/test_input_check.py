@@ -13,7 +13,15 @@ from trainid_ros.bag.bag_info import BagInfo, inspect
 from trainid_ros.bag.input_check import check_inputs
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile

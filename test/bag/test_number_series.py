@@ -12,8 +12,8 @@ import pytest
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag import number_series
 from trainid_ros.bag.number_series import BagNumbers, read_numbers
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 
 START = 1_700_000_000 * NS_PER_S
 STATE = 'float32[3] values\nfloat64[9] covariance\nstring name\nbool on\nstd_msgs/Float64[] list\n'

@@ -14,13 +14,13 @@ from trainid_ros.bag.observers import TraceObserver
 from trainid_ros.bag.plausible_stamps import PlausibleStamps
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.pipelines import (
     EstimatorSettings,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.records import NS_PER_S, SpeedRecord
 from trainid_ros.train.train_file import load_train_file
 from trainid_ros.view.tracks import Tracks
 

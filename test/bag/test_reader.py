@@ -14,8 +14,8 @@ from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
-from trainid_ros.records import ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import ForceRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

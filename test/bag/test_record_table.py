@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_table import EMPTY, joined, layout
 from trainid_ros.bag.types import full_type, message_from_record, typestore
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
     BrakeRecord,

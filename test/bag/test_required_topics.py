@@ -9,8 +9,8 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
-from trainid_ros.records import ForceRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import ForceRecord
 
 STAMP = 1_700_000_000_000_000_000
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.train.davis import G
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ import pytest
 from trainid_ros.bag import run_reader
 from trainid_ros.bag.run_reader import POOL_FROM, read_runs, survey, worker_count
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
-from trainid_ros.explain.run_data import Run
-from trainid_ros.records import NS_PER_S, ForceRecord
+from trainid_ros.explain.dataset import Run
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, ForceRecord
 from trainid_ros.sim.scenario import DEFAULT_START_NS, Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 

@@ -16,9 +16,8 @@ from trainid_ros.bag.types import (
     split_stamp,
     typestore,
 )
-from trainid_ros.errors import InputError
-from trainid_ros.messages import record_from_message
-from trainid_ros.records import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
     INPUT_TOPICS,
     SPEED_TOPIC,
     BrakeRecord,
@@ -27,8 +26,9 @@ from trainid_ros.records import (
     MassRecord,
     Record,
     SpeedRecord,
+    record_from_message,
 )
-from trainid_ros.results import (
+from trainid_ros.interface.results import (
     BrakeRateEstimate,
     Estimate,
     Output,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from trainid_ros.bag.worker_pool import each_bag, map_bags, processors
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,7 +18,7 @@ WORK = """
 import os
 import signal
 import time
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 def square(item, advance):
     if item < 0:

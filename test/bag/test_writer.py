@@ -11,9 +11,9 @@ from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import digest, message_from_record
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S, MassRecord, Record, SpeedRecord
-from trainid_ros.results import BrakeRateEstimate, Output, Status
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Status
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,8 +95,7 @@ def test_a_failed_block_removes_the_bag(tmp_path: Path, records: list[Record]) -
     def write_half() -> None:
         with BagWriter(tmp_path / 'bag') as writer:
             writer.write_record(records[0])
-            msg = 'boom'
-            raise RuntimeError(msg)
+            raise RuntimeError('boom')
 
     with pytest.raises(RuntimeError, match='boom'):
         write_half()

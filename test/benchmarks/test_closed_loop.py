@@ -11,7 +11,7 @@ import pytest
 
 from ato.days import CONTROLLERS, Bound, DayPlan, Drive, plan_day
 from benchmarks.closed_loop import Outcome, _bounds, _rides, _stops, outcome_of
-from trainid_ros.sim.driver import StopEvent
+from trainid_ros.sim.plant import StopEvent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

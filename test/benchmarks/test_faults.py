@@ -12,7 +12,7 @@ from benchmarks.faults.catalogue import BY_NAME, FAULTS, PAIRS
 from benchmarks.faults.injection import injected
 from benchmarks.faults.trial import Drive, Injection, _healthy, _rows, run
 from benchmarks.rides import DAY, ride
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
+from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 

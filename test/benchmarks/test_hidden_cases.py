@@ -23,7 +23,7 @@ from benchmarks.hidden_cases.visible import measure_gaps
 from benchmarks.hidden_cases.world import draw_world
 from benchmarks.hidden_cases.write import write_case
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from benchmarks.hidden_cases.case import Case
     from benchmarks.hidden_cases.motion import Log
     from benchmarks.hidden_cases.world import World
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 G = 9.81
 FOLDER = Path(hidden_cases.__file__).parent
-ALLOWED = {'trainid_ros.records', 'trainid_ros.bag.writer'}
+ALLOWED = {'trainid_ros.interface.records', 'trainid_ros.bag.writer'}
 
 
 def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:

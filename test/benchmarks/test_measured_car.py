@@ -21,8 +21,8 @@ from benchmarks.measured_car import (
     trip_names,
     wheel_force,
 )
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.train.davis import G, davis
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.train.forces import G, davis
 
 EFFECTIVE = 1550.0
 GRADE = 12.0

@@ -12,8 +12,8 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.worlds import CLEAN, FIELD, UNKNOWNS, WORLDS, Drive, Rates, drive
-from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.scalars import find_fault
 from trainid_ros.train.train_file import dump_train_file, parse_train_file
 
 if TYPE_CHECKING:

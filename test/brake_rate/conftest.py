@@ -11,11 +11,10 @@ import pytest
 
 from trainid_lab.brake_rate.linear_group_cloud import LinearGroupCloud
 from trainid_lab.brake_rate.particles import Array, LinearStep, error_covariance, speed_step, started
-from trainid_ros.brake_rate.covariance import Covariance
-from trainid_ros.brake_rate.group_cloud import GroupCloud
-from trainid_ros.brake_rate.m_algorithm import MAlgorithm
-from trainid_ros.brake_rate.posterior import STATES, Start, Transition
-from trainid_ros.vectors import vec
+from trainid_ros.brake_rate.gsma import Covariance
+from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm
+from trainid_ros.brake_rate.motion_model import STATES, Start, Transition
+from trainid_ros.interface.vectors import vec
 
 LEAN = (0.1, -0.2, 0.03, 0.02, -0.01, 0.05, 0.04, -0.2)
 KEEP = (0.999, 0.998, 0.99, 0.99, 0.98, 1.0, 0.97, 0.5)

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_kinematics import brake_step
-from trainid_ros.records import NS_PER_S
-from trainid_ros.train.brake import BrakeCommandChange, CommandHistory
+from trainid_ros.brake_rate.motion_model import brake_step
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory
 from trainid_ros.train.train_file import Brake
 
 START = 1_700_000_000 * NS_PER_S

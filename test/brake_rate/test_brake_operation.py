@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.interface.records import ForceRecord, Record, SpeedRecord
+from trainid_ros.interface.results import Reason, Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
-from trainid_ros.records import ForceRecord, Record, SpeedRecord
-from trainid_ros.results import Reason, Status
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
 
 USABLE = frozenset({Status.VALID, Status.HOLDING})

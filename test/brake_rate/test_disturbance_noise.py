@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.brake_runs import metro_train, walk_run
 from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
-from trainid_ros.brake_rate.disturbance_noise import Candidate, DisturbanceNoise
-from trainid_ros.brake_rate.posterior import Transition
-from trainid_ros.errors import InputError
+from trainid_ros.brake_rate.brake_rate_estimator import Candidate, DisturbanceNoise
+from trainid_ros.brake_rate.motion_model import Transition
+from trainid_ros.interface.errors import InputError
 from trainid_ros.state import decode, encode
 
 DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2

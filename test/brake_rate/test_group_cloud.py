@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trainid_lab.brake_rate.particles import SPEED, Array, speed_correction
-from trainid_ros.vectors import vec
+from trainid_ros.interface.vectors import vec
 
 
 def test_total_is_the_moments_of_rate_and_errors(alike: Any) -> None:

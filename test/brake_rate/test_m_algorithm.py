@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trainid_lab.brake_rate.particles import SPEED, Array, speed_correction
-from trainid_ros.brake_rate.posterior import STATES
+from trainid_ros.brake_rate.motion_model import STATES
 
 
 @pytest.mark.parametrize('follows', [0, 3])

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
-from trainid_ros.brake_rate.brake_kinematics import BrakeStep
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, MotionModel
-from trainid_ros.brake_rate.posterior import Transition
-from trainid_ros.brake_rate.timing import TimingStep
+from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, BrakeStep, MotionModel, TimingStep, Transition
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

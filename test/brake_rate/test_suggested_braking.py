@@ -10,8 +10,8 @@ import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.suggested_braking import braking_search, suggested_braking
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.planned_drive import DECELERATION, KM_H
 from trainid_ros.resistance.suggested_drive import SuggestedDrive
 from trainid_ros.sim.scenario import Scenario, simulate

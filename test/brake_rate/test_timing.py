@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.timing import Timing, TimingStep
-from trainid_ros.records import NS_PER_S
-from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, lag_integral, lag_response
+from trainid_ros.brake_rate.motion_model import Timing, TimingStep
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, lag_integral, lag_response
 from trainid_ros.train.train_file import Brake
 
 COMMANDS = CommandHistory((BrakeCommandChange(NS_PER_S, -0.8),))

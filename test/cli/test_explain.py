@@ -20,9 +20,9 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli import explain
 from trainid_ros.cli.explain import describe, no_answer, prepare_folder, provenance, to_json
 from trainid_ros.cli.main import main
-from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.explain.result import Explanation, Gap, Verdict
-from trainid_ros.records import GradientRecord
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.records import GradientRecord
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_train_file, load_train_file

@@ -15,7 +15,7 @@ from trainid_ros.explain.model import Model
 from trainid_ros.explain.noise import DAVIS
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.sim.truth import load_truth
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'

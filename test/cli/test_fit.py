@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.records import ForceRecord, GradientRecord
+from trainid_ros.interface.records import ForceRecord, GradientRecord
 
 if TYPE_CHECKING:
     from pathlib import Path

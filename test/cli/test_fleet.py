@@ -17,9 +17,8 @@ import pytest
 
 from test.hang import HANG_S
 from trainid_ros.cli.main import main
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.fleet.columns import Row
-from trainid_ros.fleet.table_file import read_table
+from trainid_ros.fleet.table_file import Row, read_table
+from trainid_ros.interface.errors import NoAnswerError
 
 NAMES = ('T1/one', 'T1/two', 'T2/one', 'T2/two')
 
@@ -116,7 +115,7 @@ def test_a_bag_of_two_trains_has_a_row_of_each(
 def test_bad_usage_is_one_line(
     options: tuple[str, str], problem: str, depot: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr('trainid_ros.fleet.cluster.CONNECT_S', 0.2)
+    monkeypatch.setattr('trainid_ros.fleet.run_fleet.CONNECT_S', 0.2)
     assert main(fleet(depot, *options)) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert problem in line

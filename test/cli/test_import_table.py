@@ -12,7 +12,7 @@ import pytest
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 
 ROOT = Path(__file__).parents[2]
 MAPPING = """

@@ -9,7 +9,7 @@ import pytest
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 
 STAMP = 1_700_000_000 * NS_PER_S
 

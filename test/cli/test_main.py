@@ -12,7 +12,7 @@ import pytest
 import trainid_ros
 from trainid_ros.cli import main as entry
 from trainid_ros.cli.arguments import namespace
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     import argparse

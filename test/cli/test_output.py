@@ -23,11 +23,11 @@ from trainid_ros.cli.output import (
     to_plain,
     warn,
 )
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Status
+from trainid_ros.interface.text import in_ascii
 from trainid_ros.report import HTML_START
 from trainid_ros.report.page import page
-from trainid_ros.results import BrakeRateEstimate, Output, Status
-from trainid_ros.text import in_ascii
 
 BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
 

@@ -10,7 +10,7 @@ import pytest
 from tools.documents import blocks
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.records import ForceRecord, SpeedRecord
+from trainid_ros.interface.records import ForceRecord, SpeedRecord
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 

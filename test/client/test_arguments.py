@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.client.arguments import COMMAND, SPEED, checked_direction, distance_to
-from trainid_ros.errors import InputError
+from trainid_ros.client.train_model import COMMAND, SPEED, checked_direction, distance_to
+from trainid_ros.interface.errors import InputError
 
 
 @pytest.mark.parametrize('number', [np.float32(3.0), np.float64(3.0), np.int16(3), Fraction(3), 3, 3.0])

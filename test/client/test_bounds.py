@@ -12,9 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from test.client.test_stopping import EMU, shape
-from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
-from trainid_ros.client.stopping import Braking, RateShape
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.client.stopping import MOST_SPEED, Braking, RateShape, StoppingBounds, StopPosterior
+from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.train_file import Pairs
 
 Array = NDArray[np.float64]

@@ -8,9 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, Channel, Parameter
-from trainid_ros.client.gradual import MOST_RATE, Normal
-from trainid_ros.results import Status
+from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, MOST_RATE, Channel, Normal, Parameter
+from trainid_ros.interface.results import Status
 
 FILE = Normal((1.0,), (0.04,))
 LIVE = {'rate': Normal((0.8,), (1e-4,))}

@@ -18,10 +18,9 @@ import pytest
 
 from test.client.test_bounds import LEARNED, UNKNOWN
 from test.client.test_stopping import EMU, TRAIN, shape
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client import TrainModel
-from trainid_ros.client.bounds import StoppingBounds, StopPosterior
-from trainid_ros.client.stopping import DELAY, GRADIENT, LAG, Braking
+from trainid_ros.client.stopping import DELAY, GRADIENT, LAG, Braking, StoppingBounds, StopPosterior
+from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.train.train_file import Brake, Davis, Pairs, Train, TrainFile
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'cpp'

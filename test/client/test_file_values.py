@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+from trainid_ros.client.channel import MOST_RATE, Gradual, Normal
 from trainid_ros.client.file_values import DAVIS, FileValues
-from trainid_ros.client.gradual import MOST_RATE, Gradual, Normal
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
+from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile, load_train_file
 

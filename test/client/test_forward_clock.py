@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.client.forward_clock import ForwardClock
-from trainid_ros.errors import InputError
+from trainid_ros.client.train_model import ForwardClock
+from trainid_ros.interface.errors import InputError
 
 
 def test_time_goes_on_from_where_the_clock_went_back() -> None:

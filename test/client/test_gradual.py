@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.gradual import MOST_RATE, Gradual, Normal
+from trainid_ros.client.channel import MOST_RATE, Gradual, Normal
 
 FILE = Normal((1.0,), (0.04,))
 LIVE = Normal((0.8,), (1e-4,))

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from trainid_ros.client import TrainModel
-from trainid_ros.client.stated_effects import StatedEffects
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.client.file_values import StatedEffects
 from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.records import Record
+from trainid_ros.interface.results import Output
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.records import Record
-from trainid_ros.results import Output
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile, load_train_file

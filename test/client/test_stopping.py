@@ -9,7 +9,7 @@ import pytest
 
 from trainid_ros.client.stopping import DELAY, EXTRA_STEP, GRADIENT, LAG, PARAMETERS, RATE, Braking, RateShape
 from trainid_ros.sim.plant import Plant
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Line, Pairs, Train, TrainFile
 

@@ -18,14 +18,13 @@ import pytest
 from test.calls import count_in_sources
 from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client import TrainModel, Value
-from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.messages import RESISTANCE_TOPIC
+from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.records import RESISTANCE_TOPIC
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.train.davis import acceleration
+from trainid_ros.train.forces import acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'

@@ -17,7 +17,7 @@ from trainid_ros.demo.comparison import (
     fingerprint_of_message,
     fingerprint_of_output,
 )
-from trainid_ros.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
 
 ESTIMATE = ResistanceEstimate(
     a=1.6, b=0.02, c=0.001, covariance=(0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-8), resistance=1.9,

@@ -14,9 +14,9 @@ from rich.console import Console
 from trainid_ros.demo.bags import load_demo_bag, stock_bag
 from trainid_ros.demo.live import KINDS, parameter_file
 from trainid_ros.demo.view import Snapshot, View, line, render
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, Status
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.sim.truth import Truth
 
 START_NS = 1_700_000_000 * NS_PER_S

@@ -15,13 +15,11 @@ import pytest
 from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.client import TrainModel
-from trainid_ros.errors import TrainIdError
-from trainid_ros.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.interface.errors import TrainIdError
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, RESISTANCE_TOPIC
+from trainid_ros.interface.results import ResistanceEstimate, Status
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import ResistanceEstimate, Status
-from trainid_ros.sim.realism import UNKNOWNS
-from trainid_ros.sim.worlds import WORLDS
+from trainid_ros.sim.worlds import UNKNOWNS, WORLDS
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.train.effects import EFFECTS, FOLDERS_VARIABLE, Davis, TrackPoint
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import Record
+from trainid_ros.interface.results import Output, Reason, Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import Record
-from trainid_ros.resistance.trajectory import PieceCollector
-from trainid_ros.results import Output, Reason, Status
+from trainid_ros.resistance.davis_fit import PieceCollector
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.estimators.pipeline_group import PipelineGroup, SharedRecord
+from trainid_ros.interface.errors import InputError, TrainIdError
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     FORCE,
     NS_PER_S,
     SPEED,
@@ -22,7 +21,8 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Output, Status
+from trainid_ros.interface.results import Output, Status
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.results import Reason, Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import NS_PER_S, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
-from trainid_ros.results import Reason, Status
 from trainid_ros.train.train_file import Effect, TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {

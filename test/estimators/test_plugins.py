@@ -14,12 +14,11 @@ import pytest
 
 import trainid_ros
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.errors import InputError
 from trainid_ros.estimators import algorithm_registry
-from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.estimators.plugins import PlugIn
-from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms, PlugIn
+from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.params_template import parameter_file
@@ -35,7 +34,7 @@ sys.modules['trainid_lab'] = None  # an import of it fails
 """
 FOUND = """
 from trainid_ros.estimators.algorithm_registry import Algorithm
-from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 ALGORITHMS = (Algorithm('NAME', 'a plug-in', VMilsConfig(), lambda train, config, _: VMils(train, config)),)
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from trainid_ros.estimators.prior import PriorSettings, prior_variances
+from trainid_ros.estimators.settings import PriorSettings, prior_variances
 
 SETTINGS = PriorSettings(prior_share=0.5, prior_std_a=0.6, prior_std_b=0.02, prior_std_c=0.0006)
 

@@ -11,7 +11,7 @@ import pytest
 from ato.brake_prediction import BrakePredictor, Motion
 from ato.knowledge import TrainValues
 from ato.train_state import PositionModel, TrainState
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile

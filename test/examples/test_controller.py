@@ -10,10 +10,9 @@ import pytest
 
 from ato.controller import Ato, AtoModel
 from ato.knowledge import StatedValues, TrueValues
-from trainid_ros.errors import InputError
-from trainid_ros.records import BrakeRecord, SpeedRecord
-from trainid_ros.sim.driver import Decision
-from trainid_ros.sim.plant import Plant
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BrakeRecord, SpeedRecord
+from trainid_ros.sim.plant import Decision, Plant
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile

@@ -11,9 +11,9 @@ import pytest
 from ato import days
 from ato.days import DayPlan, Drive, drive_day, plan_day
 from ato.learning import StopBias
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
-from trainid_ros.sim.driver import StopEvent
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
+from trainid_ros.sim.plant import StopEvent
 from trainid_ros.sim.scenario import Simulation, simulate
 
 

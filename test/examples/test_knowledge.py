@@ -9,7 +9,7 @@ import pytest
 
 from ato.knowledge import LiveValues, StatedValues, TrueValues, client_values
 from trainid_ros.client import TrainModel
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import Plant
 from trainid_ros.sim.worlds import find_world, world_train
 from trainid_ros.train.line import LineProfile

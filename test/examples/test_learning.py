@@ -9,7 +9,7 @@ from typing import Final
 import pytest
 
 from ato.learning import LearnedRate, StopBias
-from trainid_ros.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line, TrainFile

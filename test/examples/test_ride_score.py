@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ato.ride_score import RideScore
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile

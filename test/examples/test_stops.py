@@ -13,9 +13,8 @@ import stops
 from ato.days import CONTROLLERS, DayPlan, Drive, plan_day
 from ato.knowledge import TrueValues
 from ato.stop_report import actual_rates, brake_changes, comparison, stop_lines, stop_page
-from trainid_ros.records import NS_PER_S
-from trainid_ros.sim.driver import StopEvent
-from trainid_ros.sim.plant import Plant
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.sim.plant import Plant, StopEvent
 from trainid_ros.train.line import LineProfile
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ato.train_state import PositionModel, TrainState, stopping_curve
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S, GradientRecord, SpeedRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, GradientRecord, SpeedRecord
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.explain.dataset import Dataset, assemble
+from trainid_ros.explain.dataset import Dataset, Run, assemble
 from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.run_data import Run
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 DAVIS = Davis(1.5, 0.02, 0.003)

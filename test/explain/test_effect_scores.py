@@ -12,17 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.explain.dataset import Dataset
-from trainid_ros.explain.effect_scores import (
-    SECTIONS,
-    EffectScorer,
-    _shapes,
-    generic_groups,
-    named_families,
-    stretch_sums,
-)
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, sign
 from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.search import SECTIONS, EffectScorer, _shapes, generic_groups, named_families, stretch_sums
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 from trainid_ros.train.train_file import TrainFile
 

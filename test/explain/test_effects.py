@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
 from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, without_replaced
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile
 

@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.explain.dataset import Dataset
+from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectTerm, prior_cost
 from trainid_ros.explain.likelihood import (
     Gram,
@@ -26,7 +25,7 @@ from trainid_ros.explain.likelihood import (
 )
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.noise import Grid, Noise, Whitener, Whitening, run_columns
-from trainid_ros.explain.run_data import Run
+from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]

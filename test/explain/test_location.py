@@ -11,8 +11,8 @@ import pytest
 
 from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters
-from trainid_ros.explain.location import locate
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.proof import locate
 from trainid_ros.explain.result import place_text
 from trainid_ros.train.train_file import TrainFile
 

@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.explain.dataset import Dataset, assemble
-from trainid_ros.explain.measurement_errors import POINTS, Odometry, find_slip, preferred_point, read_at
-from trainid_ros.explain.model import Model
+from trainid_ros.explain.dataset import Dataset, Run, assemble
+from trainid_ros.explain.model import POINTS, Model, Odometry, find_slip, preferred_point, read_at
 from trainid_ros.explain.result import Verdict
-from trainid_ros.explain.run_data import Run
 from trainid_ros.explain.workflow import explain
 from trainid_ros.train.train_file import TrainFile
 

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.explain.run_data import LONGEST_S, Run, RunCollector
-from trainid_ros.records import NS_PER_S
+from trainid_ros.explain.dataset import LONGEST_S, Run, RunCollector
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.forces import BrakeCommandChange, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 START = 1_700_000_000 * NS_PER_S

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trainid_ros.explain.dataset import Run
 from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.noise import Noise, Spread
-from trainid_ros.explain.run_data import Run
 from trainid_ros.explain.search import is_confirmed_by_other_runs, with_onset
 from trainid_ros.train.train_file import TrainFile
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.explain.track_points import track_points
-from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.effects import TrackPoint
+from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import TrainFile
 
 Points = tuple[Any, list[TrackPoint]]

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.explain.dataset import Run
 from trainid_ros.explain.result import Explanation, Verdict
-from trainid_ros.explain.run_data import Run
 from trainid_ros.explain.workflow import explain
+from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Davis, TrainFile
 

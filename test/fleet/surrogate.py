@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from trainid_ros.fleet.channels import CHANNELS
-from trainid_ros.fleet.columns import Row, empty_row
+from trainid_ros.fleet.mixed_model import CHANNELS
+from trainid_ros.fleet.table_file import Row, empty_row
 
 MEAN = np.array([3.7, 0.98, 1.0, 1.0])
 LEVEL = np.array([0.15, 0.03, 0.02, 0.003])

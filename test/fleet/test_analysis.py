@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from test.fleet.surrogate import fleet_rows
-from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.analysis import analyse
+from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.report.fleet_report import summary
 
 LIMIT = 20_000.0

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from trainid_ros.cli.main import main
-from trainid_ros.fleet.bag_row import bag_row, killed_row
-from trainid_ros.fleet.channels import has_estimate, is_known
-from trainid_ros.fleet.columns import COLUMNS, NAMES
+from trainid_ros.fleet.mixed_model import has_estimate, is_known
 from trainid_ros.fleet.plan import PlannedBag, Setup
-from trainid_ros.results import Status
+from trainid_ros.fleet.run_fleet import bag_row, killed_row
+from trainid_ros.fleet.table_file import COLUMNS, NAMES
+from trainid_ros.interface.results import Status
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

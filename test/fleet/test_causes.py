@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from trainid_ros.fleet.causes import causes_of
+from trainid_ros.fleet.changes import causes_of
 
 STD = {'w15': 0.02, 'brake_rate': 0.006, 'force_scale': 0.004, 'wheel_ratio': 0.0003}
 

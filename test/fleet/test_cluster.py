@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.bag_row import bag_row
-from trainid_ros.fleet.cluster import TASK_BAGS, rows_on_cluster
 from trainid_ros.fleet.plan import PlannedBag, Setup, make_plan
+from trainid_ros.fleet.run_fleet import TASK_BAGS, bag_row, rows_on_cluster
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

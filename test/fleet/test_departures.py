@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from trainid_ros.fleet.changes import Change, Level, Series, Step
-from trainid_ros.fleet.departures import departures, usual_days
+from trainid_ros.fleet.changes import Change, Level, Series, Step, departures, usual_days
 
 DAYS = 30
 CHANNEL = Series(np.zeros(DAYS), np.ones(DAYS), 32.0, 2.0, 5.0)

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.journal import Journal, read_journal
+from trainid_ros.fleet.table_file import Journal, read_journal
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path

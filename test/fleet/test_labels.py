@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.labels import day_of, label_rule
+from trainid_ros.fleet.plan import day_of, label_rule
+from trainid_ros.interface.errors import InputError
 
 BAG = Path('/depot/line7/T042/2026-01-31_rain')
 

@@ -8,9 +8,8 @@ import pytest
 
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.labels import label_rule
-from trainid_ros.fleet.listing import find_bags, list_bags
+from trainid_ros.fleet.plan import find_bags, label_rule, list_bags
+from trainid_ros.interface.errors import InputError
 
 TINY = 'bags/tiny'
 

@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from test.fleet.surrogate import DAY, ERROR, LEVEL, MEAN, fleet_rows
-from trainid_ros.fleet.channels import CHANNELS, Cells, Labels, cells_of, labels_of
-from trainid_ros.fleet.mixed_model import _Problem, common_effects, fit
+from trainid_ros.fleet.mixed_model import CHANNELS, Cells, Labels, _Problem, cells_of, common_effects, fit, labels_of
 
 W15 = CHANNELS[0]
 

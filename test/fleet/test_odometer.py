@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.record_table import table_of
-from trainid_ros.fleet.odometer import Odometer
-from trainid_ros.records import NS_PER_S, SpeedRecord
+from trainid_ros.fleet.run_fleet import Odometer
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 
 RATIO = 1.02
 

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.columns import COLUMNS, Row, empty_row
-from trainid_ros.fleet.table_file import check_table, read_table, write_table
+from trainid_ros.fleet.table_file import COLUMNS, Row, check_table, empty_row, read_table, write_table
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path

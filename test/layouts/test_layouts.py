@@ -12,8 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from trainid_ros.messages import OUTPUT_TOPICS
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 
 ROOT = Path(__file__).parents[2]
 LAYOUTS = ROOT / 'config' / 'layouts'

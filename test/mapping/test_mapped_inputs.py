@@ -10,10 +10,8 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapped_inputs import MappedInputs
-from trainid_ros.mapping.mapping_file import parse_mapping
-from trainid_ros.records import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -22,6 +20,8 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
+from trainid_ros.mapping.mapped_inputs import MappedInputs
+from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 START_NS = 1_700_000_000 * NS_PER_S

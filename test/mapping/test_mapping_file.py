@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import (
     OWN,
     UNKNOWN_EFFORT,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.mapping.series import JoinedSeries
-from trainid_ros.records import NS_PER_S
 
 S = NS_PER_S
 

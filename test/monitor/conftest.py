@@ -10,27 +10,24 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.messages import (
+from trainid_ros.interface.records import (
     BRAKE_RATE_TOPIC,
-    RESISTANCE_TOPIC,
-    SPEED_MODEL_TOPIC,
-    output_values,
-)
-from trainid_ros.monitor.reports import Report
-from trainid_ros.monitor.trains import Train, Trains
-from trainid_ros.monitor.view import Level
-from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
     NS_PER_S,
+    RESISTANCE_TOPIC,
+    SPEED_MODEL_TOPIC,
     SPEED_TOPIC,
     BrakeRecord,
     ForceRecord,
     GradientRecord,
     SpeedRecord,
+    output_values,
 )
-from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.monitor.trains import Report, Train, Trains
+from trainid_ros.monitor.view import Level
 
 START_NS = 1_700_000_000 * NS_PER_S
 VARIANCES = (0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-6)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from trainid_ros.monitor.arrivals import Arrivals
+from trainid_ros.monitor.trains import Arrivals
 
 
 def arrived(times: Iterable[float]) -> Arrivals:

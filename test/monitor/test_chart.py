@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from trainid_ros.monitor.chart import ASCII, chart
+from trainid_ros.monitor.screen import ASCII, chart
 from trainid_ros.monitor.view import Point
 
 

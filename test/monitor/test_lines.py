@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from test.monitor.conftest import START_NS
-from trainid_ros.monitor.lines import Lines
-from trainid_ros.monitor.reports import Report
-from trainid_ros.monitor.trains import Trains
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.monitor.screen import Lines
+from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.records import NS_PER_S
 
 NOW = (9.9, START_NS + round(9.9 * NS_PER_S))
 

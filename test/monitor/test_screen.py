@@ -12,13 +12,11 @@ import pytest
 from rich.console import Console
 
 from test.monitor.conftest import START_NS, feed
-from trainid_ros.monitor.lines import Lines
-from trainid_ros.monitor.reports import Report
-from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.trains import Trains
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Status
+from trainid_ros.monitor.screen import Lines, Screen
+from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
 
 Driven = Callable[..., Trains]
 LONG = 'no message for 3.0 s, no publisher, since 2023-11-14 22:13:27 UTC: start the node that publishes it'

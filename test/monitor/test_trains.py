@@ -10,12 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 from test.monitor.conftest import RESISTANCE, START_NS, feed
-from trainid_ros.messages import RESISTANCE_TOPIC, output_values
-from trainid_ros.monitor.reports import Report
-from trainid_ros.monitor.trains import Trains
+from trainid_ros.interface.records import NS_PER_S, RESISTANCE_TOPIC, output_values
+from trainid_ros.interface.results import Output, Status
+from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level, TrainView
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Output, Status
 
 Driven = Callable[..., Trains]
 

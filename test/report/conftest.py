@@ -8,10 +8,17 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import (
+    BrakeRateEstimate,
+    Output,
+    Reason,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+)
 from trainid_ros.report.content import Chapter, RejectionCounts
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.report.content import Report
 from trainid_ros.report.page import render, write_report
 from trainid_ros.report.style import styled_figure, to_svg

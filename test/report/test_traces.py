@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.records import NS_PER_S, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
+from trainid_ros.interface.results import Output, ResistanceEstimate, Status
 from trainid_ros.report.traces import CAPACITY, TraceRecorder
-from trainid_ros.results import Output, ResistanceEstimate, Status
 
 START_NS = 1_700_000_000 * NS_PER_S
 ESTIMATE = ResistanceEstimate(

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.robust_fit import robust_fit
 from trainid_ros.resistance.saved_states import ChangePointState
 from trainid_ros.state import decode, encode
-from trainid_ros.vectors import vec
 
 STD = 0.5
 PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))

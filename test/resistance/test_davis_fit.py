@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, check_plausible, fit_davis
-from trainid_ros.resistance.trajectory import Trajectory
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, Trajectory, check_plausible, fit_davis
 
 THETA = np.array([1.5, 0.03, 0.004])
 INERTIA = 110.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit, is_fit_where_driven, representative_speeds
+from trainid_ros.resistance.davis_posterior import DrivenSpeeds, is_fit, is_fit_where_driven, representative_speeds
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.resistance.force_errors import ForceErrors, force_errors, scale_step
+from trainid_ros.resistance.davis_posterior import ForceErrors, force_errors, scale_step
 from trainid_ros.train.train_file import Davis, Effect, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, mass_std=0.03, force_std=0.02), Davis(1.5, 0.03, 0.004))

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
+from trainid_ros.interface.results import ResistanceEstimate
 from trainid_ros.resistance.force_findings import force_findings
-from trainid_ros.results import ResistanceEstimate
 
 
 def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: float = 0.02) -> ResistanceEstimate:

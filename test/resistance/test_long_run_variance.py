@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
+from trainid_ros.resistance.normal import Inflation, SlowNoise
 
 
 def inflation(std: float, rho: float = 0.0, seed: int = 1) -> list[float]:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.normal import (
     OUTLIER_WIDTH,
     Array,
@@ -23,7 +24,6 @@ from trainid_ros.resistance.normal import (
     weigh,
     widened,
 )
-from trainid_ros.vectors import vec
 
 STD = np.array([0.9, 0.02, 5e-3, 0.03, 0.15, 0.2])
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.speed_states import (
     DELTA,
     GUST,
@@ -27,7 +28,6 @@ from trainid_ros.resistance.speed_states import (
     entry,
     speed_filter,
 )
-from trainid_ros.vectors import vec
 
 Array = NDArray[np.float64]
 Reports = tuple[float, float, float, float]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
@@ -18,7 +19,6 @@ from trainid_ros.resistance.speed_window import (
     observe_resistance,
     overlap_factor,
 )
-from trainid_ros.results import Reason, Rejection
 
 INERTIA, STD = 110.0, 0.025
 START = 1_700_000_000 * NS_PER_S

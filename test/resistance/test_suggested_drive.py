@@ -14,16 +14,16 @@ import pytest
 
 from test.calls import count_in_sources
 from trainid_ros.estimators.observability import resistance_std
+from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
-from trainid_ros.resistance.resistance_settings import FilterBankConfig, VMilsConfig
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, drive_search, suggested_drive
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.samples import Sample, coasting_sample
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004), line=Line(gradient_std=0.05))

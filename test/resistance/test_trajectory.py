@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.trajectory import PieceCollector, Trajectory, half_variance, rounding_variance
-from trainid_ros.results import Reason
+from trainid_ros.interface.results import Reason
+from trainid_ros.resistance.davis_fit import PieceCollector, Trajectory, half_variance, rounding_variance
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

@@ -20,13 +20,13 @@ from rosgraph_msgs.msg import Clock
 
 from test.hang import HANG_S
 from trainid_ros.demo.processes import free_domain, local_environment
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
 from trainid_ros.ros.topics import message_from_record, time_message
 
 if TYPE_CHECKING:
-    from trainid_ros.records import InputTopic, Record
+    from trainid_ros.interface.records import InputTopic, Record
 
 TRAIN_FILE = 'train: {mass: 194000.0, length: 118.0}\nresistance: {a: 1.5, b: 0.02, c: 0.0012}\n'
 PROFILE = Path(__file__).parents[2] / 'config' / 'fastdds_localhost.xml'

@@ -20,8 +20,8 @@ from rclpy.time import Time
 from trainid_msgs.msg import ResistanceEstimate
 
 from trainid_ros.checkpoint import CheckpointFile, default_path, parse_checkpoint
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, SPECS
 

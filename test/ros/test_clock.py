@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import pytest
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 pytestmark = pytest.mark.ros
 

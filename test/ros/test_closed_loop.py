@@ -19,9 +19,8 @@ import pytest
 import rclpy
 
 from ato.days import drive_day
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic, stamp_of
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, OutputTopic, stamp_of
 from trainid_ros.ros.topics import message_class
 from trainid_ros.train.train_file import dump_train_file
 

@@ -18,14 +18,14 @@ from std_msgs.msg import Float64
 from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
-from trainid_ros.results import Status
+from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.diagnostics import EstimatorSpec
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
-from trainid_ros.stream.brake_shape_check import ShapeChange
+from trainid_ros.stream.brake_checks import ShapeChange
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT

@@ -17,8 +17,8 @@ import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from trainid_ros.client import TrainModel
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic
-from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.ros.topics import fill_estimate, latched_qos, message_class, offered_estimate_qos
 
 pytestmark = pytest.mark.ros

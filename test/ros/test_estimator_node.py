@@ -16,12 +16,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from trainid_msgs.msg import AtoSpeed, ResistanceEstimate, TrainMass
 
+from trainid_ros.interface.records import NS_PER_S, InputTopic
+from trainid_ros.interface.results import Status
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
-from trainid_ros.records import (
-    NS_PER_S,
-    InputTopic,
-)
-from trainid_ros.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.topics import message_from_record, time_message
@@ -114,8 +111,7 @@ def test_an_unexpected_error_is_logged_and_leaves_the_node_unconfigured(
     node = graph.make(RESISTANCE_NODE, train_file=train_file)
 
     def broken() -> None:
-        msg = 'no such thing'
-        raise KeyError(msg)
+        raise KeyError('no such thing')
 
     with monkeypatch.context() as patch:
         patch.setattr(node, '_open', broken)

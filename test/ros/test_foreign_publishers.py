@@ -15,7 +15,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from benchmarks.sender import Sending, write_rows
-from trainid_ros.records import NS_PER_S, SPEED
+from trainid_ros.interface.records import NS_PER_S, SPEED
 from trainid_ros.ros.inputs import _Numbers
 
 Graph: TypeAlias = Any  # the fixture of conftest.py

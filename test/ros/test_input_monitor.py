@@ -8,8 +8,16 @@ import math
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC, InputTopic
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.records import (
+    BRAKE_TOPIC,
+    FORCE_TOPIC,
+    GRADIENT_TOPIC,
+    MASS_TOPIC,
+    NS_PER_S,
+    SPEED_TOPIC,
+    InputTopic,
+)
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.ros.input_monitor import Finding, InputMonitor, InputMonitors
 from trainid_ros.ros.publishers import Publishers
 from trainid_ros.stream.alignment import AlignmentConfig

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import pytest
 
 from trainid_ros.checkpoint import Checkpoint
-from trainid_ros.records import NS_PER_S, Record
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.inputs import SharedInputs

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
+from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.errors import InputError
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups

@@ -11,10 +11,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trainid_ros.errors import InputError
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.ros.parameter_specs import (
     TAKEN,
     ParameterSpec,
@@ -25,7 +25,6 @@ from trainid_ros.ros.parameter_specs import (
 )
 from trainid_ros.ros.params_file import find_mismatch, params_files, read_overrides
 from trainid_ros.ros.params_template import parameter_file
-from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import parse_train_file

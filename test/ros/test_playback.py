@@ -11,8 +11,16 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.messages import record_from_message
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+    record_from_message,
+)
 from trainid_ros.ros import playback
 from trainid_ros.ros.bag_player import BagPlayer
 from trainid_ros.ros.playback import Pacer, TimedRecord, Timeline, with_ticks

@@ -13,7 +13,7 @@ import pytest
 from std_srvs.srv import Trigger
 
 from trainid_ros.checkpoint import default_path
-from trainid_ros.results import Status
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 
@@ -113,8 +113,7 @@ def test_a_numerical_error_on_loading_is_reported_and_the_node_keeps_running(
     assert graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint').success
 
     def broken(*_: object) -> None:
-        msg = 'math domain error'
-        raise ValueError(msg)
+        raise ValueError('math domain error')
 
     with monkeypatch.context() as patch:
         patch.setattr(node.pipeline, 'estimator', Replaced(node.pipeline.estimator, estimate=broken))

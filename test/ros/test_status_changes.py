@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.status_changes import StatusChanges, is_latched
 
 CONVERGING, VALID, HOLDING, STALE, FAULT = list(Status)[1:]

@@ -11,8 +11,7 @@ import pytest
 from trainid_msgs import msg as messages
 
 from trainid_ros.bag.types import estimate_message as bag_message
-from trainid_ros.messages import record_from_message
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     INPUT_TOPICS,
     BrakeRecord,
     ForceRecord,
@@ -20,8 +19,9 @@ from trainid_ros.records import (
     MassRecord,
     Record,
     SpeedRecord,
+    record_from_message,
 )
-from trainid_ros.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
 from trainid_ros.ros.topics import fill_estimate, message_from_record, time_message
 
 STAMP = 1_700_000_000_123_456_789

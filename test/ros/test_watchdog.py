@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.ros.watchdog import Watchdog
 
 LIMIT = 8 * NS_PER_S // 10

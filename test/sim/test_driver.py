@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.sim.driver import Driver, DriverModel, Phase
-from trainid_ros.sim.plant import Plant
+from trainid_ros.interface.errors import InputError
+from trainid_ros.sim.plant import Driver, DriverModel, Phase, Plant
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.sim.plant import MAX_DELAY_S, STEP_NS, DelayLine, Gust, GustModel, Plant
-from trainid_ros.sim.sensors import ar1_path
-from trainid_ros.train.davis import G, required_force, specific_force, specific_inertia
+from trainid_ros.sim.scenario import ar1_path
+from trainid_ros.train.forces import G, required_force, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 

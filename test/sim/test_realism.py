@@ -11,16 +11,30 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.sim.plant import GustModel
-from trainid_ros.sim.realism import REALISMS, UNKNOWNS, Case, Unknowns, draw_unknowns, make_case, unknowns_of
-from trainid_ros.sim.scenario import Simulation, simulate
-from trainid_ros.sim.sensors import SensorModel
-from trainid_ros.sim.worlds import WORLDS, world_train
-from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, lag_response
-from trainid_ros.train.davis import davis, specific_force, specific_inertia
+from trainid_ros.sim.scenario import SensorModel, Simulation, simulate
+from trainid_ros.sim.worlds import (
+    REALISMS,
+    UNKNOWNS,
+    WORLDS,
+    Case,
+    Unknowns,
+    draw_unknowns,
+    make_case,
+    unknowns_of,
+    world_train,
+)
 from trainid_ros.train.effects import effect_value
+from trainid_ros.train.forces import (
+    BrakeCommandChange,
+    CommandHistory,
+    davis,
+    lag_response,
+    specific_force,
+    specific_inertia,
+)
 from trainid_ros.train.train_file import Brake, TrainFile, dump_train_file
 
 TRAM = WORLDS['tram']

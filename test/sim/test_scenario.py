@@ -10,13 +10,11 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.sim.driver import DriverModel
-from trainid_ros.sim.plant import GustModel
-from trainid_ros.sim.scenario import Change, Scenario, Simulation, simulate
-from trainid_ros.sim.sensors import SensorModel
-from trainid_ros.train.davis import specific_force, specific_inertia
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.sim.plant import DriverModel, GustModel
+from trainid_ros.sim.scenario import Change, Scenario, SensorModel, Simulation, simulate
+from trainid_ros.train.forces import specific_force, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
 LINE = Line(

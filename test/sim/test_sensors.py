@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import ForceRecord, SpeedRecord
-from trainid_ros.sim.sensors import MAX_JITTER_NS, SensorModel, Sensors
-from trainid_ros.train.davis import G
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import ForceRecord, SpeedRecord
+from trainid_ros.sim.scenario import MAX_JITTER_NS, SensorModel, Sensors
+from trainid_ros.train.forces import G
 
 CLEAN = SensorModel(
     speed_noise=0.0,

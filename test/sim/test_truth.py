@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.sim.truth import Truth, TruthPoint, dump_truth, load_truth, parse_truth, save_truth
 from trainid_ros.train.train_file import Davis
 

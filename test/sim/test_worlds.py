@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import SpeedRecord
-from trainid_ros.sim.realism import UNKNOWNS, make_case
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import SpeedRecord
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
-from trainid_ros.sim.worlds import WORLDS, find_world, usual_duration, world_train
+from trainid_ros.sim.worlds import UNKNOWNS, WORLDS, find_world, make_case, usual_duration, world_train
 
 STOP_ERROR_M = {'freight': 4.5}
 

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.speed_model.am_vff_rls import (
     AuxiliaryModel,
     Tuning,
     forgetting_factor,
+    full,
+    prior,
     prior_variances_given_b1,
     running_mean,
 )
-from trainid_ros.speed_model.physical_parameters import full, prior
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 
 Array = NDArray[np.float64]
 THETA, P0 = prior((1.5, 0.03, 0.004), 9.80665 / 1080.0, SpeedModelConfig(), 0.05)

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
-from trainid_ros.vectors import vec
 
 NONE = (0.0, 0.0, 0.0, 0.0)
 UNIT = (1.0, 0.0, 0.0, 0.0)

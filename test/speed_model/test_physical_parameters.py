@@ -8,14 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.speed_model.physical_parameters import (
-    full,
-    prior,
-    resistance_variance,
-    to_physical,
-    to_speed_model,
-)
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
+from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.speed_model.am_vff_rls import full, prior, resistance_variance, to_physical, to_speed_model
 
 T = 0.2
 DAVIS, K = (1.7, 0.02, 0.0086), 9.80665 / 1080.0

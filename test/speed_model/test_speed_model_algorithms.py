@@ -15,14 +15,14 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
-from trainid_ros.speed_model.physical_parameters import resistance_variance
+from trainid_ros.estimators.settings import AmVffRlsConfig
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.speed_model.am_vff_rls import resistance_variance
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 Make = Callable[..., Sample]

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.speed_model.method import Learned
+from trainid_ros.estimators.settings import AmVffRlsConfig
+from trainid_ros.speed_model.am_vff_rls import Learned
 from trainid_ros.speed_model.nuisance_parameters import ForceDelay, RecentSamples
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

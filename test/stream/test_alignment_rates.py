@@ -14,8 +14,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from test.stream.alignment.events import START, at
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent
 from trainid_ros.stream.samples import Sample
 

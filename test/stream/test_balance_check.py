@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from trainid_ros.stream.balance_check import BalanceCheck
+from trainid_ros.stream.balance_checks import BalanceCheck
 
 
 def test_residuals_of_two_seconds_are_sudden_and_a_single_one_is_not() -> None:

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.stream.brake_delay_check import BrakeDelayCheck, BrakeTiming
+from trainid_ros.stream.brake_checks import BrakeDelayCheck, BrakeTiming
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
+from trainid_ros.train.forces import BrakeCommandChange, lag_integral, lag_response
 from trainid_ros.train.train_file import Brake, TrainFile
 
 Make = Callable[..., Sample]

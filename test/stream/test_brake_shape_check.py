@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trainid_ros.stream.brake_shape_check import BrakeShapeCheck, ShapeSums
+from trainid_ros.stream.brake_checks import BrakeShapeCheck, ShapeSums
 
 MAX_SPEED = 22.0
 FORCE = -100.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.stream.change_check import ChangeCheck
+from trainid_ros.stream.balance_checks import ChangeCheck
 
 INERTIA = 108.0
 SPEED_STD = 0.02

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from trainid_ros.stream.distance_check import DistanceCheck
+from trainid_ros.stream.slope_checks import DistanceCheck
 
 
 def drive(check: DistanceCheck, metres: float, ratio: float, noise: float = 0.0) -> DistanceCheck:

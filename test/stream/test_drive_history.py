@@ -13,8 +13,8 @@ from trainid_ros.sim.plant import Plant
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.drive_history import DriveHistoryState, DriveHistoryTracker
 from trainid_ros.stream.samples import NO_HISTORY, Motion, Sample
-from trainid_ros.train.brake import BrakeCommandChange, CommandHistory
 from trainid_ros.train.effects import BRAKE_APPLIED
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line, TrainFile
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.stream.lagged_command import LaggedCommand
+from trainid_ros.stream.brake_checks import LaggedCommand
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 
 TAU = 0.7
 

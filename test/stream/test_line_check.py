@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from trainid_ros.stream.line_check import LineCheck
+from trainid_ros.stream.balance_checks import LineCheck
 
 
 def follow(check: LineCheck, blocks: int, factor: float = 1.0, offset: float = 0.0, height: float = 5.0) -> LineCheck:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, MassCheck, ReleaseCheck, SpikeCheck
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

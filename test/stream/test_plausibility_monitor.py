@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.results import Rejection
+from trainid_ros.interface.results import Rejection
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Line, TrainFile
 
 Make = Callable[..., Sample]

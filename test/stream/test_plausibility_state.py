@@ -7,14 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from trainid_ros.stream.balance_check import BalanceCheck
-from trainid_ros.stream.change_check import ChangeCheck
-from trainid_ros.stream.distance_check import DistanceCheck
-from trainid_ros.stream.line_check import LineCheck
+from trainid_ros.stream.balance_checks import BalanceCheck, ChangeCheck, LineCheck, ShiftCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.plausibility_state import PlausibilityState
-from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
+from trainid_ros.stream.slope_checks import BRAKE_RANGE, TRACTION_RANGE, DistanceCheck, Effort, Slope
 
 SUSPICIONS: dict[str, Callable[[], PlausibilityState]] = {
     'spikes of the force': lambda: PlausibilityState(spikes=SpikeCheck(spikes=2.0, evidence=1.0)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from trainid_ros.records import FORCE, GRADIENT, SPEED
+from trainid_ros.interface.records import FORCE, GRADIENT, SPEED
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.train.train_file import Effect

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.stream.shift_check import ShiftCheck
+from trainid_ros.stream.balance_checks import ShiftCheck
 
 
 @pytest.mark.parametrize('shift', [-3, -1, 0, 2])

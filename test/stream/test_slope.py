@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.stream.slope import Effort, Slope
+from trainid_ros.stream.slope_checks import Effort, Slope
 
 
 def learned(factor: float, noise: float = 5.0, blocks: int = 20, x: float = 60.0) -> Slope:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.known_force import SpeedNoise
 
 KMH = 1.0 / 3.6
 

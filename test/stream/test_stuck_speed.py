@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
-from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.stream.stuck_speed import StuckSpeed
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, TrainFile
 
 Make = Callable[..., Sample]

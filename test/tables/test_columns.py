@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import TimeColumn
 from trainid_ros.mapping.units import find_unit
 from trainid_ros.tables.columns import Clock, Column, numbers

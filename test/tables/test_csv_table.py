@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import CsvFormat
 from trainid_ros.tables.columns import ROWS_AT_ONCE, joined
 from trainid_ros.tables.csv_table import CsvTable

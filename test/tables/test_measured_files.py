@@ -12,9 +12,9 @@ import pytest
 from benchmarks.measured_car import gradient, load_trip
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.truth import load_truth
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import davis
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / 'shared' / 'data'

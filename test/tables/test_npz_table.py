@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.tables.columns import ROWS_AT_ONCE, joined
 from trainid_ros.tables.npz_table import NpzTable
 

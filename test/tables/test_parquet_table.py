@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.tables.columns import ROWS_AT_ONCE, joined
 from trainid_ros.tables.parquet_table import ParquetTable
 

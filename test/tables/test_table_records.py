@@ -8,10 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
 from trainid_ros.mapping.mapped_inputs import MappedInputs
 from trainid_ros.mapping.mapping_file import parse_mapping
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.tables.columns import ROWS_AT_ONCE
 from trainid_ros.tables.table_records import TableRecords
 

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.train.brake import MOST_CHANGES, BrakeCommandChange, CommandHistory, lag_integral, lag_response
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train.forces import MOST_CHANGES, BrakeCommandChange, CommandHistory, lag_integral, lag_response
 
 
 def history(*changes: tuple[int, float]) -> CommandHistory:

@@ -6,14 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.train.davis import (
-    G,
-    acceleration,
-    davis,
-    required_force,
-    specific_force,
-    specific_inertia,
-)
+from trainid_ros.train.forces import G, acceleration, davis, required_force, specific_force, specific_inertia
 from trainid_ros.train.train_file import Davis
 
 

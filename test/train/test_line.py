@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line
 

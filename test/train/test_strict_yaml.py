@@ -16,9 +16,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trainid_ros.errors import InputError
-from trainid_ros.train.fields import parse_yaml, read_text
-from trainid_ros.train.strict_yaml import compose, load
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train.fields import compose, load, parse_yaml, read_text
 
 
 def aliases(levels: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 PACKAGES: Final = frozenset({'rosbags', 'mcap', 'zstandard'})
 """Python packages of the extra ``trainid_ros[bags]``; the live nodes need none of them."""

@@ -9,9 +9,8 @@ from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from trainid_ros.bag.mcap_file import McapFile
-from trainid_ros.errors import InputError
-from trainid_ros.train.fields import read_text
-from trainid_ros.train.strict_yaml import load
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train.fields import load, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,21 +29,13 @@ _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
 @dataclass(frozen=True, slots=True)
 class BagFiles:
-    """The files of a bag in the order of recording, and the contents of ``metadata.yaml``.
+    """The files of a bag in the order of recording, and the contents of ``metadata.yaml``."""
 
-    Attributes:
-        files: The files.
-        message_count: Number of messages according to the metadata, None if unknown.
-        hashes: Pairs of full topic name and type hash.
-        custom_data: Pairs of name and text that the recording was given (``ros2 bag record --custom-data``).
-        warnings: Faults of the directory that do not prevent reading.
-
-    """
-
-    files: tuple[Path, ...]
-    message_count: int | None = None
-    hashes: tuple[tuple[str, str], ...] = ()
-    warnings: tuple[str, ...] = ()
+    files: tuple[Path, ...]  # The files
+    message_count: int | None = None  # Number of messages according to the metadata, None if unknown
+    hashes: tuple[tuple[str, str], ...] = ()  # Pairs of full topic name and type hash
+    warnings: tuple[str, ...] = ()  # Faults of the directory that do not prevent reading
+    # Pairs of name and text that the recording was given (``ros2 bag record --custom-data``)
     custom_data: tuple[tuple[str, str], ...] = ()
 
 
@@ -96,7 +87,6 @@ class BagFile(Protocol):
 
         Raises:
             InputError: The file cannot be read.
-
         """
 
     def close(self) -> None:
@@ -110,7 +100,6 @@ def open_file(
 
     Raises:
         InputError: It cannot be read.
-
     """
     if _is_sqlite(path):
         # Imported here because reading MCAP needs no rosbags.
@@ -133,17 +122,13 @@ def locate(path: Path) -> BagFiles:
 
     Raises:
         InputError: The path does not exist or is not a bag, a file is missing, or the storage is not known.
-
     """
     if not path.exists():
-        msg = f'{path}: no such bag'
-        raise InputError(msg)
+        raise InputError(f'{path}: no such bag')
     if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
-        msg = f'{path}: is neither a file nor a directory'
-        raise InputError(msg)
+        raise InputError(f'{path}: is neither a file nor a directory')
     if path.is_file() and path.suffix in _TABLES:
-        msg = f'{path}: is a table, not a bag; trainid import makes a bag of it'
-        raise InputError(msg)
+        raise InputError(f'{path}: is a table, not a bag; trainid import makes a bag of it')
     if path.is_file():
         return BagFiles((path,))
     if (path / METADATA).is_file():
@@ -177,8 +162,7 @@ def bags_below(path: Path) -> list[Path]:
 def _from_folder(path: Path, warning: str) -> BagFiles:
     files = _bag_files(path)
     if not files:
-        msg = f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(SUFFIXES)} file)'
-        raise InputError(msg)
+        raise InputError(f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(SUFFIXES)} file)')
     return BagFiles(files, warnings=(warning,))
 
 
@@ -209,8 +193,7 @@ def _from_metadata(path: Path) -> BagFiles:
         reason = ' '.join(str(error).split()).removeprefix(f'{where}: ')
         return _from_folder(path, f'{where}: unreadable ({reason}), the files were read without it')
     if not names:
-        msg = f'{where}: lists no files'
-        raise InputError(msg)
+        raise InputError(f'{where}: lists no files')
     if not (missing := [path / name for name in names if not (path / name).is_file()]):
         return BagFiles(tuple(path / name for name in names), count, hashes, custom_data=custom)
     warning = f'{missing[0]}: file listed in {METADATA} is missing'
@@ -226,14 +209,12 @@ class _UnsupportedError(Exception):
 def _check_storage(where: Path, storage: str, mode: str) -> None:
     """Raise _UnsupportedError for a storage or compression that is known, ValueError for one that is not."""
     if mode in {'file', 'message'}:
-        msg = (
+        raise _UnsupportedError(
             f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
             'inside an .mcap (see ros2 bag convert)'
         )
-        raise _UnsupportedError(msg)
     if storage not in _STORAGES or mode != 'none':
-        msg = f'storage {storage!r} with compression mode {mode!r} is not known'
-        raise ValueError(msg)
+        raise ValueError(f'storage {storage!r} with compression mode {mode!r} is not known')
 
 
 def _hashes(info: Any) -> Iterable[tuple[str, str]]:

@@ -15,7 +15,7 @@ from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_table import EMPTY, joined
 from trainid_ros.bag.required_topics import in_namespaces, missing_topics
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.interface.records import InputTopic
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.mapping.mapping import Mapping
-    from trainid_ros.records import InputTopic
     from trainid_ros.train.train_file import TrainFile
 
 GAP_S: Final = 1.0
@@ -79,30 +79,17 @@ _MAY_BE_NAN: Final = frozenset({(SPEED_TOPIC.name, 'position')})
 
 @dataclass(frozen=True, slots=True)
 class StampInfo:
-    """The stamps of one input topic.
+    """The stamps of one input topic."""
 
-    Attributes:
-        rate: Median rate [Hz], NaN below two messages.
-        first_ns: Smallest stamp that is not zero [ns].
-        last_ns: Largest stamp [ns].
-        gaps: Number of pauses longer than one second, 2.5 intervals, and the time that a value holds.
-        longest_gap_s: Longest pause [s].
-        out_of_order: Messages older than one before them.
-        duplicates: Messages that repeat an earlier stamp.
-        zero: Messages with a zero stamp.
-        log_offset_s: Median of log time minus stamp [s].
-
-    """
-
-    rate: float
-    first_ns: int
-    last_ns: int
-    gaps: int
-    longest_gap_s: float
-    out_of_order: int
-    duplicates: int
-    zero: int
-    log_offset_s: float
+    rate: float  # Median rate [Hz], NaN below two messages
+    first_ns: int  # Smallest stamp that is not zero [ns]
+    last_ns: int  # Largest stamp [ns]
+    gaps: int  # Number of pauses longer than one second, 2.5 intervals, and the time that a value holds
+    longest_gap_s: float  # Longest pause [s]
+    out_of_order: int  # Messages older than one before them
+    duplicates: int  # Messages that repeat an earlier stamp
+    zero: int  # Messages with a zero stamp
+    log_offset_s: float  # Median of log time minus stamp [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,32 +116,18 @@ class ValueRange:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """Contents of a bag.
+    """Contents of a bag."""
 
-    Attributes:
-        path: The bag.
-        duration_s: From the first to the last log time [s].
-        messages: Number of messages on all topics.
-        topics: All topics by name.
-        ranges: Ranges of the input values.
-        moving_share: Share of the time with the train moving [1], NaN if unknown.
-        braking_share: Share of the time with a brake command [1], NaN if unknown.
-        missing: Required topics without messages.
-        problems: Why the bag cannot be used; empty if it can.
-        warnings: Faults that the estimators will reject or bridge.
-
-    """
-
-    path: str
-    duration_s: float
-    messages: int
-    topics: tuple[TopicInfo, ...]
-    ranges: tuple[ValueRange, ...]
-    moving_share: float
-    braking_share: float
-    missing: tuple[str, ...]
-    problems: tuple[str, ...]
-    warnings: tuple[str, ...]
+    path: str  # The bag
+    duration_s: float  # From the first to the last log time [s]
+    messages: int  # Number of messages on all topics
+    topics: tuple[TopicInfo, ...]  # All topics by name
+    ranges: tuple[ValueRange, ...]  # Ranges of the input values
+    moving_share: float  # Share of the time with the train moving [1], NaN if unknown
+    braking_share: float  # Share of the time with a brake command [1], NaN if unknown
+    missing: tuple[str, ...]  # Required topics without messages
+    problems: tuple[str, ...]  # Why the bag cannot be used; empty if it can
+    warnings: tuple[str, ...]  # Faults that the estimators will reject or bridge
 
     @property
     def usable(self) -> bool:
@@ -203,7 +176,6 @@ def inspect(
 
     Raises:
         InputError: If the bag cannot be read.
-
     """
     opening, reading = in_two(advance)
     with BagReader(path, namespace, max_chunk, inputs, opening=opening) as reader:

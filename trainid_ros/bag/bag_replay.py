@@ -16,6 +16,15 @@ from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of
+from trainid_ros.interface.results import (
+    BrakeRateEstimate,
+    EstimateT,
+    Output,
+    Reason,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+)
 from trainid_ros.pipelines import (
     BrakeRatePipeline,
     ResistancePipeline,
@@ -24,8 +33,6 @@ from trainid_ros.pipelines import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
-from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, ResistanceEstimate, SpeedModelEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -33,8 +40,8 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.contradiction import Contradiction
+    from trainid_ros.interface.records import Row
     from trainid_ros.pipelines import EstimatorSettings
-    from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
@@ -52,52 +59,31 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Result(Generic[EstimateT]):
-    """State of one estimator at the end of a replay.
+    """State of one estimator at the end of a replay."""
 
-    Attributes:
-        prior: Estimate before the first record.
-        output: Last output.
-        samples: Aligned samples since the last reset.
-        rejections: Why records and samples were not used, with their counts, the most frequent reason first.
-        statuses: Number of outputs by status since the last reset.
-        resets: Number of resets after a backward jump of the stamps.
-        consistency: Whether errors agree with the stated uncertainty, over the last samples used.
-        why_converging: Why the estimate is CONVERGING although its standard deviation is small enough, else empty.
-
-    """
-
-    prior: EstimateT
-    output: Output[EstimateT]
-    samples: int
+    prior: EstimateT  # Estimate before the first record
+    output: Output[EstimateT]  # Last output
+    samples: int  # Aligned samples since the last reset
+    # Why records and samples were not used, with their counts, the most frequent reason first
     rejections: tuple[tuple[Reason, int], ...]
-    statuses: tuple[int, ...]
-    resets: int
-    consistency: Consistency
+    statuses: tuple[int, ...]  # Number of outputs by status since the last reset
+    resets: int  # Number of resets after a backward jump of the stamps
+    consistency: Consistency  # Whether errors agree with the stated uncertainty, over the last samples used
+    # Why the estimate is CONVERGING although its standard deviation is small enough, else empty
     why_converging: str = ''
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The outcome of a replay.
+    """The outcome of a replay."""
 
-    Attributes:
-        records: Number of inputs read.
-        duration_s: Time covered by the samples.
-        resistance: Running resistance.
-        speed_model: Speed model.
-        brake_rate: Brake rate.
-        contradiction: The last contradiction between the inputs, if there was one.
-        brake_findings: What is wrong with the brake of the train file.
-
-    """
-
-    records: int
-    duration_s: float
-    resistance: Result[ResistanceEstimate]
-    speed_model: Result[SpeedModelEstimate]
-    brake_rate: Result[BrakeRateEstimate]
-    contradiction: Contradiction
-    brake_findings: tuple[str, ...] = ()
+    records: int  # Number of inputs read
+    duration_s: float  # Time covered by the samples
+    resistance: Result[ResistanceEstimate]  # Running resistance
+    speed_model: Result[SpeedModelEstimate]  # Speed model
+    brake_rate: Result[BrakeRateEstimate]  # Brake rate
+    contradiction: Contradiction  # The last contradiction between the inputs, if there was one
+    brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
 
     def why_no_resistance(self) -> str:
         """Return why nothing was learned of the resistance, with the most frequent rejection; '' if it was."""
@@ -143,7 +129,6 @@ def replay(
 
     Raises:
         InputError: A required topic has no messages, or a message cannot be read.
-
     """
     pipelines = Pipelines(
         resistance_pipeline(train_file, settings),

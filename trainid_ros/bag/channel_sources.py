@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.bag.types import digest, full_type, is_packaged
-from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping as ReadOnly
@@ -83,7 +82,6 @@ class TopicNames:
 
         Raises:
             InputError: A type is not the one of the interface, or messages cannot be decoded.
-
         """
         sources = {}
         for number, channel in file.channels.items():
@@ -120,8 +118,7 @@ def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str
     """Raise InputError if the type of a channel is not the one of the interface."""
     channel = file.channels[number]
     if (found := _schema_name(file, number)) != full_type(name):
-        msg = f'{where}: type {full_type(name)} expected, {found or "none"} found'
-        raise InputError(msg)
+        raise InputError(f'{where}: type {full_type(name)} expected, {found or "none"} found')
     _check_encoding(channel, where)
     text = file.schemas[channel.schema_id].data.decode('utf-8', errors='replace')
     if is_packaged(text, name):
@@ -129,8 +126,10 @@ def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str
     recorded = channel.metadata.get('topic_type_hash') or recorded
     stored = _stored_type(file, number).digest if text.strip() else recorded
     if stored != digest(name):
-        msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
-        raise InputError(msg + f'{stored or "no definition"} found')
+        raise InputError(
+            f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
+            + f'{stored or "no definition"} found'
+        )
 
 
 def _stored_type(file: BagFile, channel: int) -> StoredType:
@@ -143,5 +142,4 @@ def _stored_type(file: BagFile, channel: int) -> StoredType:
 def _check_encoding(channel: Channel, where: str) -> None:
     """Raise InputError, naming file and topic, if the messages of a channel cannot be decoded."""
     if channel.message_encoding != 'cdr':
-        msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
-        raise InputError(msg)
+        raise InputError(f'{where}: encoding cdr expected, {channel.message_encoding!r} found')

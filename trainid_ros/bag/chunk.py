@@ -33,22 +33,13 @@ class DamageError(Exception):
 
 
 class ChunkHead(NamedTuple):
-    """Head of a chunk.
+    """Head of a chunk."""
 
-    Attributes:
-        size: Size of its records [bytes].
-        crc: Checksum of its records, 0 without one.
-        compression: '', 'lz4' or 'zstd'.
-        start: Where the stored records start in the content of the chunk.
-        stored: Their stored size [bytes].
-
-    """
-
-    size: int
-    crc: int
-    compression: str
-    start: int
-    stored: int
+    size: int  # Size of its records [bytes]
+    crc: int  # Checksum of its records, 0 without one
+    compression: str  # '', 'lz4' or 'zstd'
+    start: int  # Where the stored records start in the content of the chunk
+    stored: int  # Their stored size [bytes]
 
 
 def read_head(content: bytes, length: int) -> ChunkHead | None:
@@ -70,15 +61,12 @@ def unpack(head: ChunkHead, stored: bytes) -> bytes:
 
     Raises:
         DamageError: They cannot be unpacked, or size or checksum is not that of the head.
-
     """
     data = b''.join(_pieces(head, stored))
     if len(data) != head.size:
-        msg = f'unpacks to {len(data)} instead of {head.size} bytes'
-        raise DamageError(msg)
+        raise DamageError(f'unpacks to {len(data)} instead of {head.size} bytes')
     if head.crc and zlib.crc32(data) != head.crc:
-        msg = 'checksum does not fit'
-        raise DamageError(msg)
+        raise DamageError('checksum does not fit')
     return data
 
 
@@ -103,8 +91,7 @@ def _pieces(head: ChunkHead, stored: bytes) -> Iterator[bytes]:
         else:
             yield stored
     except (ZstdError, RuntimeError) as error:  # lz4 raises the latter
-        msg = f'cannot be unpacked ({" ".join(str(error).split())})'
-        raise DamageError(msg) from None
+        raise DamageError(f'cannot be unpacked ({" ".join(str(error).split())})') from None
 
 
 def _unpack_zstd(stored: bytes, limit: int) -> Iterator[bytes]:

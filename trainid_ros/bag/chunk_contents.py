@@ -32,20 +32,13 @@ _START: Final = struct.Struct('<BQHIQ')  # of a message record: opcode, length, 
 
 
 class ChunkContents(NamedTuple):
-    """Messages of a chunk by its index.
+    """Messages of a chunk by its index."""
 
-    Attributes:
-        counts: Number of messages by channel.
-        runs: Offset in the file and length of each run of needed message records, in the order of the file.
-        starts: Where their contents start if the runs are joined.
-        end: Where the index of the chunk ends in the file.
-
-    """
-
-    counts: dict[int, int]
+    counts: dict[int, int]  # Number of messages by channel
+    # Offset in the file and length of each run of needed message records, in the order of the file
     runs: tuple[tuple[int, int], ...]
-    starts: tuple[int, ...]
-    end: int
+    starts: tuple[int, ...]  # Where their contents start if the runs are joined
+    end: int  # Where the index of the chunk ends in the file
 
 
 class _Entry(NamedTuple):
@@ -69,7 +62,6 @@ def indexed_contents(
 
     Returns:
         None if the index does not fit what it points to, or if the chunk should be read as a whole.
-
     """
     if index is None or index.chunk_length != chunk.end - chunk.offset or not index.message_index_offsets:
         return None

@@ -15,9 +15,8 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from trainid_ros.bag.message_block import MessageBlock
 from trainid_ros.bag.types import full_definition, full_type
-from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +49,6 @@ class Db3File:
 
         Raises:
             InputError: It cannot be read.
-
         """
         self.path = path
         self.promised: int | None = None
@@ -82,7 +80,6 @@ class Db3File:
 
         Raises:
             InputError: The file is damaged.
-
         """
         try:
             found = list(self._reader.messages(self._needed, segment.first_ns, segment.last_ns + 1))
@@ -109,14 +106,12 @@ class Db3File:
             if some[-1] >= first_ns:
                 spans.append(Span(first_ns, some[-1]))
         if spans and spans[0].first_ns < 0:
-            msg = f'log time {spans[0].first_ns} ns is negative'
-            raise ValueError(msg)
+            raise ValueError(f'log time {spans[0].first_ns} ns is negative')
         return spans
 
     def _fail(self, error: Exception) -> NoReturn:
         self.close()
-        msg = f'{self.path}: unreadable sqlite3 storage ({" ".join(str(error).split())})'
-        raise InputError(msg) from None
+        raise InputError(f'{self.path}: unreadable sqlite3 storage ({" ".join(str(error).split())})') from None
 
 
 def _channel(item: Connection) -> Channel:

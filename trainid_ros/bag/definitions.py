@@ -24,7 +24,6 @@ class Definitions:
     Attributes:
         channels: Channels by number.
         schemas: Message definitions by number.
-
     """
 
     def __init__(self) -> None:

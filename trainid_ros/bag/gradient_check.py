@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.records import GRADIENT_TOPIC
-from trainid_ros.train.davis import G
+from trainid_ros.interface.records import GRADIENT_TOPIC
+from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,41 +56,23 @@ _UNITS: Final = {'per cent': 10.0, 'degrees': 1000.0 * math.pi / 180.0, 'a ratio
 
 
 class _Block(NamedTuple):
-    """Means over some seconds without brake.
+    """Means over some seconds without brake."""
 
-    Attributes:
-        seconds: How long.
-        acceleration: In m/s^2.
-        gradient: In per mille, as it is reported.
-        force: Force by weight [N/kN].
-        speed: In m/s.
-        square: Of the speed [m^2/s^2].
-
-    """
-
-    seconds: float
-    acceleration: float
-    gradient: float
-    force: float
-    speed: float
-    square: float
+    seconds: float  # How long
+    acceleration: float  # In m/s^2
+    gradient: float  # In per mille, as it is reported
+    force: float  # Force by weight [N/kN]
+    speed: float  # In m/s
+    square: float  # Of the speed [m^2/s^2]
 
 
 class _Slope(NamedTuple):
-    """How the gradient slows the train.
+    """How the gradient slows the train."""
 
-    Attributes:
-        value: Slope k [1].
-        std: Its standard deviation [1].
-        gradient_std: Standard deviation of the gradient that force and speed do not explain [per mille].
-        share: Share of the variance that the gradient then explains [1].
-
-    """
-
-    value: float
-    std: float
-    gradient_std: float
-    share: float
+    value: float  # Slope k [1]
+    std: float  # Its standard deviation [1]
+    gradient_std: float  # Standard deviation of the gradient that force and speed do not explain [per mille]
+    share: float  # Share of the variance that the gradient then explains [1]
 
 
 class GradientCheck:
@@ -108,7 +90,6 @@ class GradientCheck:
             sample: The sample.
             before: The speed before [m/s].
             traction: Its force by its weight [N/kN].
-
         """
         dt, speed = sample.dt, 0.5 * (before + sample.speed)
         self._released_s = 0.0 if sample.brake_command < 0.0 else self._released_s + dt

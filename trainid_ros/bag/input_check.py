@@ -15,13 +15,13 @@ import numpy as np
 
 from trainid_ros.bag.gradient_check import GradientCheck
 from trainid_ros.estimators.contradiction import Contradiction
-from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
-from trainid_ros.results import Reason
+from trainid_ros.interface.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.results import Reason
+from trainid_ros.interface.scalars import find_fault
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from trainid_ros.bag.record_table import RecordTable
-    from trainid_ros.records import Row
+    from trainid_ros.interface.records import Row
     from trainid_ros.stream.alignment import AlignmentConfig
 
 # Slower trains may stand or shunt [m/s].
@@ -44,16 +44,10 @@ _ANY_TRAIN: Final = TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
 
 
 class Findings(NamedTuple):
-    """What is wrong with the inputs of a bag.
+    """What is wrong with the inputs of a bag."""
 
-    Attributes:
-        problems: Why it cannot be used.
-        warnings: What the estimators leave out.
-
-    """
-
-    problems: tuple[str, ...]
-    warnings: tuple[str, ...]
+    problems: tuple[str, ...]  # Why it cannot be used
+    warnings: tuple[str, ...]  # What the estimators leave out
 
 
 def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: TrainFile | None) -> Findings:
@@ -63,7 +57,6 @@ def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: Tr
         rows: The inputs, by log time.
         alignment: Settings of the alignment.
         train_file: The train, None if it is not known.
-
     """
     check = _Check(alignment, train_file)
     for row in rows:

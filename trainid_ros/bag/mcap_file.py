@@ -28,7 +28,7 @@ from trainid_ros.bag.chunk_contents import indexed_contents
 from trainid_ros.bag.definitions import DEFINITIONS, UNREADABLE, Definitions
 from trainid_ros.bag.message_block import MessageBlock, channels_at, lengths_at, messages_at
 from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,22 +57,13 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A piece of the file with messages.
+    """A piece of the file with messages."""
 
-    Attributes:
-        piece: Where it lies.
-        first_ns: Their first log time.
-        last_ns: Their last log time.
-        starts: Where their records start, without opcode and length, in the bytes that are read.
-        runs: Offset in the file and length of what is read, none for all of the piece.
-
-    """
-
-    piece: Piece
-    first_ns: int
-    last_ns: int
-    starts: NDArray[np.uint32]
-    runs: tuple[tuple[int, int], ...] = ()
+    piece: Piece  # Where it lies
+    first_ns: int  # Their first log time
+    last_ns: int  # Their last log time
+    starts: NDArray[np.uint32]  # Where their records start, without opcode and length, in the bytes that are read
+    runs: tuple[tuple[int, int], ...] = ()  # Offset in the file and length of what is read, none for all of the piece
 
 
 class McapFile:
@@ -88,7 +79,6 @@ class McapFile:
         last_ns: Last log time [ns].
         promised: Number of messages that the file states, None if it does not.
         warnings: What is wrong with the file although it can be read.
-
     """
 
     def __init__(
@@ -108,7 +98,6 @@ class McapFile:
 
         Raises:
             InputError: If it is not MCAP, is empty, or nothing of it can be used.
-
         """
         self.path = path
         self._definitions = Definitions()
@@ -129,8 +118,7 @@ class McapFile:
         try:
             self._file = RecordFile(path)
         except OSError as error:
-            msg = f'{path}: cannot be opened ({error.strerror})'
-            raise InputError(msg) from None
+            raise InputError(f'{path}: cannot be opened ({error.strerror})') from None
         try:
             self._scan()
         except BaseException:
@@ -146,7 +134,6 @@ class McapFile:
 
         Raises:
             InputError: The file has changed since it was opened.
-
         """
         try:
             if segment.runs:
@@ -355,7 +342,6 @@ class McapFile:
 
         Raises:
             DamageError: They are damaged or too large.
-
         """
         file = self._file
         if not piece.is_chunk:
@@ -366,8 +352,7 @@ class McapFile:
         _, length = HEAD.unpack(file.read(piece.offset, HEAD.size))
         head = read_head(file.read(start, min(MAX_HEAD, piece.end - start)), length)
         if head is None:
-            msg = 'no valid head of a chunk'
-            raise DamageError(msg)
+            raise DamageError('no valid head of a chunk')
         self._check_size(max(head.size, head.stored))
         if is_new:  # before anything is unpacked
             self._check_expansion(head.size)
@@ -377,16 +362,15 @@ class McapFile:
 
     def _check_size(self, size: int) -> None:
         if size > self._max_chunk:
-            msg = f'{size / _MB:.3g} MB in one piece, above the limit of {self._max_chunk / _MB:.3g} MB (--max-chunk)'
-            raise DamageError(msg)
+            raise DamageError(
+                f'{size / _MB:.3g} MB in one piece, above the limit of {self._max_chunk / _MB:.3g} MB (--max-chunk)'
+            )
 
     def _check_expansion(self, size: int) -> None:
         most = max(self._max_chunk, _MOST_EXPANSION * self._file.size)
         if self._unpacked + size > most:
-            msg = f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)'
-            raise DamageError(msg)
+            raise DamageError(f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)')
         self._unpacked += size
 
     def _fail(self, what: str) -> NoReturn:
-        msg = f'{self.path}: {what}'
-        raise InputError(msg)
+        raise InputError(f'{self.path}: {what}')

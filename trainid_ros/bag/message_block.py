@@ -23,22 +23,13 @@ _LENGTH: Final = np.dtype('<i8')
 
 @dataclass(frozen=True, slots=True)
 class MessageBlock:
-    """The messages of one segment, in the order of the file.
+    """The messages of one segment, in the order of the file."""
 
-    Attributes:
-        data: The bytes they lie in, shape (m,).
-        start: Where their payloads start in ``data``, shape (n,).
-        end: Where they end, shape (n,).
-        channel: Numbers of their channels, shape (n,).
-        log_ns: Log times, shape (n,).
-
-    """
-
-    data: NDArray[np.uint8]
-    start: NDArray[np.intp]
-    end: NDArray[np.intp]
-    channel: NDArray[np.uint16]
-    log_ns: NDArray[np.uint64]
+    data: NDArray[np.uint8]  # The bytes they lie in, shape (m,)
+    start: NDArray[np.intp]  # Where their payloads start in ``data``, shape (n,)
+    end: NDArray[np.intp]  # Where they end, shape (n,)
+    channel: NDArray[np.uint16]  # Numbers of their channels, shape (n,)
+    log_ns: NDArray[np.uint64]  # Log times, shape (n,)
 
 
 def messages_at(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:

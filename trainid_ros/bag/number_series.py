@@ -12,11 +12,10 @@ import numpy as np
 from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import full_type
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.mapping.mapping import Mapping, Signal, Source
 from trainid_ros.mapping.units import Unit
-from trainid_ros.messages import stamp_of
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -44,26 +43,15 @@ _NOTHING: Final = Mapping(speed=_NONE, force=_NONE, gradient=_NONE, brake_comman
 
 @dataclass(frozen=True, slots=True)
 class NumberSeries:
-    """One number of the messages of one topic over time.
+    """One number of the messages of one topic over time."""
 
-    Attributes:
-        topic: Name of the topic, relative in a namespace.
-        type: Message type.
-        field: Path to the number, as in a mapping.
-        time: Stamps, from the first log time of the bag on [s], shape (n,).
-        value: The numbers, shape (n,).
-        has_stamps: Whether the stamps are of headers; if not, they are log times.
-        is_whole: Whether the type of the field is that of whole numbers.
-
-    """
-
-    topic: str
-    type: str
-    field: str
-    time: NDArray[np.float64]
-    value: NDArray[np.float64]
-    has_stamps: bool
-    is_whole: bool
+    topic: str  # Name of the topic, relative in a namespace
+    type: str  # Message type
+    field: str  # Path to the number, as in a mapping
+    time: NDArray[np.float64]  # Stamps, from the first log time of the bag on [s], shape (n,)
+    value: NDArray[np.float64]  # The numbers, shape (n,)
+    has_stamps: bool  # Whether the stamps are of headers; if not, they are log times
+    is_whole: bool  # Whether the type of the field is that of whole numbers
 
     @property
     def rate(self) -> float:
@@ -74,22 +62,14 @@ class NumberSeries:
 
 @dataclass(frozen=True, slots=True)
 class BagNumbers:
-    """The numbers of a bag.
+    """The numbers of a bag."""
 
-    Attributes:
-        series: All numbers that are not zero throughout; values that are not finite are left out.
-        own: Names of our input topics that are there, with our types; their numbers are among the series.
-        trains: Other namespaces that hold our topics with our types.
-        left_out: Topics that are not read, with the reason.
-        duration_s: Length of the part that was read [s].
-
-    """
-
+    # All numbers that are not zero throughout; values that are not finite are left out
     series: tuple[NumberSeries, ...]
-    own: frozenset[str]
-    trains: tuple[str, ...]
-    left_out: tuple[tuple[str, str], ...]
-    duration_s: float
+    own: frozenset[str]  # Names of our input topics that are there, with our types; their numbers are among the series
+    trains: tuple[str, ...]  # Other namespaces that hold our topics with our types
+    left_out: tuple[tuple[str, str], ...]  # Topics that are not read, with the reason
+    duration_s: float  # Length of the part that was read [s]
 
 
 def read_numbers(
@@ -105,7 +85,6 @@ def read_numbers(
 
     Raises:
         InputError: The bag cannot be read.
-
     """
     opening, reading = in_two(advance)
     with BagReader(path, namespace, max_chunk, mapping=_NOTHING, opening=opening) as reader:

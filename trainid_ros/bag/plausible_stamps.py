@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 _FARTHEST_NS: Final = 600 * NS_PER_S
 """Step of the stamps that needs a sample on its other side [ns]."""

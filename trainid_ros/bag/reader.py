@@ -18,11 +18,10 @@ from trainid_ros.bag.channel_sources import TopicNames
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
 from trainid_ros.bag.types import full_type, typestore
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, InputTopic, record_from_message, record_of
+from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapping import OWN
-from trainid_ros.messages import record_from_message
-from trainid_ros.records import INPUT_TOPICS, InputTopic, record_of
-from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -32,9 +31,9 @@ if TYPE_CHECKING:
     from trainid_ros.bag.channel_sources import ChannelSource, TopicSummary
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.bag.stored_types import StoredType
+    from trainid_ros.interface.records import Record, Row
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.mapping.mapping import Mapping
-    from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
@@ -79,7 +78,6 @@ class BagReader:
     Attributes:
         path: The bag.
         mapping: Where each input comes from.
-
     """
 
     def __init__(
@@ -101,7 +99,6 @@ class BagReader:
             inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
             mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
             opening: Called while the bag is opened with the share of its bytes scanned since its last call [1].
-
         """
         self.path = Path(path)
         self._max_chunk, self._inputs, self._opening = max_chunk, inputs, opening
@@ -118,7 +115,6 @@ class BagReader:
 
         Raises:
             InputError: If the bag cannot be read, or one of our topics has another type.
-
         """
         located = locate(self.path)
         self._damage = [*located.warnings, *self._names.warnings]
@@ -205,7 +201,6 @@ class BagReader:
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         return (entry.record for entry in self.logged_records())
 
@@ -218,7 +213,6 @@ class BagReader:
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         for table in self.tables(last_ns):
             yield from zip(table.log_ns.tolist(), table.rows(), strict=True)
@@ -235,7 +229,6 @@ class BagReader:
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         for count, (log_ns, row) in enumerate(self.rows(last_ns), 1):
             for event in stream.push_row(*row):
@@ -248,7 +241,6 @@ class BagReader:
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         if self._inputs is not None:
             self._made = self._inputs()
@@ -313,15 +305,13 @@ class BagReader:
         try:
             return inputs.take(topic, message, log_ns)
         except InputError as error:
-            msg = f'{self.path}: {error}'
-            raise InputError(msg) from None
+            raise InputError(f'{self.path}: {error}') from None
 
     def stored(self) -> Iterator[StoredMessage]:
         """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time.
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
         for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
@@ -335,13 +325,13 @@ class BagReader:
 
         Raises:
             InputError: Messages of one topic have several types.
-
         """
         found: dict[str, StoredType] = {}
         for source in (source for sources in self._sources for source in sources.values()):
             if source.mapped is not None and found.setdefault(source.topic, source.mapped).name != source.mapped.name:
-                msg = f'{self.path}: topic {source.topic} is of {found[source.topic].name} and of {source.mapped.name}'
-                raise InputError(msg)
+                raise InputError(
+                    f'{self.path}: topic {source.topic} is of {found[source.topic].name} and of {source.mapped.name}'
+                )
         return found
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
@@ -352,7 +342,6 @@ class BagReader:
 
         Raises:
             InputError: A file has changed since it was opened.
-
         """
         for log_ns, source, payload in self._payloads(topics):
             if (message := self._decoded(source, payload)) is not None:

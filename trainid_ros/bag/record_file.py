@@ -78,7 +78,6 @@ class RecordFile:
         size: Its size [bytes].
         is_closed: True if it ends as a finished file does.
         end: Where its records end.
-
     """
 
     def __init__(self, path: Path) -> None:
@@ -118,7 +117,6 @@ class RecordFile:
         Args:
             offset: Where to start.
             chunked: True if messages lie in chunks only: those of a damaged chunk are no records of the file.
-
         """
         block = _FIRST_BLOCK
         while offset + HEAD.size <= self.end:

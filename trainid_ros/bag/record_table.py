@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from trainid_ros.bag.record_file import values_at
 from trainid_ros.bag.types import definition, fields_of
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.records import Row
+    from trainid_ros.interface.records import Row
 
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.intp]
@@ -38,24 +38,15 @@ _ROWS_AT_ONCE: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class RecordTable:
-    """Records of input topics in the order of the log, one row each.
+    """Records of input topics in the order of the log, one row each."""
 
-    Attributes:
-        log_ns: Log times, shape (n,).
-        topic: Index of the topic in INPUT_TOPICS, shape (n,).
-        stamp_ns: Stamps, shape (n,).
-        x: First number of each record (speed, force, gradient, target acceleration or mass), shape (n,).
-        y: Second number (position or curve radius), 0 where there is none, shape (n,).
-        flag: Tunnel or emergency, shape (n,).
-
-    """
-
-    log_ns: NDArray[np.uint64]
-    topic: NDArray[np.int8]
-    stamp_ns: NDArray[np.int64]
+    log_ns: NDArray[np.uint64]  # Log times, shape (n,)
+    topic: NDArray[np.int8]  # Index of the topic in INPUT_TOPICS, shape (n,)
+    stamp_ns: NDArray[np.int64]  # Stamps, shape (n,)
+    # First number of each record (speed, force, gradient, target acceleration or mass), shape (n,)
     x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    flag: NDArray[np.bool_]
+    y: NDArray[np.float64]  # Second number (position or curve radius), 0 where there is none, shape (n,)
+    flag: NDArray[np.bool_]  # Tunnel or emergency, shape (n,)
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -107,8 +98,7 @@ def layout(message: str) -> Layout:
     kinds = [field.partition(' ')[0] for field in fields_of(definition(message))]
     expected = ['std_msgs/Header', *['float64'] * kinds.count('float64'), *['bool'] * kinds.count('bool')]
     if kinds != expected or not 1 <= kinds.count('float64') <= 2 or kinds.count('bool') > 1:
-        msg = f'{message}.msg: a header, one or two float64 and at most one bool expected, {kinds} found'
-        raise ValueError(msg)
+        raise ValueError(f'{message}.msg: a header, one or two float64 and at most one bool expected, {kinds} found')
     return Layout(kinds.count('float64'), kinds.count('bool'))
 
 
@@ -123,7 +113,6 @@ def decode(
         end: Where they end, shape (n,).
         log_ns: Log times, shape (n,).
         topic: Index of the topic in INPUT_TOPICS.
-
     """
     form, count = layout(INPUT_TOPICS[topic].message), start.size
     stamp_ns, x, y, flag = np.zeros(count, np.int64), np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import REQUIRED_TOPICS, InputTopic
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import REQUIRED_TOPICS, InputTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,8 +24,7 @@ def require_topics(reader: BagReader) -> None:
         return
     found = [topic.name for topic in reader.topics() if topic.count]
     where = in_namespaces(found) or f'found: {", ".join(found) or "nothing"}'
-    msg = f'{reader.path}: no messages on {", ".join(missing)} ({where})'
-    raise InputError(msg)
+    raise InputError(f'{reader.path}: no messages on {", ".join(missing)} ({where})')
 
 
 def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:

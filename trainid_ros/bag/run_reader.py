@@ -13,9 +13,9 @@ from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
-from trainid_ros.errors import InputError
-from trainid_ros.explain.run_data import RunCollector
-from trainid_ros.records import NS_PER_S
+from trainid_ros.explain.dataset import RunCollector
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from trainid_ros.explain.run_data import Run
+    from trainid_ros.explain.dataset import Run
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.train.train_file import TrainFile
 
@@ -38,16 +38,10 @@ _CONTRADICTORY: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Summary of the bags before they are read.
+    """Summary of the bags before they are read."""
 
-    Attributes:
-        inputs: Number of input messages in each bag.
-        warnings: Faults of the bags that do not prevent reading.
-
-    """
-
-    inputs: tuple[int, ...]
-    warnings: tuple[str, ...]
+    inputs: tuple[int, ...]  # Number of input messages in each bag
+    warnings: tuple[str, ...]  # Faults of the bags that do not prevent reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +64,11 @@ def survey(
 
     Raises:
         InputError: One is given twice, cannot be read, or lacks a required topic.
-
     """
     places = [path.resolve() for path in paths]
     for i, place in enumerate(places):
         if place in places[:i]:
-            msg = f'{paths[i]}: given twice; its data would count twice'
-            raise InputError(msg)
+            raise InputError(f'{paths[i]}: given twice; its data would count twice')
     counts, warnings = [], []
     for path in paths:
         opening, rest = in_two(advance, opening_share=1.0)
@@ -113,7 +105,6 @@ def read_runs(
 
     Raises:
         InputError: A bag cannot be read, or the process that read it was killed.
-
     """
     work = partial(_read, train_file, (namespace, max_chunk, inputs))
     readings = map_bags(work, list(enumerate(paths)), workers, advance, _killed)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,8 +35,9 @@ class StoredType:
                         self._store.register(get_types_from_idl(idl))
             self._store.get_msgdef(schema.name)
         except (TypesysError, KeyError) as error:
-            msg = f'{path}: unreadable definition of {schema.name} ({" ".join(str(error).split())})'
-            raise InputError(msg) from None
+            raise InputError(
+                f'{path}: unreadable definition of {schema.name} ({" ".join(str(error).split())})'
+            ) from None
 
     @property
     def digest(self) -> str:

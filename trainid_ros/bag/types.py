@@ -15,18 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
-from trainid_ros.messages import output_topic, output_values, record_values
-from trainid_ros.records import (
-    NS_PER_S,
-    Record,
-    input_topic,
-)
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, Record, input_topic, output_topic, output_values, record_values
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-    from trainid_ros.messages import OutputLike
+    from trainid_ros.interface.records import OutputLike
 
 
 PACKAGE: Final = 'trainid_msgs'
@@ -102,12 +97,10 @@ def split_stamp(stamp_ns: int) -> tuple[int, int]:
 
     Raises:
         InputError: ``builtin_interfaces/Time`` cannot hold the stamp.
-
     """
     sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
     if not 0 <= sec <= _INT32_MAX:
-        msg = f'stamp {stamp_ns} ns does not fit a ROS time'
-        raise InputError(msg)
+        raise InputError(f'stamp {stamp_ns} ns does not fit a ROS time')
     return sec, nanosec
 
 

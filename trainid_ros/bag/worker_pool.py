@@ -71,7 +71,6 @@ def each_bag(
         workers: Number of processes; 1 works here.
         advance: Called with the sum of the amounts done since its last call.
         killed: Gets an item whose own process was killed; returns its result or raises.
-
     """
     if min(workers, len(items)) <= 1:
         yield from ((number, work(item, advance)) for number, item in enumerate(items))

@@ -21,18 +21,16 @@ from trainid_ros.bag.types import (
     message_from_record,
     typestore,
 )
-from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS, output_topic
-from trainid_ros.records import input_topic
-from trainid_ros.results import Status
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import OUTPUT_TOPICS, input_topic, output_topic
+from trainid_ros.interface.results import Status
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from rosbags.interfaces import Connection
 
-    from trainid_ros.messages import OutputLike
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import OutputLike, Record
 
 _VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.
@@ -70,7 +68,6 @@ class BagWriter:
         Args:
             path: Directory to create.
             compress: False stores uncompressed chunks.
-
         """
         self.path = Path(path)
         self.message_count = 0
@@ -85,19 +82,16 @@ class BagWriter:
 
         Raises:
             InputError: The path exists or cannot be created.
-
         """
         if self.path.exists() or self.path.is_symlink():
-            msg = f'{self.path}: exists already and is not overwritten'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: exists already and is not overwritten')
         self._writer = Writer(self.path, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         if self._compress:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
             self._writer.open()
         except OSError as error:
-            msg = f'{self.path}: cannot be written ({error.strerror})'
-            raise InputError(msg) from None
+            raise InputError(f'{self.path}: cannot be written ({error.strerror})') from None
         storage = self._writer.storage
         if isinstance(storage, McapWriter):
             self._checksums = Checksums(storage)
@@ -147,14 +141,11 @@ class BagWriter:
 
         Raises:
             InputError: The log time cannot be stored.
-
         """
         if self._writer is None:
-            msg = f'{self.path}: the bag is not open'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: the bag is not open')
         if not 0 <= stamp_ns < 2**63:
-            msg = f'{self.path}: topic {topic}: log time {stamp_ns} ns cannot be stored'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: topic {topic}: log time {stamp_ns} ns cannot be stored')
         name = msgtype if '/' in msgtype else full_type(msgtype)
         connection = self._connections.get(topic) or self._connect(self._writer, topic, name)
         self._writer.write(connection, stamp_ns, self._types.serialize_cdr(message, name))

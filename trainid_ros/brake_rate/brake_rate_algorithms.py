@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.results import BrakeRateEstimate
+from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.results import BrakeRateEstimate
 
 BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
     'brake_rate',

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common part of all brake rate estimators: which samples update f, and the motion model of the train.
+"""Size of the unmodelled acceleration b, estimated while the train runs with its brake released.
+
+Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
+While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
+of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
+large while there is little data.
+
+Common part of all brake rate estimators: which samples update f, and the motion model of the train.
 
 Based on Zheng et al. 2015, section 2, with these corrections:
 
@@ -17,23 +24,164 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.brake_rate.brake_kinematics import BrakeStep, brake_step
-from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
-from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, LEAST_RATE, MotionModel
-from trainid_ros.brake_rate.posterior import Posterior, Start, Transition
-from trainid_ros.brake_rate.timing import Timing, TimingStep
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
-from trainid_ros.scalars import is_finite, seconds
-from trainid_ros.settings import check_settings
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.train.brake import CommandHistory
+from trainid_ros.brake_rate.motion_model import (
+    BLEND_SHAPE,
+    LEAST_RATE,
+    BrakeStep,
+    MotionModel,
+    Posterior,
+    Start,
+    Timing,
+    TimingStep,
+    Transition,
+    brake_step,
+)
+from trainid_ros.interface.errors import check_settings
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate, Reason, Rejection
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance, several
+from trainid_ros.stream.known_force import SpeedNoise
+from trainid_ros.train.forces import CommandHistory
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+    from trainid_ros.brake_rate.motion_model import Transition
+    from trainid_ros.estimators.settings import BrakeRateConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
+
+# Candidate standard deviations, as multiples of the configured one: a factor of 1.42 apart.
+_LOW: Final = 0.3
+_HIGH: Final = 10.0
+_LEVELS: Final = 11
+# Prior of the configured value: log-normal, one standard deviation is this factor.
+_PRIOR_FACTOR: Final = 2.5
+# The evidence is forgotten exponentially over this distance [m].
+_MEMORY_M: Final = 5_000.0
+# Innovations are clipped at this many standard deviations: slip is not a disturbance.
+_MAX_INNOVATION: Final = 3.0
+
+
+@dataclass
+class Candidate:
+    """A standard deviation of b with its Kalman filter on [v, b]."""
+
+    factor: float  # Standard deviation of b, as a multiple of the configured one [1]
+    prior: float  # Logarithm of its prior probability
+    evidence: float = 0.0  # Its log-likelihood; the largest of all is 0
+    v: float = 0.0  # Speed [m/s]
+    b: float = 0.0  # Disturbance [m/s^2]
+    vv: float = 0.0  # Variance of v [(m/s)^2]
+    vb: float = 0.0  # Covariance of v and b
+    bb: float = 0.0  # Variance of b [(m/s^2)^2]
+
+    def start(self, variance: float, speed: float, r: float) -> None:
+        """Start from a measured speed [m/s] of variance r [(m/s)^2]; ``variance`` is that of b [(m/s^2)^2]."""
+        self.v, self.b, self.vv, self.vb, self.bb = speed, 0.0, r, 0.0, variance
+
+    def advance(self, interval: Transition, known: float, variance: float, speed: float, r: float) -> float:
+        """Predict v' = v + dt b + known, b' = rho b over an interval, and update with a measured speed.
+
+        Args:
+            interval: Motion model without a brake.
+            known: Gain of speed by all known forces [m/s].
+            variance: Stationary variance of b [(m/s^2)^2].
+            speed: Measured speed [m/s].
+            r: Its variance [(m/s)^2].
+
+        Returns:
+            The log-likelihood of the speed.
+        """
+        dt, rho = interval.dt, interval.rho
+        S = self.vv + dt * (2.0 * self.vb + dt * self.bb) + interval.q_v + r
+        vb = rho * (self.vb + dt * self.bb)
+        bb = rho * rho * self.bb + (1.0 - rho * rho) * variance
+        ahead = self.v + dt * self.b + known
+        most = _MAX_INNOVATION * math.sqrt(S)
+        nu = min(max(speed - ahead, -most), most)
+        k, kept = nu / S, r / S
+        self.v, self.b = ahead + (S - r) * k, rho * self.b + vb * k
+        self.vv, self.vb, self.bb = (S - r) * kept, vb * kept, bb - vb * vb / S
+        return -0.5 * (nu * k + math.log(S))
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether a restored state is finite and its covariance possible."""
+        numbers = (self.factor, self.prior, self.evidence, self.v, self.b)
+        return all(map(math.isfinite, numbers)) and is_covariance((self.vv, self.vb, self.bb))
+
+
+@dataclass
+class DisturbanceNoise:
+    """Posterior of the standard deviation of b."""
+
+    declared_std: float  # Configured standard deviation [m/s^2]; 0: no estimation
+    variance: float  # Mean variance of b [(m/s^2)^2]
+    candidates: tuple[Candidate, ...] = several(Candidate)  # The possible standard deviations
+    running: bool = False  # Whether their filters run; not while the brake acts or the train stands
+
+    @classmethod
+    def declared(cls, std: float) -> DisturbanceNoise:
+        """Return the prior for a configured standard deviation [m/s^2]."""
+        noise = DisturbanceNoise(std, 0.0, _candidates())
+        noise.variance = noise.mean_variance()
+        return noise
+
+    @classmethod
+    def reported(cls, std: float) -> DisturbanceNoise:
+        """Return a known standard deviation [m/s^2], which is not estimated."""
+        return DisturbanceNoise(0.0, std * std, _candidates())
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of b [m/s^2]."""
+        return math.sqrt(self.variance)
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether a restored state is finite, of the right size and without negative variances."""
+        valid = len(self.candidates) == _LEVELS and all(item.is_valid for item in self.candidates)
+        return valid and 0.0 <= self.variance < math.inf and 0.0 <= self.declared_std < math.inf
+
+    def pause(self) -> None:
+        """Stop the filters, for a train that brakes or stands."""
+        self.running = False
+
+    def add(self, interval: Transition, known: float, speed: float, r: float) -> None:
+        """Update while no brake acts, see :meth:`Candidate.advance`."""
+        std = self.declared_std
+        if std <= 0.0:
+            return
+        if not self.running:
+            for item in self.candidates:
+                item.start((item.factor * std) * (item.factor * std), speed, r)
+            self.running = True
+            return
+        kept, best = math.exp(-speed * interval.dt / _MEMORY_M), -math.inf
+        for item in self.candidates:
+            variance = (item.factor * std) * (item.factor * std)
+            item.evidence = kept * item.evidence + item.advance(interval, known, variance, speed, r)
+            best = max(best, item.evidence)
+        for item in self.candidates:
+            item.evidence -= best
+        self.variance = self.mean_variance()
+
+    def mean_variance(self) -> float:
+        """Return the posterior mean of the variance of b [(m/s^2)^2]."""
+        best, total, mean = -math.inf, 0.0, 0.0
+        for item in self.candidates:
+            best = max(best, item.evidence + item.prior)
+        for item in self.candidates:
+            weight = math.exp(item.evidence + item.prior - best)
+            total += weight
+            mean += weight * item.factor * item.factor
+        return self.declared_std * self.declared_std * (mean / total)
+
+
+def _candidates() -> tuple[Candidate, ...]:
+    factors = [_LOW * (_HIGH / _LOW) ** (k / (_LEVELS - 1)) for k in range(_LEVELS)]
+    return tuple(Candidate(f, -0.5 * (math.log(f) / math.log(_PRIOR_FACTOR)) ** 2) for f in factors)
+
 
 # After missing commands the state of the brake is known again this many time constants later.
 _SETTLING: Final = 6.0
@@ -56,54 +204,30 @@ LARGEST_RATE: Final = 3.0
 
 @dataclass
 class DriveState:
-    """State other than the posterior.
+    """State other than the posterior."""
 
-    Attributes:
-        noise: Noise of the measured speed.
-        disturbance: Size of the unmodelled acceleration.
-        commands: Brake commands that may still act.
-        stamp_ns: Stamp of the newest sample [ns], 0 before the first.
-        filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
-        unbraked_s: Time since the last update of f [s]; the drift over it is not yet in the posterior.
-        certain_ns: Stamp from which the state of the brake is known again after missing commands [ns].
-        timing: Estimated dead time and lag of the brake.
-        rate: Brake rate at the speed and level of its last update [1].
-        rate_variance: Its variance [1].
-        blending: Standard deviation due to the changeover between brakes, at the newest sample [1].
-        excess: Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1.
-        gain: Brake rate by the table and the effects of the train file, for f = 1 [1].
-        position: Filtered position [m], NaN while unknown.
-        rejected_in_a_row: Outliers in a row.
-        innovation: Last innovation of speed [m/s].
-        innovation_variance: Its variance [(m/s)^2].
-        test_ratio: Square of the innovation over the limit of the gate [1].
-        observable: Whether the last sample updated f.
-        converged: Whether the brake rate is valid.
-        posterior: State of the posterior as JSON text, set only when saved.
-
-    """
-
-    noise: SpeedNoise
-    disturbance: DisturbanceNoise
-    commands: CommandHistory
-    timing: Timing
-    rate: float = 1.0
-    rate_variance: float = 0.0
-    blending: float = 0.0
+    noise: SpeedNoise  # Noise of the measured speed
+    disturbance: DisturbanceNoise  # Size of the unmodelled acceleration
+    commands: CommandHistory  # Brake commands that may still act
+    timing: Timing  # Estimated dead time and lag of the brake
+    rate: float = 1.0  # Brake rate at the speed and level of its last update [1]
+    rate_variance: float = 0.0  # Its variance [1]
+    blending: float = 0.0  # Standard deviation due to the changeover between brakes, at the newest sample [1]
+    # Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1
     excess: float = 1.0
-    gain: float = 1.0
-    stamp_ns: int = 0
-    filtered_target: float = 0.0
-    unbraked_s: float = 0.0
-    certain_ns: int = 0
-    position: float = math.nan
-    rejected_in_a_row: int = 0
-    innovation: float = 0.0
-    innovation_variance: float = 0.0
-    test_ratio: float = 0.0
-    observable: bool = False
-    converged: bool = False
-    posterior: str = ''
+    gain: float = 1.0  # Brake rate by the table and the effects of the train file, for f = 1 [1]
+    stamp_ns: int = 0  # Stamp of the newest sample [ns], 0 before the first
+    filtered_target: float = 0.0  # Command after dead time and lag of a nominal brake [m/s^2]
+    unbraked_s: float = 0.0  # Time since the last update of f [s]; the drift over it is not yet in the posterior
+    certain_ns: int = 0  # Stamp from which the state of the brake is known again after missing commands [ns]
+    position: float = math.nan  # Filtered position [m], NaN while unknown
+    rejected_in_a_row: int = 0  # Outliers in a row
+    innovation: float = 0.0  # Last innovation of speed [m/s]
+    innovation_variance: float = 0.0  # Its variance [(m/s)^2]
+    test_ratio: float = 0.0  # Square of the innovation over the limit of the gate [1]
+    observable: bool = False  # Whether the last sample updated f
+    converged: bool = False  # Whether the brake rate is valid
+    posterior: str = ''  # State of the posterior as JSON text, set only when saved
 
 
 class BrakeRateEstimator:

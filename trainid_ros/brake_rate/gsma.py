@@ -1,5 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
+"""The covariance of x = [v, a, b, e], one for all particles.
+
+f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f: one
+Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) use one for each particle).
+
+Markov chain of a brake rate with two states: slow drift (quiet) and a rare, short, fast change (jumping).
+
+A jump since the last braking can be detected only when the response of the brake to its command is steady: before
+that, an error of dead time or lag has the same effect. So time in the chain is scaled by the steadiness of the
+response, and the probability of a jump while no brake acted is kept until then.
+
+GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
 
 A step and its differences from Zheng et al. 2015 are in :mod:`m_algorithm`, the particles in :mod:`group_cloud`, the
 motion model and the selection of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one
@@ -10,6 +21,7 @@ noise.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
@@ -18,21 +30,123 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.brake_rate.brake_rate_estimator import LARGEST_RATE, BrakeRateEstimator
-from trainid_ros.brake_rate.covariance import Covariance
-from trainid_ros.brake_rate.group_cloud import WIDTH, GroupCloud, zeros
-from trainid_ros.brake_rate.jumps import drifts, transition
-from trainid_ros.brake_rate.m_algorithm import MAlgorithm
-from trainid_ros.brake_rate.motion_model import true_brake
-from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
-from trainid_ros.errors import InputError
-from trainid_ros.scalars import is_finite
-from trainid_ros.settings import check_settings
+from trainid_ros.brake_rate.m_algorithm import WIDTH, GroupCloud, MAlgorithm, zeros
+from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
+from trainid_ros.interface.errors import InputError, check_settings
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.vectors import vec
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+    from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
+    from trainid_ros.estimators.settings import GsmaConfig, JumpConfig
     from trainid_ros.train.train_file import TrainFile
+
+_E: Final = 3
+
+
+class Covariance:
+    """Covariance of x.
+
+    Attributes:
+        P: Its rows, one after another, shape (n, n).
+        K: Gain of the last measured speed, eq. (20), shape (n,).
+    """
+
+    def __init__(self) -> None:
+        self.P, self.K = vec[float]([0.0] * (STATES * STATES)), vec[float]([0.0] * STATES)
+        # Row v of Phi, and the diagonal of the others.
+        self._gains, self._left = vec[float]([1.0] * STATES), vec[float]([1.0] * STATES)
+
+    def reset(self, stds: Errors) -> None:
+        """Set uncertainty in the errors only."""
+        for k in range(STATES * STATES):
+            self.P[k] = 0.0
+        for j, std in enumerate(stds):
+            self.P[(_E + j) * (STATES + 1)] = std * std
+
+    def anchor(self, start: Start) -> None:
+        """Restart v, a and b."""
+        P, decay_e, n = self.P, start.decay_e, STATES
+        for k in range(_E * n):
+            P[k] = 0.0
+        for i in range(ERRORS):
+            row = (_E + i) * n
+            P[row] = P[row + 1] = P[row + 2] = 0.0
+            for j in range(ERRORS):
+                P[row + _E + j] *= decay_e[i] * decay_e[j]
+            P[row + _E + i] += start.q_e[i]
+        P[0], P[n + 1], P[2 * (n + 1)] = start.variances
+
+    def predict(self, step: Transition) -> None:
+        """Predict over an interval, P = Phi P Phi' + Q, eq. (14); only v takes from other states."""
+        P, gains, left, n = self.P, self._gains, self._left, STATES
+        gains[1], gains[2], left[1], left[2] = step.reach, step.dt, step.decay, step.rho
+        for j in range(ERRORS):
+            gains[_E + j], left[_E + j] = step.gain_e[j], step.decay_e[j]
+        variance = 0.0
+        for j in range(n):
+            with_v = 0.0
+            for i in range(n):
+                with_v += gains[i] * P[i * n + j]
+            variance += gains[j] * with_v
+            P[j] = left[j] * with_v
+            for i in range(1, n):
+                P[i * n + j] *= left[i] * left[j]
+        for j in range(1, n):
+            P[j * n] = P[j]
+        P[0] = variance + step.q_v
+        P[2 * (n + 1)] += step.q_b
+        for j in range(ERRORS):
+            P[(_E + j) * (n + 1)] += step.q_e[j]
+
+    def error_variance(self, share: vec[float]) -> float:
+        """Return the variance of share e, shape (8,), given f."""
+        variance = 0.0
+        for i in range(ERRORS):
+            for j in range(ERRORS):
+                variance += share[i] * self.P[(_E + i) * STATES + _E + j] * share[j]
+        return variance
+
+    def correct(self, r: float) -> float:
+        """Set the gain of a measured speed of variance r [(m/s)^2], eq. (20), and update P, eq. (21).
+
+        Returns:
+            The variance of the innovation, eq. (16) [(m/s)^2].
+        """
+        P, K, n = self.P, self.K, STATES
+        S = P[0] + r
+        for i in range(n):
+            K[i] = P[i] / S
+        # From below, because the first row is that of before.
+        for i in range(n - 1, -1, -1):
+            for j in range(i + 1):
+                P[i * n + j] -= K[i] * P[j]
+        for i in range(1, n):
+            for j in range(i):
+                P[j * n + i] = P[i * n + j]
+        return S
+
+
+def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float, float]:
+    """Return the probabilities [1] that a quiet brake started to jump, and that a jump ended.
+
+    Args:
+        config: Settings.
+        dt: Time in which jumps are observable, the sample period times ``steadiness`` [s].
+        pause: Time before the sample in which no brake acted [s].
+    """
+    return -math.expm1(-config.jump_rate * (dt + pause)), -math.expm1(-dt / config.jump_time)
+
+
+def drifts(config: JumpConfig) -> tuple[float, float]:
+    """Return the variance of f per second in the quiet and in the jumping state [1/s].
+
+    Over its mean duration a jump has the variance ``jump_std^2``.
+    """
+    quiet = config.drift**2
+    return quiet, quiet + config.jump_std**2 / config.jump_time
+
 
 _JUMPING_SHARE: Final = 1.0 / 3.0
 _LEAST_PARTICLES: Final = 3
@@ -43,14 +157,7 @@ LEAST_PAUSE: Final = 1e-6
 
 @dataclass(frozen=True)
 class GsmaState:
-    """Posterior of GSMA; arrays as in :class:`GroupCloud`.
-
-    Attributes:
-        P: Covariance of x = [v, a, b, e], shared by all particles, shape (n, n).
-        effective: Effective number of children in the last step that updated f [1].
-        random: State of the generator as JSON text.
-
-    """
+    """Posterior of GSMA; arrays as in :class:`GroupCloud`."""
 
     f: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -60,9 +167,9 @@ class GsmaState:
     mean: NDArray[np.float64]
     variance: NDArray[np.float64]
     slope: NDArray[np.float64]
-    P: NDArray[np.float64]
-    effective: float
-    random: str
+    P: NDArray[np.float64]  # Covariance of x = [v, a, b, e], shared by all particles, shape (n, n)
+    effective: float  # Effective number of children in the last step that updated f [1]
+    random: str  # State of the generator as JSON text
 
 
 class GsmaPosterior:
@@ -208,8 +315,7 @@ class GsmaPosterior:
         state = decode(text, GsmaState)
         N, M = sum(self._sizes), len(self._sizes)
         if len(state.f) != N:
-            msg = f'saved GsmaState has {len(state.f)} particles, not {N}'
-            raise InputError(msg)
+            raise InputError(f'saved GsmaState has {len(state.f)} particles, not {N}')
         shapes = {
             'f': (N,), 'x': (STATES, N), 'A': (STATES, WIDTH), 'x_mean': (STATES,), 'weight': (M,), 'mean': (M,),
             'variance': (M,), 'slope': (STATES, M), 'P': (STATES, STATES),
@@ -246,8 +352,7 @@ def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:
     try:
         rng.bit_generator.state = json.loads(text)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        msg = f'saved {kind}: random cannot be read: {error}'
-        raise InputError(msg) from None
+        raise InputError(f'saved {kind}: random cannot be read: {error}') from None
 
 
 class Gsma(BrakeRateEstimator):

@@ -1,5 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion model of the train over one sample, with the effect of each error of the train file.
+"""Interface of the posterior of a brake rate estimator: Gaussian, mixture or particles.
+
+Sensitivity of the brake response to dead time T and lag tau, which may be wrong in a train file.
+
+The integral of the lagged target y over a sample, s(T, tau), is computed for T +- h and tau +- h. Its differences give
+the gains of speed by the errors of dead time and lag, for f = 1, by statistical linearisation:
+
+    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
+
+and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
+Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
+
+Exact response of the brake over one sample, linear in the brake rate.
+
+The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in
+the argument) and the command u is piecewise constant, so over any interval
+
+    a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
+
+Motion model of the train over one sample, with the effect of each error of the train file.
 
 With the brake's lagged target y, its integral s over the sample and k = g / (1000 (1 + gamma)), the inverse of the
 specific inertia,
@@ -17,21 +36,292 @@ p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which ele
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Protocol
 
-from trainid_ros.brake_rate.posterior import ERRORS, Errors, Transition
-from trainid_ros.scalars import is_finite
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.train.effects import effect_value
-from trainid_ros.vectors import vec
+from trainid_ros.train.forces import actuator_response, lag_integral, lag_response
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.brake_kinematics import BrakeStep
-    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-    from trainid_ros.brake_rate.timing import TimingStep
+    from trainid_ros.estimators.settings import BrakeRateConfig
     from trainid_ros.stream.samples import Sample
+    from trainid_ros.train.forces import CommandHistory
     from trainid_ros.train.train_file import Brake, TrainFile
+
+Errors = tuple[float, float, float, float, float, float, float, float]
+NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+ERRORS: Final = 8
+STATES: Final = 11
+"""Number of states x = [v, a, b, e]."""
+
+
+class Transition:
+    """Motion of the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
+
+    v' = v + reach a + dt b + gain_e e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = decay_e e.
+
+    v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2]. The errors e
+    of the train file are those of dead time and lag, times f [s]; the relative errors of a + b v, of c v^2 and of the
+    traction [1]; the change of the brake rate from standstill to full speed [1]; its change where electric and friction
+    brakes change over [1]; and the error of the brake at its present level [m/s^2].
+
+    Attributes:
+        dt: Duration [s].
+        reach: Gain of speed by the brake acceleration at the start [s].
+        decay: Share of that acceleration left at the end [1].
+        gain_v: Gain of speed by the command at f = 1 [m/s].
+        gain_a: Gain of brake acceleration by the command at f = 1 [m/s^2].
+        rho: Share of the disturbance left at the end [1].
+        known: Gain of speed by all known forces [m/s].
+        q_v: Variance that white acceleration adds to v [(m/s)^2].
+        q_b: Variance added to b [(m/s^2)^2].
+        gain_e: Gain of speed per unit of each error [m/s per unit].
+        decay_e: Share of each error left at the end [1].
+        q_e: Variance added to each error.
+        steadiness: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a
+            jump of f cannot be detected.
+
+    The arrays over the errors have the shape (8,).
+    """
+
+    def __init__(
+        self,
+        dt: float,
+        reach: float,
+        decay: float,
+        gain_v: float,
+        gain_a: float,
+        rho: float,
+        known: float,
+        q_v: float,
+        q_b: float,
+        gain_e: Errors = NO_ERRORS,
+        decay_e: Errors = UNCHANGED,
+        q_e: Errors = NO_ERRORS,
+        steadiness: float = 1.0,
+    ) -> None:
+        self.dt, self.reach, self.decay, self.gain_v, self.gain_a = dt, reach, decay, gain_v, gain_a
+        self.rho, self.known, self.q_v, self.q_b, self.steadiness = rho, known, q_v, q_b, steadiness
+        self.gain_e, self.decay_e, self.q_e = vec[float](gain_e), vec[float](decay_e), vec[float](q_e)
+
+
+class Start:
+    """Restart of speed v, brake acceleration a = f target and disturbance b; propagation of the errors e.
+
+    Attributes:
+        speed: Speed [m/s].
+        target: Brake acceleration at f = 1 [m/s^2].
+        variances: Variances of v [(m/s)^2], a given f [(m/s^2)^2] and b [(m/s^2)^2].
+        decay_e: Share of each error that is left [1].
+        q_e: Variance added to each error.
+    """
+
+    def __init__(
+        self,
+        speed: float,
+        target: float,
+        variances: tuple[float, float, float],
+        decay_e: Errors = UNCHANGED,
+        q_e: Errors = NO_ERRORS,
+    ) -> None:
+        self.speed, self.target, self.variances = speed, target, variances
+        self.decay_e, self.q_e = vec[float](decay_e), vec[float](q_e)
+
+
+class Posterior(Protocol):
+    """The joint distribution of f and of the train's motion x = [v, a, b, e]."""
+
+    @property
+    def rate(self) -> float:
+        """Mean of f [1]."""
+
+    @property
+    def variance(self) -> float:
+        """Variance of f at its last update [1]."""
+
+    def total_rate(self, share: vec[float]) -> tuple[float, float]:
+        """Return mean and variance of f + share e [1], the brake rate at this speed and level; share of shape (8,)."""
+
+    @property
+    def speed(self) -> float:
+        """Mean of v [m/s]."""
+
+    @property
+    def acceleration(self) -> float:
+        """Mean of a [m/s^2]."""
+
+    @property
+    def effective(self) -> float:
+        """Effective number of hypotheses [1]; 1 for a Gaussian."""
+
+    @property
+    def errors(self) -> Errors:
+        """Means of the errors of the train file; units as in :class:`Transition`."""
+
+    @property
+    def error_variances(self) -> Errors:
+        """Variances of the errors of the train file."""
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
+        """Reset to the prior: mean and std of f [1], and standard deviations of the errors, whose mean is zero."""
+
+    def anchor(self, start: Start) -> None:
+        """Restart v, a and b; f is unchanged."""
+
+    def recentre(self, shift: Errors) -> None:
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
+
+    def predict(self, interval: Transition) -> None:
+        """Predict the motion over an interval; f is constant."""
+
+    def predicted(self) -> tuple[float, float]:
+        """Return mean [m/s] and variance [(m/s)^2] of v over all hypotheses."""
+
+    def follow(self, speed: float, r: float) -> None:
+        """Update all states except f with a measured speed [m/s] of variance r [(m/s)^2]."""
+
+    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+        """Update all states and f, which drifted over ``elapsed`` [s], with a measured speed; after :meth:`predict`.
+
+        Args:
+            interval: Motion model since the last sample.
+            elapsed: Time since the last update of f [s].
+            speed: Measured speed [m/s].
+            r: Its variance [(m/s)^2].
+
+        Returns:
+            False if a number is no longer finite; the posterior is then unchanged.
+        """
+
+    def save(self) -> str:
+        """Return the complete state as JSON text."""
+
+    def restore(self, text: str) -> None:
+        """Restore a saved state; raise InputError and leave the state unchanged if it is invalid."""
+
+
+# Smallest step of a difference quotient; below it rounding dominates [s].
+_LEAST_SPREAD: Final = 0.02
+# A smaller target has no effect [m/s^2].
+_NOTHING: Final = 1e-4
+# A time constant stays above this share of that of the train file [1].
+_LEAST_LAG: Final = 0.25
+
+
+class TimingStep:
+    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the remaining variance [(m/s)^2]."""
+
+    def __init__(self, delay_gain: float, lag_gain: float, variance: float) -> None:
+        self.delay_gain, self.lag_gain, self.variance = delay_gain, lag_gain, variance
+
+
+@dataclass
+class Timing:
+    """Estimates of dead time and lag."""
+
+    delay: float  # Dead time [s]
+    lag: float  # Time constant [s]
+    delay_std: float  # Standard deviation h of the dead time [s]; 0: known exactly
+    lag_std: float  # Standard deviation h of the time constant [s]
+    later: float = 0.0  # Lagged target of a brake of rate 1 with T + h [m/s^2]
+    sooner: float = 0.0  # The same with T - h
+    slower: float = 0.0  # The same with tau + h
+    faster: float = 0.0  # The same with tau - h
+    has_acted: bool = False  # Whether the brake has acted since the last update
+
+    def is_valid(self) -> bool:
+        """Return whether restored times and targets are physically possible."""
+        times = (self.delay, self.lag, self.delay_std, self.lag_std)
+        return min(times) >= 0.0 and max(self.later, self.sooner, self.slower, self.faster) <= 0.0
+
+    def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
+        """Return whether no command acts, acted recently, or is still pending for any possible dead time."""
+        if commands.value(stamp_ns) != 0.0 or min(self.later, self.sooner, self.slower, self.faster) < -_NOTHING:
+            return False
+        longest_ns = round((self.delay + self.delay_std) * NS_PER_S)
+        return not commands.changes or commands.changes[-1].stamp_ns < stamp_ns - longest_ns
+
+    def release(self) -> None:
+        """Set the targets to those of a released brake."""
+        self.later = self.sooner = self.slower = self.faster = 0.0
+
+    def move(self, errors: tuple[float, float], stds: tuple[float, float], brake: Brake) -> None:
+        """Correct by estimated errors of T and tau with standard deviations [s], while the brake is released."""
+        self.delay = max(0.0, self.delay + errors[0])
+        self.lag = max(_LEAST_LAG * brake.time_constant, self.lag + errors[1])
+        self.delay_std, self.lag_std = _spread(stds[0], self.delay_std), _spread(stds[1], self.lag_std)
+        self.release()
+        self.has_acted = False
+
+    def step(self, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float) -> TimingStep:
+        """Propagate the targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
+        if self.at_rest(commands, end_ns):
+            self.release()
+            return TimingStep(0.0, 0.0, 0.0)
+        T, tau, h, k = self.delay, self.lag, self.delay_std, self.lag_std
+        shorter, less = max(0.0, T - h), max(_LEAST_LAG * tau, tau - k)
+        self.later, later = _response(commands, start_ns, end_ns, self.later, T + h, tau)
+        self.sooner, sooner = _response(commands, start_ns, end_ns, self.sooner, shorter, tau)
+        self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + k)
+        self.faster, faster = _response(commands, start_ns, end_ns, self.faster, T, less)
+        delay_gain = (later - sooner) / max(T + h - shorter, _LEAST_SPREAD)
+        lag_gain = (slower - faster) / max(tau + k - less, _LEAST_SPREAD)
+        by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
+        self.has_acted = True
+        return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
+
+
+def _response(
+    commands: CommandHistory, start_ns: int, end_ns: int, target: float, delay: float, lag: float
+) -> tuple[float, float]:
+    """Return a target at the end of (start, end] [m/s^2], and its integral over it [m/s]."""
+    return actuator_response(commands, start_ns, end_ns, target, delay_ns=round(delay * NS_PER_S), time_constant=lag)
+
+
+def _spread(std: float, before: float) -> float:
+    return min(max(std, _LEAST_SPREAD), before) if before > 0.0 else 0.0
+
+
+class BrakeStep:
+    """Coefficients of the exact response over an interval; see the module.
+
+    Attributes:
+        decay: Share of the initial brake acceleration left at the end [1].
+        reach: Gain of speed per initial brake acceleration [s].
+        gain_a: Gain of brake acceleration by the command for f = 1 [m/s^2].
+        gain_v: Gain of speed by the command for f = 1 [m/s].
+        start_target: Brake acceleration at the start for f = 1 [m/s^2].
+        end_target: Brake acceleration at the end for f = 1 [m/s^2].
+    """
+
+    def __init__(self, decay: float, reach: float, gain_a: float, gain_v: float, start_target: float) -> None:
+        self.decay, self.reach, self.gain_a, self.gain_v = decay, reach, gain_a, gain_v
+        self.start_target, self.end_target = start_target, decay * start_target + gain_a
+
+
+def brake_step(
+    commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
+) -> BrakeStep:
+    """Return the response over (start, end] [ns] to the command, eq. (1).
+
+    Args:
+        commands: History of the command.
+        delay: Dead time [s].
+        tau: Time constant [s].
+        start_ns: Start of the interval [ns].
+        end_ns: Its end [ns].
+        start_target: Brake acceleration at the start for f = 1 [m/s^2].
+    """
+    delay_ns = round(delay * NS_PER_S)
+    a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
+    elapsed = seconds(end_ns - start_ns)
+    return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
+
 
 LEAST_RATE: Final = 0.05
 """Lower limit of a brake rate that is used as a divisor."""
@@ -106,7 +396,6 @@ class MotionModel:
             sample: The sample.
             nominal: Integral of the brake target over it [m/s].
             released: Whether the brake is released after its dead time, so that traction may have begun unseen.
-
         """
         force = self.known.traction(sample.force_mean, sample) / self.inertia
         if sample.brake_command >= 0.0 and (released or force > 0.0):
@@ -136,7 +425,6 @@ class MotionModel:
             gain: The same at this one [1].
             variance: Variance of the disturbance [(m/s^2)^2].
             released: Whether the brake is released.
-
         """
         step, dt, v, w = self._interval, sample.dt, sample.speed, self._resistance
         nominal = motion.reach * motion.start_target + motion.gain_v

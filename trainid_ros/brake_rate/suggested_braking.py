@@ -13,20 +13,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.planned_drive import STEP_S, planned_brakings
 from trainid_ros.resistance.suggested_drive import DriveSearch, SuggestedDrive, Wanted
 from trainid_ros.stream.samples import Sample, coasting_sample
-from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
-from trainid_ros.train.davis import acceleration, davis
+from trainid_ros.train.forces import BrakeCommandChange, acceleration, davis, lag_integral, lag_response
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from trainid_ros.interface.results import BrakeRateEstimate
     from trainid_ros.resistance.planned_drive import Run
-    from trainid_ros.results import BrakeRateEstimate
     from trainid_ros.train.train_file import TrainFile
 
 # Interval of the speeds [s], time for which they show the train before it brakes, and longest braking.
@@ -45,7 +44,6 @@ def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEs
 
     Returns:
         None if it is valid, if nothing was measured yet, if the train file is wrong, or if no braking would help.
-
     """
     return braking_search(estimator, train_file, now).finish()
 

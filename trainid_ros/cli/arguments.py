@@ -125,8 +125,11 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
 def configure_simulate(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``simulate``."""
     # Imported here because other verbs need not load it.
-    from trainid_ros.sim.realism import REALISMS, UNKNOWNS  # noqa: PLC0415
-    from trainid_ros.sim.worlds import WORLDS  # noqa: PLC0415
+    from trainid_ros.sim.worlds import (  # noqa: PLC0415
+        REALISMS,
+        UNKNOWNS,
+        WORLDS,  # noqa: PLC0415
+    )
 
     parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
     parser.add_argument(
@@ -337,8 +340,9 @@ def _add_ros_args(parser: argparse.ArgumentParser) -> None:
 def namespace(text: str) -> str:
     """Return a namespace that ROS allows; ArgumentTypeError for anything else."""
     if _NAMESPACE.fullmatch(text) is None:
-        msg = f'{text!r} is no namespace: letters, digits and underscores, parts separated by /'
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(
+            f'{text!r} is no namespace: letters, digits and underscores, parts separated by /'
+        )
     return text
 
 
@@ -346,8 +350,7 @@ def positive(text: str) -> float:
     """Return a finite number above zero; ArgumentTypeError for anything else."""
     value = not_negative(text)
     if value == 0.0:
-        msg = f'{text!r} must be > 0'
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f'{text!r} must be > 0')
     return value
 
 
@@ -358,22 +361,19 @@ def not_negative(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= 0.0):
-        msg = f'{text!r} must be a number >= 0'
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f'{text!r} must be a number >= 0')
     return value
 
 
 def whole(text: str) -> int:
     """Return a whole number, zero or above; ArgumentTypeError for anything else."""
     if not text.isdecimal():
-        msg = f'{text!r} is not a whole number >= 0'
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number >= 0')
     return int(text)
 
 
 def megabytes(text: str) -> int:
     """Return a size in bytes, given in whole MB from 1 to 4095; ArgumentTypeError for anything else."""
     if not (text.isdecimal() and 1 <= int(text) <= _MOST_MB):
-        msg = f'{text!r} is not a whole number of MB from 1 to {_MOST_MB}'
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to {_MOST_MB}')
     return int(text) << 20

@@ -32,7 +32,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A bag, a train file or the output folder cannot be used.
         NoAnswerError: A process failed.
-
     """
     # Imported here so that the help needs neither ROS nor matplotlib.
     from rich.console import Console  # noqa: PLC0415
@@ -70,7 +69,6 @@ def _prepare(bags: Sequence[DemoBag], args: argparse.Namespace) -> Path | None:
 
     Raises:
         InputError: A folder cannot be used, or a file of somebody else would be overwritten.
-
     """
     from trainid_ros.demo.hidden import prepare_hidden  # noqa: PLC0415
 

@@ -21,10 +21,10 @@ from trainid_ros.cli.output import (
     to_plain,
     warn,
 )
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
-from trainid_ros.text import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from trainid_ros.explain.dataset import Run
     from trainid_ros.explain.result import Explanation, FoundEffect, Gap
-    from trainid_ros.explain.run_data import Run
     from trainid_ros.train.train_file import TrainFile
 
 REPORT_JSON: Final = 'report.json'
@@ -50,7 +50,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: If a bag, the train file or the output folder cannot be used.
         NoAnswerError: If the bags hold too little motion.
-
     """
     train_file = load_train_file(args.train)
     notes: list[str] = []
@@ -82,7 +81,6 @@ def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[st
     Raises:
         InputError: If a bag cannot be used.
         NoAnswerError: If the bags hold too little motion.
-
     """
     inputs = mapped_inputs(args.map, train_file)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
@@ -100,8 +98,7 @@ def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[st
     except NoAnswerError as error:
         if args.json:
             print_json(no_answer(str(error)))
-        msg = f'{name}: {error}'
-        raise NoAnswerError(msg) from None
+        raise NoAnswerError(f'{name}: {error}') from None
 
 
 def gradient_warning(point: str) -> str:
@@ -122,7 +119,6 @@ def _output_folder(folder: Path, train: Path) -> Iterator[None]:
 
     Raises:
         InputError: As :func:`prepare_folder`.
-
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
@@ -140,7 +136,6 @@ def prepare_folder(folder: Path, train: Path) -> None:
 
     Raises:
         InputError: It cannot be created or written to, or a file that is not an earlier output would be overwritten.
-
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -148,19 +143,16 @@ def prepare_folder(folder: Path, train: Path) -> None:
         probe.write_text('', encoding='utf-8')
         probe.unlink()
     except OSError as error:
-        msg = f'{folder}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{folder}: cannot be written ({error.strerror})') from None
     check_output(folder / REPORT_HTML, (train,), HTML_START)
     check_output(folder / REPORT_JSON, (train,), _JSON_START)
     target = folder / TRAIN_FILE
     if not target.exists():
         return
     if target.samefile(train):
-        msg = f'{target}: is the input train file and would be overwritten; choose another --out'
-        raise InputError(msg)
+        raise InputError(f'{target}: is the input train file and would be overwritten; choose another --out')
     if not (folder / REPORT_JSON).exists():
-        msg = f'{target}: exists and was not written by trainid explain; choose another --out'
-        raise InputError(msg)
+        raise InputError(f'{target}: exists and was not written by trainid explain; choose another --out')
 
 
 def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path]) -> Explanation:
@@ -168,7 +160,6 @@ def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path
 
     Raises:
         NoAnswerError: There is too little motion.
-
     """
     # Imported here: linear algebra takes long to load, and input errors should be reported without it.
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415
@@ -289,7 +280,6 @@ def write_all(
 
     Raises:
         InputError: One cannot be written.
-
     """
     # Imported here because matplotlib takes long to load and only reports need it.
     from trainid_ros.report.explained import Explained, write_explained  # noqa: PLC0415
@@ -306,5 +296,4 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding='utf-8', errors='backslashreplace')
     except OSError as error:
-        msg = f'{path}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{path}: cannot be written ({error.strerror})') from None

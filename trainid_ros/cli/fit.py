@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import print_json, progress, show, table, warn
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, check_plausible, fit_davis
-from trainid_ros.resistance.trajectory import PieceCollector
+from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, PieceCollector, check_plausible, fit_davis
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trainid_ros.bag.reader import BagReader
-    from trainid_ros.resistance.trajectory import Trajectory
-    from trainid_ros.results import Reason
+    from trainid_ros.interface.results import Reason
+    from trainid_ros.resistance.davis_fit import Trajectory
 
 _UNKNOWN: Final = {
     **dict.fromkeys('abc'),
@@ -55,7 +54,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: If bag or train file cannot be used, or the bag has no data in the requested interval.
         NoAnswerError: If the motion does not determine a, b and c, or the result is implausible (wrong units).
-
     """
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
@@ -75,15 +73,13 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print_json(_UNKNOWN)
         contradiction = f'; inputs contradict each other: {motion.finding}' if motion.finding else ''
-        msg = f'{args.bag}: {error}{_most_common(motion.rejected)}{contradiction}'
-        raise NoAnswerError(msg) from None
+        raise NoAnswerError(f'{args.bag}: {error}{_most_common(motion.rejected)}{contradiction}') from None
     if args.json:
         print_json(to_json(fit))
     else:
         show(describe(fit, motion))
     if not fit.converged:
-        msg = f'{args.bag}: the fit did not converge within {fit.iterations} iterations'
-        raise NoAnswerError(msg)
+        raise NoAnswerError(f'{args.bag}: the fit did not converge within {fit.iterations} iterations')
     return 0
 
 
@@ -96,15 +92,15 @@ def collect(
 
     Raises:
         InputError: A required topic is missing, or the part lies outside the bag.
-
     """
     require_topics(reader)
     first_ns, last_ns = reader.time_range() or (0, 0)
     begin_ns = first_ns + round(start_s * NS_PER_S)
     if begin_ns > last_ns or duration_s == 0.0:
         length = (last_ns - first_ns) / NS_PER_S
-        msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} selects nothing of its {length:.1f} s'
-        raise InputError(msg)
+        raise InputError(
+            f'{reader.path}: --start {start_s:g} --duration {duration_s:g} selects nothing of its {length:.1f} s'
+        )
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
     config = StreamConfig(collector.train_file, reader.mapping.alignment(AlignmentConfig()))
     stream, samples = SampleStream(config), 0

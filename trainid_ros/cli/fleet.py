@@ -9,23 +9,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.bag_row import check_setup
-from trainid_ros.fleet.labels import label_rule
-from trainid_ros.fleet.listing import find_bags, list_bags
-from trainid_ros.fleet.plan import Setup, bags_in, make_plan, setup_in
-from trainid_ros.fleet.run_fleet import Files, known_rows, rows_here, run_plan
+from trainid_ros.fleet.plan import Setup, bags_in, find_bags, label_rule, list_bags, make_plan, setup_in
+from trainid_ros.fleet.run_fleet import Files, check_setup, known_rows, rows_here, run_plan
 from trainid_ros.fleet.table_file import check_table, read_table
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.text import pluralise
 from trainid_ros.ros.jobs import mapping_in
-from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from trainid_ros.fleet.columns import Row
     from trainid_ros.fleet.plan import Plan
     from trainid_ros.fleet.run_fleet import Rows
+    from trainid_ros.fleet.table_file import Row
 
 _NAMED_ERRORS: Final = 3
 
@@ -35,13 +32,11 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: Train file, mapping, labels or bags cannot be used, or the table cannot be written.
-
     """
     check_table(args.out)
     files = Files(args.out)
     if args.out.exists() and not (files.plan.exists() or files.rows.exists()):
-        msg = f'{args.out}: exists already, and no run of fleet has written it; choose another --out'
-        raise InputError(msg)
+        raise InputError(f'{args.out}: exists already, and no run of fleet has written it; choose another --out')
     plan = _plan(args)
     if not args.replace:
         _check_plan(plan, files)
@@ -69,8 +64,7 @@ def _check_plan(plan: Plan, files: Files) -> None:
         problem = 'it was made with another train file, mapping, parameter file, namespace or --max-chunk'
     else:
         return
-    msg = f'{files.table}: is the table of another plan: {problem}; choose another --out, or --replace it'
-    raise InputError(msg)
+    raise InputError(f'{files.table}: is the table of another plan: {problem}; choose another --out, or --replace it')
 
 
 def _plan(args: argparse.Namespace) -> Plan:
@@ -78,7 +72,6 @@ def _plan(args: argparse.Namespace) -> Plan:
 
     Raises:
         InputError: Train file, mapping, labels or bags cannot be used.
-
     """
     rule = label_rule(args.label, args.namespace)
     # A report may be made from another folder.
@@ -97,7 +90,7 @@ def _rows(args: argparse.Namespace) -> Iterator[Rows]:
     if args.scheduler is None:
         yield rows_here(args.jobs or processors())
         return
-    from trainid_ros.fleet.cluster import rows_on_cluster  # noqa: PLC0415 - optional
+    from trainid_ros.fleet.run_fleet import rows_on_cluster  # noqa: PLC0415 - optional
 
     with rows_on_cluster(args.scheduler) as rows:
         yield rows

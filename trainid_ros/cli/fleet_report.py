@@ -26,7 +26,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A table cannot be read, or the report cannot be written.
         NoAnswerError: The tables hold too little.
-
     """
     # Imported here: linear algebra takes long to load, and input errors should be reported without it.
     from trainid_ros.fleet.analysis import analyse  # noqa: PLC0415
@@ -85,7 +84,7 @@ def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Cause]
 
 def _named_text(train: TrainView, cause: Cause) -> str:
     """Return what the bags of a train say, and how that goes with what its channels say."""
-    from trainid_ros.fleet.causes import OTHER  # noqa: PLC0415
+    from trainid_ros.fleet.changes import OTHER  # noqa: PLC0415
     from trainid_ros.report.words import parameters_text  # noqa: PLC0415
 
     if cause.problem:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show, warn
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
+from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapped_inputs import MappedInputs
 from trainid_ros.mapping.mapping_file import load_table_mapping
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.tables.table_records import TableRecords
-from trainid_ros.text import pluralise
 from trainid_ros.train.fields import shown
 from trainid_ros.train.train_file import load_train_file
 
@@ -34,7 +34,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: A file cannot be used, or the bag exists already; then no bag is left.
-
     """
     train_file = None if args.train is None else load_train_file(args.train)
     table = TableRecords(args.file, MappedInputs(load_table_mapping(args.map), train_file))
@@ -49,8 +48,7 @@ def run(args: argparse.Namespace) -> int:
                 first_ns, last_ns = first_ns or records[0][0], records[-1][0]
             advance(share)
         if not writer.message_count:
-            msg = f'{args.file}: nothing in {pluralise(table.rows, "row")} has a time and a value'
-            raise InputError(msg)
+            raise InputError(f'{args.file}: nothing in {pluralise(table.rows, "row")} has a time and a value')
     _print_result(args, table, counts, (last_ns - first_ns) / NS_PER_S)
     return 0
 
@@ -59,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
 def _new_bag(path: Path) -> Iterator[BagWriter]:
     """Write a bag beside its place, and put it there once it is complete."""
     if path.exists() or path.is_symlink():
-        msg = f'{path}: exists already and is not overwritten'
-        raise InputError(msg)
+        raise InputError(f'{path}: exists already and is not overwritten')
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f'.{path.name}.', dir=path.parent) as folder:
         with BagWriter(Path(folder) / path.name) as writer:

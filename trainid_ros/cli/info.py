@@ -11,9 +11,9 @@ from trainid_ros.bag.bag_info import inspect
 from trainid_ros.bag.required_topics import NAMESPACE
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -30,14 +30,12 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: Mapping or train file cannot be used, or a mapping is asked for of several bags.
-
     """
     mapped_inputs(args.map, _train_file(args))  # what cannot be used for any bag is reported once
     if not args.suggest_map:
         return run_per_bag(args, _inspect, 'read')
     if len(args.bags) > 1 or args.map is not None:
-        msg = '--suggest-map takes one bag, and no --map'
-        raise InputError(msg)
+        raise InputError('--suggest-map takes one bag, and no --map')
     return run_per_bag(args, _suggest, 'read')
 
 
@@ -50,7 +48,6 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
 
     Raises:
         InputError: It cannot be read, or holds several trains.
-
     """
     # Imported here because other uses need not load it.
     from trainid_ros.bag.number_series import read_numbers  # noqa: PLC0415
@@ -62,13 +59,13 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         count = 'two' if len(trains) == 2 else len(trains)
         base = args.namespace.strip('/')
         names = (f'/{base}/{name}' if base else name for name in trains)
-        msg = f'{bag}: {count} trains here: {", ".join(names)}; use --namespace'
-        raise InputError(msg)
+        raise InputError(f'{bag}: {count} trains here: {", ".join(names)}; use --namespace')
     suggestion = suggest(numbers, bag.name, _train_file(args))
     text, missing = suggestion.text(), suggestion.missing
     if missing and numbers.trains and not numbers.own:
-        msg = f'{bag}: our own topics are in {", ".join(numbers.trains)}: no mapping is needed, use --namespace'
-        raise InputError(msg)
+        raise InputError(
+            f'{bag}: our own topics are in {", ".join(numbers.trains)}: no mapping is needed, use --namespace'
+        )
     error = f'{bag}: nothing found for {", ".join(missing)}' if missing else ''
     return BagResult({'mapping': text, 'missing': list(missing)} if args.json else text, error=error)
 
@@ -78,7 +75,6 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
 
     Raises:
         InputError: If it cannot be read.
-
     """
     train_file = _train_file(args)
     info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file, advance)

@@ -18,7 +18,7 @@ from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
 from trainid_ros.cli import arguments as options
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, report_error
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -66,7 +66,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Args:
         argv: Arguments without the program name; those of the process if None.
-
     """
     if argv is None:  # stand-alone process: clean up on SIGTERM too
         signal.signal(signal.SIGTERM, _end)

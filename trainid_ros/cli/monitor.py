@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.live import Live
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, show
-from trainid_ros.monitor.lines import Lines
-from trainid_ros.monitor.screen import Screen
+from trainid_ros.monitor.screen import Lines, Screen
 
 if TYPE_CHECKING:
     import argparse
@@ -35,7 +34,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: A ROS argument cannot be used, or ROS is not installed.
-
     """
     # ROS is imported only here, so that other commands work without it.
     from trainid_ros.ros.runner import spin_nodes, start_ros  # noqa: PLC0415
@@ -72,7 +70,6 @@ class Display:
 
     Attributes:
         is_over: True if it ended because the time was over.
-
     """
 
     def __init__(

@@ -32,7 +32,6 @@ def load_setups(
 
     Raises:
         InputError: Train file, mapping or parameters cannot be used.
-
     """
     foreign = () if args.map is None else load_mapping(args.map).topics
     train_file = load_train_file(train)
@@ -49,7 +48,6 @@ def opened(
 
     Raises:
         InputError: If the bag cannot be read.
-
     """
     with ExitStack() as stack:
         with progress(f'open {args.bag.name}', 1.0) as advance:

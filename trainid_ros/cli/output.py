@@ -16,10 +16,10 @@ from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Output
+from trainid_ros.interface.text import in_ascii, printable
 from trainid_ros.report import HTML_START
-from trainid_ros.results import Output
-from trainid_ros.text import in_ascii, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -67,7 +67,6 @@ def to_plain(value: Any) -> Any:
 
     Raises:
         TypeError: If a value has no JSON form.
-
     """
     if value is None or isinstance(value, (str, bool)):
         return value
@@ -93,8 +92,7 @@ def _compound_to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, PurePath):
         return str(value)
-    msg = f'{type(value).__name__} has no JSON form'
-    raise TypeError(msg)
+    raise TypeError(f'{type(value).__name__} has no JSON form')
 
 
 def warn(text: str) -> None:
@@ -121,21 +119,17 @@ def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
 
     Raises:
         InputError: The file is an input, or exists and is something else.
-
     """
     if not path.exists():
         return
     if any(given is not None and given.exists() and path.samefile(given) for given in inputs):
-        msg = f'{path}: is an input and would be overwritten; choose another name for the output'
-        raise InputError(msg)
+        raise InputError(f'{path}: is an input and would be overwritten; choose another name for the output')
     if not path.is_file():
-        msg = f'{path}: exists and is not a file; choose another name for the output'
-        raise InputError(msg)
+        raise InputError(f'{path}: exists and is not a file; choose another name for the output')
     with path.open('rb') as file:
         head = file.read(len(start))
     if head and head != start.encode():
-        msg = f'{path}: exists and was not written by trainid; choose another name for the output'
-        raise InputError(msg)
+        raise InputError(f'{path}: exists and was not written by trainid; choose another name for the output')
 
 
 def prepare_page(path: Path) -> Path:
@@ -143,13 +137,11 @@ def prepare_page(path: Path) -> Path:
 
     Raises:
         InputError: The folder cannot be created, or the page exists and is something else.
-
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f'{path.parent}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{path.parent}: cannot be written ({error.strerror})') from None
     check_output(path, (), HTML_START)
     return path
 
@@ -159,8 +151,7 @@ def check_distinct(*paths: Path | None) -> None:
     seen: set[Path] = set()
     for path in paths:
         if path is not None and path.resolve() in seen:
-            msg = f'{path}: is given for two outputs; choose another name for one of them'
-            raise InputError(msg)
+            raise InputError(f'{path}: is given for two outputs; choose another name for one of them')
         seen |= {path.resolve()} if path is not None else set()
 
 
@@ -170,7 +161,6 @@ def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
     Args:
         rows: Rows of equal length, the headings first.
         numbers: Columns to align to the right.
-
     """
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = []
@@ -194,7 +184,6 @@ def progress(text: str, total: float | None = None, unit: str = '') -> Iterator[
 
     Yields:
         A function to call with the amount done since the last call.
-
     """
     if not sys.stderr.isatty():
         yield lambda _amount: None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -21,18 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BagResult:
-    """What a command says of one bag.
+    """What a command says of one bag."""
 
-    Attributes:
-        shown: JSON object with ``--json``, else text; None if the bag could not be used.
-        warnings: Faults that do not prevent an answer.
-        error: Why there is no answer, '' if there is one.
-
-    """
-
-    shown: dict[str, Any] | str | None
-    warnings: tuple[str, ...] = ()
-    error: str = ''
+    shown: dict[str, Any] | str | None  # JSON object with ``--json``, else text; None if the bag could not be used
+    warnings: tuple[str, ...] = ()  # Faults that do not prevent an answer
+    error: str = ''  # Why there is no answer, '' if there is one
 
 
 def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
@@ -43,7 +36,6 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
         work: Function of a module: gets the arguments, a bag, and a function to call with the share done since its last
             call. InputError and OSError are reported as errors of the bag.
         text: What is being done.
-
     """
     bags: Sequence[Path] = args.bags
     name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'

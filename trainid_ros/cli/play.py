@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import progress
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     import argparse
@@ -24,7 +24,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: The bag or a ROS argument cannot be used.
-
     """
     mapping = OWN if args.map is None else load_mapping(args.map)
     with opened(args, mapping=mapping):

@@ -18,18 +18,18 @@ from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.observability import observe, resistance_std
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import MASS_TOPIC
+from trainid_ros.interface.results import Reason
+from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.results import Reason
 from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
-from trainid_ros.text import pluralise
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.ros.jobs import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
@@ -69,7 +69,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: If train file or parameters cannot be used, or an output would overwrite another, an input or a
             file that is no report.
-
     """
     args.map = args.map or mapping_in(args.params, args.namespace)
     # What cannot be used for any bag is reported once.
@@ -86,17 +85,14 @@ def run(args: argparse.Namespace) -> int:
 def _check_outputs(args: argparse.Namespace) -> None:
     """Prepare the folders of the outputs of several bags; InputError if two would have the same name."""
     if args.truth is not None:
-        msg = '--truth is of one bag, but several bags are given'
-        raise InputError(msg)
+        raise InputError('--truth is of one bag, but several bags are given')
     if args.out is not None and args.out.suffix in TABLE_SUFFIXES:
-        msg = f'{args.out}: is the table of one bag, but several bags are given'
-        raise InputError(msg)
+        raise InputError(f'{args.out}: is the table of one bag, but several bags are given')
     folders = [folder for folder in (args.out, args.report) if folder is not None]
     names = Counter(_name(bag) for bag in args.bags)
     name, count = names.most_common(1)[0]
     if folders and count > 1:
-        msg = f'{pluralise(count, "bag")} have the name {name}, so their outputs would have the same name'
-        raise InputError(msg)
+        raise InputError(f'{pluralise(count, "bag")} have the name {name}, so their outputs would have the same name')
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -119,7 +115,6 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
 
     Raises:
         InputError: If bag or truth cannot be used, or an output exists already.
-
     """
     warnings: list[str] = []
     setups = load_setups(args, args.train, warnings.append)
@@ -193,7 +188,6 @@ def find_truth(bag: Path, given: Path | None) -> Truth | None:
 
     Raises:
         InputError: The file cannot be used.
-
     """
     if given is not None:
         return load_truth(given)

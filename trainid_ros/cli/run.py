@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trainid_ros.cli.arguments import LIVE_NODES
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.train.train_file import load_train_file
@@ -22,7 +22,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: The train file, a ROS argument or a parameter cannot be used.
-
     """
     if args.train is not None:
         mapped_inputs(args.map, load_train_file(args.train))
@@ -40,7 +39,6 @@ def run_live(names: tuple[str, ...], files: Mapping[str, Path], ros_args: list[s
         names: Names of the nodes.
         files: Paths by name of the parameter.
         ros_args: Arguments for ROS.
-
     """
     # ROS is imported only here, so that an invalid train file is reported without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415

@@ -12,21 +12,20 @@ import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show
-from trainid_ros.errors import InputError
-from trainid_ros.records import INPUT_TOPICS
-from trainid_ros.sim.realism import make_case, unknowns_of
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS
+from trainid_ros.interface.text import pluralise
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
 from trainid_ros.sim.truth import plain_truth, save_truth
-from trainid_ros.sim.worlds import WORLDS, world_train
-from trainid_ros.text import pluralise
+from trainid_ros.sim.worlds import WORLDS, make_case, unknowns_of, world_train
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
     import argparse
 
-    from trainid_ros.sim.realism import Case
     from trainid_ros.sim.scenario import Simulation
+    from trainid_ros.sim.worlds import Case
 
 TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'
@@ -39,7 +38,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: If an argument or the train file cannot be used, or the bag already exists.
-
     """
     rng = np.random.default_rng(args.seed)
     case = _case(args, rng)
@@ -59,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _train_path(args: argparse.Namespace) -> Path:
     if args.train is None:
-        msg = 'no train: give --train T.yaml or --world NAME'
-        raise InputError(msg)
+        raise InputError('no train: give --train T.yaml or --world NAME')
     return Path(args.train)
 
 
@@ -68,8 +65,7 @@ def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:
     """Return the case of the world asked for, None without a world."""
     if args.world is None:
         if args.realism or args.unknown:
-            msg = f'--{"realism" if args.realism else "unknown"} needs --world, one of {", ".join(WORLDS)}'
-            raise InputError(msg)
+            raise InputError(f'--{"realism" if args.realism else "unknown"} needs --world, one of {", ".join(WORLDS)}')
         return None
     world = WORLDS[args.world]
     stated = load_train_file(args.train) if args.train else world_train(world)
@@ -83,7 +79,6 @@ def scenario_from(train: Path, effects: list[str], runs: int) -> Scenario:
 
     Raises:
         InputError: If the train file, an effect or the number of runs cannot be used.
-
     """
     file = load_train_file(train)
     file = replace(file, effects=(*file.effects, *parse_effects(effects)))

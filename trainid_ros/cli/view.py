@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.cli.opening import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.view.recording import RRD_START, write_recording
@@ -36,11 +36,9 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: Bag, train file or parameters cannot be used, the output cannot be written, or there is no display.
-
     """
     if args.out is not None and args.out.suffix != _RECORDING:
-        msg = f'{args.out}: the name of a recording must end in {_RECORDING}, or Rerun does not open it'
-        raise InputError(msg)
+        raise InputError(f'{args.out}: the name of a recording must end in {_RECORDING}, or Rerun does not open it')
     args.map = args.map or mapping_in(args.params, args.namespace)
     switch_off()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
@@ -52,8 +50,9 @@ def run(args: argparse.Namespace) -> int:
         show(f'{args.out}: open it with: rerun {shlex.quote(str(args.out))}')
         return 0
     if not any(os.environ.get(name) for name in _DISPLAYS):
-        msg = 'there is no display to open the viewer on: give --out FILE.rrd, and open that where there is one'
-        raise InputError(msg)
+        raise InputError(
+            'there is no display to open the viewer on: give --out FILE.rrd, and open that where there is one'
+        )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f'{args.bag.resolve().stem}.rrd'
         _write(args, train, path)
@@ -68,8 +67,9 @@ def _open_viewer(path: Path) -> None:
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.strip()]
         reason = said[-1].rpartition(': ')[2].strip() if said else f'exit code {done.returncode}'
-        msg = f'the viewer cannot run on this display: {reason}; give --out FILE.rrd, and open that where there is one'
-        raise InputError(msg)
+        raise InputError(
+            f'the viewer cannot run on this display: {reason}; give --out FILE.rrd, and open that where there is one'
+        )
 
 
 def _train_file(args: argparse.Namespace) -> Path:
@@ -77,12 +77,10 @@ def _train_file(args: argparse.Namespace) -> Path:
     if args.train is not None:
         return Path(args.train)
     if not args.bag.exists():
-        msg = f'{args.bag}: no such bag'
-        raise InputError(msg)
+        raise InputError(f'{args.bag}: no such bag')
     beside = (args.bag if args.bag.is_dir() else args.bag.parent) / _TRAIN_FILE
     if not beside.is_file():
-        msg = f'{args.bag}: there is no {_TRAIN_FILE} beside it: give --train T.yaml'
-        raise InputError(msg)
+        raise InputError(f'{args.bag}: there is no {_TRAIN_FILE} beside it: give --train T.yaml')
     return Path(beside)
 
 

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train as it is today: answers for an autopilot from live estimates, else from the train file.
+"""Arguments of the client: names, units and ranges.
+
+A time that never goes back, from a clock that may, as simulated time does when a bag starts again.
+
+Parameters in the fields of an estimate, which may be a message.
+
+The train as it is today: answers for an autopilot from live estimates, else from the train file.
 
 Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
 """
@@ -9,22 +15,19 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.client import arguments
-from trainid_ros.client.arguments import checked_direction, distance_to
-from trainid_ros.client.bounds import NO_BRAKE, StoppingBounds, StopPosterior
-from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel
+from trainid_ros.client import train_model as arguments
+from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel, Normal
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, LEAST_SCALE, FileValues
-from trainid_ros.client.forward_clock import ForwardClock
-from trainid_ros.client.message_values import brake_rate_values, resistance_values
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.settings import check_settings
-from trainid_ros.train.davis import G
+from trainid_ros.client.stopping import MOST_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
+from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
+from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.train.fields import shown
+from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
@@ -32,10 +35,109 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
-    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-    from trainid_ros.estimators.prior import PriorSettings
-    from trainid_ros.messages import OutputLike, OutputTopic
-    from trainid_ros.results import Status
+    from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
+    from trainid_ros.interface.records import OutputLike, OutputTopic
+    from trainid_ros.interface.results import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """A number, its unit and its closed range."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+    def checked(self, value: object) -> float:
+        """Return a number, which may be one of numpy, as a float.
+
+        Raises:
+            InputError: It is not a number, not finite or out of range.
+
+        """
+        if not isinstance(value, (float, Real)):  # float first, because an abstract class takes long
+            raise InputError(f'{self.name} = {shown(value)} must be a number in {self.unit or "1"}')
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not self.low <= number <= self.high:
+            check_value(self.name, number, SettingInfo('', self.unit, self.low, self.high))
+        return number
+
+
+SPEED: Final = Argument('speed', 'm/s', 0.0, MOST_SPEED)
+GRADIENT: Final = Argument('gradient', 'per mille', -500.0, 500.0)
+ACCELERATION: Final = Argument('acceleration', 'm/s^2', -20.0, 20.0)
+MASS: Final = Argument('mass', 'kg', 1.0, 1e9)
+# The weakest brake command is -0.001 m/s^2.
+COMMAND: Final = Argument('command', 'm/s^2', -20.0, -1e-3)
+APPLIED: Final = Argument('applied', 'm/s^2', -20.0, 0.0)
+CONFIDENCE: Final = Argument('confidence', '', 0.5, 1.0 - 1e-6)
+MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)
+DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)
+STOP: Final = Argument('stop', 'm', -1e9, 1e9)
+_POSITION: Final = Argument('position', 'm', -1e9, 1e9)
+
+
+def checked_direction(direction: int) -> int:
+    """Return a direction; InputError unless it is 1 or -1."""
+    if direction not in (1, -1):
+        raise InputError(f'direction = {direction!r} must be 1 or -1')
+    return int(direction)
+
+
+def distance_to(stop: float, position: float, direction: int) -> float:
+    """Return the distance [m] from a position to a stop in the direction of travel, 0 beyond it."""
+    return DISTANCE.checked(max(0.0, direction * (stop - _POSITION.checked(position))))
+
+
+_TIME: Final = Argument('clock()', 's', -1e12, 1e12)
+
+
+class ForwardClock:
+    """The time of a clock [s] plus all that it has gone back: it goes on from where the clock jumped.
+
+    Args:
+        clock: Present time [s].
+
+    Raises:
+        InputError: The clock is not callable, or does not return a number.
+
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        if not callable(clock):
+            raise InputError(f'clock = {clock!r} must be a function that returns the time in s')
+        self._clock, self._offset_s, self._last_s = clock, 0.0, _TIME.checked(clock())
+
+    def now(self) -> float:
+        """Return the time [s], which is not before that of the last call."""
+        read_s = self._clock()
+        if read_s < self._last_s:
+            self._offset_s += self._last_s - read_s
+        self._last_s = read_s
+        return read_s + self._offset_s
+
+
+def resistance_values(estimate: Any) -> dict[str, Normal]:
+    """Return (a, b, c), and the force scale where it is estimated."""
+    values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
+    if not math.isnan(estimate.force_scale):
+        values[FORCE_SCALE] = _factor(estimate.force_scale, estimate.force_scale_std)
+    return values
+
+
+def brake_rate_values(estimate: Any) -> dict[str, Normal]:
+    """Return the brake rate."""
+    return {BRAKE_RATE: _factor(estimate.brake_rate, estimate.brake_rate_std)}
+
+
+def _factor(value: float, std: float) -> Normal:
+    """Return a factor; a negative standard deviation gives a negative variance, which is not possible."""
+    return Normal((value,), (math.copysign(std * std, std),))
+
 
 FULL_SERVICE: Final = -1.0
 """Brake command of a stop unless another is given [m/s^2]."""

@@ -40,7 +40,6 @@ def load_demo_bag(path: Path) -> DemoBag:
 
     Raises:
         InputError: There is no train file in it, or a file cannot be used.
-
     """
     train_path, truth_path = path / TRAIN_FILE, path / TRUTH_FILE
     train_file = load_train_file(train_path)
@@ -53,6 +52,5 @@ def stock_bag(name: str) -> Path:
 
     Raises:
         InputError: It is in neither.
-
     """
     return shared_path(f'bags/{STOCK[name]}')

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from trainid_ros.bag.bag_replay import AnyOutput, Replay, replay
 from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.demo.view import LABELS
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.report.accuracy_scores import AccuracyScore, score_brake_rate, score_resistance
 from trainid_ros.report.content import Chapter, RejectionCounts
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -37,26 +37,15 @@ class Fingerprint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Live messages of one topic against a replay.
+    """Live messages of one topic against a replay."""
 
-    Attributes:
-        replayed: Messages of the replay.
-        received: Live messages received.
-        equal: Live messages whose estimate equals the replayed one to the bit.
-        equal_health: Those of them whose status and counters are equal too.
-        missing: Replayed messages without a live one.
-        extra: Live messages without a replayed one.
-        reported_stale: Live messages that only report missing input, which a replay without a clock cannot detect.
-
-    """
-
-    replayed: int
-    received: int
-    equal: int
-    equal_health: int
-    missing: int
-    extra: int
-    reported_stale: int
+    replayed: int  # Messages of the replay
+    received: int  # Live messages received
+    equal: int  # Live messages whose estimate equals the replayed one to the bit
+    equal_health: int  # Those of them whose status and counters are equal too
+    missing: int  # Replayed messages without a live one
+    extra: int  # Live messages without a replayed one
+    reported_stale: int  # Live messages that only report missing input, which a replay without a clock cannot detect
 
     @property
     def exact(self) -> bool:
@@ -115,22 +104,13 @@ def _digest(data: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonOutcome:
-    """Result of the demo for one bag.
+    """Result of the demo for one bag."""
 
-    Attributes:
-        chapter: For the report.
-        comparisons: Live against replay, by estimate.
-        resistance: Errors of w at the current speed [N/kN], None without truth.
-        brake_rate: Errors of the brake rate [1], None without truth.
-        rate: Recorded seconds per second of the live run [1].
-
-    """
-
-    chapter: Chapter
-    comparisons: tuple[tuple[str, Comparison], ...]
-    resistance: AccuracyScore | None
-    brake_rate: AccuracyScore | None
-    rate: float
+    chapter: Chapter  # For the report
+    comparisons: tuple[tuple[str, Comparison], ...]  # Live against replay, by estimate
+    resistance: AccuracyScore | None  # Errors of w at the current speed [N/kN], None without truth
+    brake_rate: AccuracyScore | None  # Errors of the brake rate [1], None without truth
+    rate: float  # Recorded seconds per second of the live run [1]
 
     @property
     def worked(self) -> bool:
@@ -160,7 +140,6 @@ def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[
         live: Result of the live run.
         duration_s: Length that was played [s], 0 for all.
         progress: Called with the number of inputs replayed since its last call.
-
     """
     check = _Check(live.recorder)
     with BagReader(bag.path) as reader:

@@ -33,18 +33,11 @@ _TRUE: Final = Davis(1.74, 0.02, 0.0086)
 
 @dataclass(frozen=True, slots=True)
 class HiddenCase:
-    """Result of the chapter.
+    """Result of the chapter."""
 
-    Attributes:
-        train_file: The train file that the workflow was given.
-        explanation: Result of the workflow.
-        report: Path of its report.
-
-    """
-
-    train_file: TrainFile
-    explanation: Explanation
-    report: Path
+    train_file: TrainFile  # The train file that the workflow was given
+    explanation: Explanation  # Result of the workflow
+    report: Path  # Path of its report
 
     @property
     def worked(self) -> bool:
@@ -57,7 +50,6 @@ def prepare_hidden(folder: Path) -> Path:
 
     Raises:
         InputError: The folder cannot be used, or a file of somebody else would be overwritten.
-
     """
     train = stock_bag('yizhuang') / TRAIN_FILE
     prepare_folder(folder, train)
@@ -69,7 +61,6 @@ def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
 
     Raises:
         InputError: The train file of the package or the folder cannot be used.
-
     """
     train = prepare_hidden(folder)
     full = load_train_file(train)

@@ -18,11 +18,10 @@ from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.demo.comparison import Fingerprint, fingerprint_of_message
 from trainid_ros.demo.processes import Child, ProcessGroup
 from trainid_ros.demo.view import Snapshot, View
-from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.messages import OUTPUT_TOPICS, OutputTopic
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, OutputTopic
+from trainid_ros.interface.results import Estimate, Output, Reason, Status
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.results import Estimate, Output, Reason, Status
 from trainid_ros.ros.jobs import JOBS
 from trainid_ros.ros.topics import message_class
 
@@ -49,22 +48,14 @@ _REJECTED: Final = 'rejected.'
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
-    """Result of the live run of a bag.
+    """Result of the live run of a bag."""
 
-    Attributes:
-        fingerprints: Those of all messages received, by class of the estimate, in order of arrival.
-        newest: Last output of each estimator.
-        rejections: Rejected samples by reason, from the last diagnostics.
-        recorder: Traces of the estimates; the inputs are traced later.
-        wall_s: Time from the first to the last message [s].
-
-    """
-
+    # Those of all messages received, by class of the estimate, in order of arrival
     fingerprints: dict[type, list[Fingerprint]]
-    newest: dict[type, AnyOutput]
-    rejections: dict[type, dict[Reason, int]]
-    recorder: TraceRecorder
-    wall_s: float
+    newest: dict[type, AnyOutput]  # Last output of each estimator
+    rejections: dict[type, dict[Reason, int]]  # Rejected samples by reason, from the last diagnostics
+    recorder: TraceRecorder  # Traces of the estimates; the inputs are traced later
+    wall_s: float  # Time from the first to the last message [s]
 
 
 def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: View) -> LiveRun:
@@ -80,7 +71,6 @@ def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: V
     Raises:
         InputError: The bag cannot be played.
         NoAnswerError: A process failed; the message gives the end of its log.
-
     """
     start_ns, length_s = _extent(bag)
     length_s = min(length_s, duration_s) if duration_s > 0.0 else length_s
@@ -100,8 +90,9 @@ def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: V
             no_clock = ['--ros-args', '-p', 'publish_clock:=false']
             session.follow(group.start('bag_player', [*play, *no_clock]))
             if killed := group.stop():
-                msg = f'{", ".join(child.name for child in killed)} did not stop on SIGTERM and was killed'
-                raise NoAnswerError(msg)
+                raise NoAnswerError(
+                    f'{", ".join(child.name for child in killed)} did not stop on SIGTERM and was killed'
+                )
             return session.result()
 
 
@@ -110,8 +101,7 @@ def _extent(bag: DemoBag) -> tuple[int, float]:
         require_topics(reader)
         span = reader.time_range()
     if span is None:
-        msg = f'{bag.path}: no messages'
-        raise InputError(msg)
+        raise InputError(f'{bag.path}: no messages')
     return span[0], (span[1] - span[0]) / NS_PER_S
 
 
@@ -133,8 +123,7 @@ class _Session:
         while not self._listener.has_all_publishers():
             self._check(self._group.ended())
             if time.monotonic() > deadline:
-                msg = f'the nodes did not start within {_START_S:g} s'
-                raise NoAnswerError(msg)
+                raise NoAnswerError(f'the nodes did not start within {_START_S:g} s')
             time.sleep(_POLL_S)
 
     def follow(self, player: Child) -> None:
@@ -189,8 +178,7 @@ class _Session:
         """Raise NoAnswerError for a child that should not have ended."""
         for child in ended:
             code = child.process.returncode
-            msg = f'{child.name} ended with exit code {code} ({child.log}: {child.log_tail()})'
-            raise NoAnswerError(msg)
+            raise NoAnswerError(f'{child.name} ended with exit code {code} ({child.log}: {child.log_tail()})')
 
 
 def parameter_file() -> str:

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Final, Self
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -162,14 +162,12 @@ def free_domain(first: int) -> int:
 
     Raises:
         InputError: All are in use.
-
     """
     for step in range(_DOMAINS):
         domain = 1 + (first + step) % _DOMAINS
         if _are_free(_BASE_PORT + _PORTS_OF_DOMAIN * domain + offset for offset in _OFFSETS):
             return domain
-    msg = f'ROS_DOMAIN_ID: all domains from 1 to {_DOMAINS} are in use'
-    raise InputError(msg)
+    raise InputError(f'ROS_DOMAIN_ID: all domains from 1 to {_DOMAINS} are in use')
 
 
 def _are_free(ports: Iterable[int]) -> bool:

@@ -15,8 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from trainid_ros.cli.output import for_output
-from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.train.davis import davis
+from trainid_ros.interface.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.train.forces import davis
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -36,28 +36,18 @@ _REASONS: Final = 3
 
 @dataclass(slots=True)
 class Snapshot:
-    """Current state of a live run.
+    """Current state of a live run."""
 
-    Attributes:
-        title: What is being played.
-        rate: Recorded seconds per second [1].
-        start_ns: Stamp of the start of the bag [ns].
-        duration_s: Length to play [s].
-        truth: The truth, None if unknown.
-        newest: Newest output of each estimator, by the class of its estimate.
-        rejections: Rejected samples by reason, by the class of the estimate.
-        received: Estimates received so far.
-
-    """
-
-    title: str
-    rate: float
-    start_ns: int
-    duration_s: float
-    truth: Truth | None
+    title: str  # What is being played
+    rate: float  # Recorded seconds per second [1]
+    start_ns: int  # Stamp of the start of the bag [ns]
+    duration_s: float  # Length to play [s]
+    truth: Truth | None  # The truth, None if unknown
+    # Newest output of each estimator, by the class of its estimate
     newest: dict[type, AnyOutput] = field(default_factory=dict)
+    # Rejected samples by reason, by the class of the estimate
     rejections: dict[type, dict[Reason, int]] = field(default_factory=dict)
-    received: int = 0
+    received: int = 0  # Estimates received so far
 
     @property
     def elapsed_s(self) -> float:

@@ -1,25 +1,99 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes."""
+"""Interface of every estimator for its drivers.
+
+Algorithms of other distributions, found through entry points of the group ``trainid_ros.algorithms``.
+
+The name of an entry point is that of the job (``resistance``, ``speed_model`` or ``brake_rate``), its object a tuple
+of :class:`Algorithm`. Reading the entry points takes 40 ms, so nothing here runs until a name is not built in.
+
+Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
-from trainid_ros.errors import InputError
-from trainid_ros.estimators.plugins import PlugIn, plugged_in
-from trainid_ros.settings import setting_info
+from trainid_ros.interface.errors import InputError, setting_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from importlib.metadata import EntryPoint
 
     import numpy as np
     from _typeshed import DataclassInstance
 
-    from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.results import Estimate
+    from trainid_ros.interface.results import Estimate, Rejection
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
+
+EstimateT_co = TypeVar('EstimateT_co', covariant=True)
+
+
+class Estimator(Protocol[EstimateT_co]):
+    """A streaming estimator: explicit state, one step per sample, an estimate when asked for."""
+
+    def step(self, sample: Sample) -> Rejection | None:
+        """Take in one sample; return why it was not used, None if it was."""
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance as stated before the measurement, 0 if none is stated.
+
+        That of the resistance is a specific force [N/kN] with its variance [(N/kN)^2], the others are speeds [m/s]
+        with their variance [(m/s)^2].
+        """
+
+    def estimate(self, speed: float) -> EstimateT_co:
+        """Return the current estimate at a speed [m/s]."""
+
+    @property
+    def converged(self) -> bool:
+        """True while the estimate is fit for use."""
+
+    def idle(self, seconds: float) -> None:
+        """Widen the uncertainty by what may have changed in a time without samples [s]."""
+
+    def reset(self) -> None:
+        """Return to the prior."""
+
+    def save(self) -> str:
+        """Return the complete state as JSON text."""
+
+    def restore(self, text: str) -> None:
+        """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
+
+
+GROUP: Final = 'trainid_ros.algorithms'
+
+
+@dataclass(frozen=True, slots=True)
+class PlugIn:
+    """An entry point."""
+
+    entry: EntryPoint
+
+    def __str__(self) -> str:
+        """Return the names of its distribution, of the job and of its object."""
+        entry = self.entry
+        return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
+
+    def load(self) -> object:
+        """Return its object; InputError if that cannot be imported."""
+        try:
+            return self.entry.load()
+        except Exception as error:  # whatever its code raises
+            raise InputError(f'{self} cannot be loaded: {type(error).__name__}: {error}') from error
+
+
+def plugged_in(job: str) -> tuple[PlugIn, ...]:
+    """Return the plug-ins for a job."""
+    # Imported here because start-up must not pay for it.
+    from importlib.metadata import entry_points  # noqa: PLC0415
+
+    return tuple(map(PlugIn, entry_points(group=GROUP, name=job)))
+
 
 EstimateT = TypeVar('EstimateT', bound='Estimate')
 
@@ -34,21 +108,14 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Algorithm(Generic[EstimateT]):
-    """One algorithm.
+    """One algorithm."""
 
-    Attributes:
-        name: Name for users.
-        summary: Description and when to choose it, in one line.
-        config: Default settings.
-        make: Creates the estimator from the train file, settings of the same class, and a random generator.
-        fixed: Settings of that class that cannot be changed, since they define the algorithm or it ignores them.
-
-    """
-
-    name: str
-    summary: str
-    config: DataclassInstance
+    name: str  # Name for users
+    summary: str  # Description and when to choose it, in one line
+    config: DataclassInstance  # Default settings
+    # Creates the estimator from the train file, settings of the same class, and a random generator
     make: Callable[[TrainFile, Any, np.random.Generator], Estimator[EstimateT]]
+    # Settings of that class that cannot be changed, since they define the algorithm or it ignores them
     fixed: frozenset[str] = frozenset()
 
     @property
@@ -124,8 +191,7 @@ class Algorithms(Generic[EstimateT]):
         algorithm = self[name or self.default]
         for setting in changes:
             if setting not in algorithm.settings:
-                msg = f'{algorithm.name} has no setting {setting!r}'
-                raise InputError(msg)
+                raise InputError(f'{algorithm.name} has no setting {setting!r}')
         return Choice(algorithm.name, replace(algorithm.config, **changes))
 
     def make(self, choice: Choice, train_file: TrainFile, generator: np.random.Generator) -> Estimator[EstimateT]:
@@ -137,6 +203,5 @@ def _algorithms(plug_in: PlugIn) -> tuple[Algorithm[Any], ...]:
     """Return what a plug-in gives; raise InputError, naming it, if that is not a tuple of algorithms."""
     given = plug_in.load()
     if not isinstance(given, tuple) or not all(isinstance(item, Algorithm) for item in given):
-        msg = f'{plug_in} must be a tuple of Algorithm, not {type(given).__name__}'
-        raise InputError(msg)
+        raise InputError(f'{plug_in} must be a tuple of Algorithm, not {type(given).__name__}')
     return given

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Online consistency check of the published uncertainty: squared innovations against the variances stated for them.
+"""Select the samples that inform the running resistance: moving, complete, and with the brake off.
+
+The braking force is not known well enough to learn the resistance from: the brake rate is itself unknown.
+
+Online consistency check of the published uncertainty: squared innovations against the variances stated for them.
 
 If the stated variance is correct, the normalised innovation squared (NIS) has mean 1. Over N updates N times the mean
 NIS has a chi-squared distribution with N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
@@ -15,7 +19,69 @@ from enum import Enum
 from statistics import NormalDist
 from typing import Final
 
-from trainid_ros.vectors import vec
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.vectors import vec
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Sample
+
+# Force noise while coasting stays above this [N/kN]; deliberate braking is far below.
+_BRAKE_FORCE: Final = -1.5
+
+
+class Admission:
+    """Admits or rejects samples one by one.
+
+    Attributes:
+        known: Known part of the force balance.
+        min_speed: Slowest speed admitted [m/s].
+        braked_ns: Last stamp at which braking was requested [ns], 0 if never.
+    """
+
+    def __init__(self, known: KnownForce, min_speed: float) -> None:
+        self.known = known
+        self.min_speed = min_speed
+        self.braked_ns = 0
+
+    def reject(self, sample: Sample) -> Rejection | None:
+        """Return why a sample cannot be used to learn the resistance, or None if it can."""
+        brake_acts = self._brake_acts(sample)
+        if (rejection := self._incomplete(sample)) is not None:
+            return rejection
+        if not sample.speed >= self.min_speed:
+            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self.min_speed)
+        if brake_acts:
+            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.known.settling)
+        return None
+
+    def _incomplete(self, sample: Sample) -> Rejection | None:
+        """Return which input is missing or impossible, None if none is."""
+        if math.isnan(sample.dt):
+            return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
+        if (rejection := self.known.reject(sample)) is not None:
+            return rejection
+        if not is_finite(sample.brake_command):
+            return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
+        return None
+
+    def _brake_acts(self, sample: Sample) -> bool:
+        """Return True while the brake acts, is releasing, or is not known to be off."""
+        force = self.known.traction(min(sample.force, sample.force_mean), sample)
+        # Over a gap of the commands the brake may have acted unseen.
+        unknown = sample.brake_gap or not sample.brake_command >= 0.0
+        requested = unknown or sample.emergency or force < _BRAKE_FORCE
+        for change in sample.brake_changes:
+            requested = requested or change.target_acceleration < 0.0
+        if requested:
+            self.braked_ns = sample.stamp_ns
+            return True
+        if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
+            self.braked_ns = 0
+        return self._since_braked(sample) < self.known.settling
+
+    def _since_braked(self, sample: Sample) -> float:
+        return math.inf if self.braked_ns == 0 else seconds(sample.stamp_ns - self.braked_ns)
+
 
 WINDOW: Final = 200
 _MIN_UPDATES: Final = 30
@@ -41,24 +107,15 @@ class ConsistencyVerdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Outcome of the check.
+    """Outcome of the check."""
 
-    Attributes:
-        verdict: Optimistic means that errors are larger than stated.
-        ratio: Mean of squared innovation over stated variance [1]; 1 if that is correct, NaN before the first update.
-        low: Lower end of the 99 % band of the ratio if the variances are correct [1].
-        high: Upper end of the band [1].
-        updates: Number of updates in the window.
-        consecutive: Number of consecutive updates with the verdict optimistic.
-
-    """
-
-    verdict: ConsistencyVerdict
+    verdict: ConsistencyVerdict  # Optimistic means that errors are larger than stated
+    # Mean of squared innovation over stated variance [1]; 1 if that is correct, NaN before the first update
     ratio: float
-    low: float
-    high: float
-    updates: int
-    consecutive: int
+    low: float  # Lower end of the 99 % band of the ratio if the variances are correct [1]
+    high: float  # Upper end of the band [1]
+    updates: int  # Number of updates in the window
+    consecutive: int  # Number of consecutive updates with the verdict optimistic
 
     @property
     def is_alarm(self) -> bool:
@@ -135,10 +192,9 @@ class ConsistencyMonitor:
         """Take in the innovation that an estimate reports for its last update.
 
         Args:
-            innovation: Measured minus predicted, see :attr:`~trainid_ros.estimators.protocol.Estimator.innovation`.
+            innovation: Measured minus predicted, see :attr:`~trainid_ros.estimators.algorithm_registry.Estimator.innovation`.
             variance: Its variance as stated before the measurement, in squared units; not above 0 if none is stated.
             used: False if the sample was rejected: outliers beyond a gate are not noise.
-
         """
         # Samples without an update repeat the pair of the last one.
         if innovation == self._innovation and variance == self._variance:
@@ -198,7 +254,6 @@ def band(count: int, correlation: float = 0.0) -> tuple[float, float]:
     Args:
         count: Number of updates averaged.
         correlation: Correlation of neighbouring innovations [1].
-
     """
     rho = min(abs(correlation), _MAX_CORRELATION)
     freedom = max(1.0, count * (1.0 - rho * rho) / (1.0 + rho * rho))

@@ -9,18 +9,11 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class Contradiction:
-    """The last time that inputs contradicted each other, in time covered by the samples.
+    """The last time that inputs contradicted each other, in time covered by the samples."""
 
-    Attributes:
-        finding: What contradicted what, empty if nothing ever did.
-        begin_s: When it began [s], NaN if it never did.
-        end_s: When it ended [s], NaN while it lasts.
-
-    """
-
-    finding: str = ''
-    begin_s: float = math.nan
-    end_s: float = math.nan
+    finding: str = ''  # What contradicted what, empty if nothing ever did
+    begin_s: float = math.nan  # When it began [s], NaN if it never did
+    end_s: float = math.nan  # When it ended [s], NaN while it lasts
 
     def follow(self, finding: str, now_s: float) -> None:
         """Take in what contradicts what after a sample, '' if nothing does; a new contradiction replaces the last."""

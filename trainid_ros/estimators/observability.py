@@ -28,22 +28,15 @@ REACH_M_S: Final = 25.0
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """How well the data determine w(v).
+    """How well the data determine w(v)."""
 
-    Attributes:
-        shares: Relative reductions of the prior variances of a, b, c [1], from 0 (nothing learned) to 1.
-        std_observed: Largest standard deviation of w over the speeds seen [N/kN]; NaN if there are none.
-        std_outside: Largest standard deviation of w over all other speeds up to the reach [N/kN].
-        known: Range of speeds around those seen where w is known nearly as well [m/s]; NaN if there are none.
-        text: Summary as text.
-
-    """
-
+    # Relative reductions of the prior variances of a, b, c [1], from 0 (nothing learned) to 1
     shares: tuple[float, float, float]
-    std_observed: float
-    std_outside: float
+    std_observed: float  # Largest standard deviation of w over the speeds seen [N/kN]; NaN if there are none
+    std_outside: float  # Largest standard deviation of w over all other speeds up to the reach [N/kN]
+    # Range of speeds around those seen where w is known nearly as well [m/s]; NaN if there are none
     known: tuple[float, float]
-    text: str
+    text: str  # Summary as text
 
 
 def resistance_std(covariance: Sequence[float], speed: float) -> float:
@@ -68,7 +61,6 @@ def observe(
         speed_min: Slowest speed learned from [m/s].
         speed_max: Fastest speed learned from [m/s]; 0 if nothing was learned.
         reach: Fastest speed at which w is needed [m/s].
-
     """
     shares = tuple(_share(covariance[4 * i], prior_covariance[4 * i]) for i in range(3))
     if not speed_max > 0.0:

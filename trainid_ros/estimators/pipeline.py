@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic
 
-from trainid_ros.errors import InputError
+from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.pipeline_state import (
     SNAPSHOT_S,
@@ -22,10 +22,9 @@ from trainid_ros.estimators.pipeline_state import (
     Snapshots,
     reason_counts,
 )
-from trainid_ros.estimators.protocol import Estimator
-from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
-from trainid_ros.settings import check_settings, setting
+from trainid_ros.interface.errors import InputError, check_settings, setting
+from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
@@ -146,7 +145,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         Args:
             events: What :meth:`SampleStream.push` returned.
             publish: Called with the output after each sample.
-
         """
         for event in events:
             if isinstance(event, Sample):

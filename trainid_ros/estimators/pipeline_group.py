@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from trainid_ros.errors import TrainIdError
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.records import Row
-from trainid_ros.results import Output
-from trainid_ros.scalars import seconds
+from trainid_ros.interface.errors import TrainIdError
+from trainid_ros.interface.records import Row
+from trainid_ros.interface.results import Output
+from trainid_ros.interface.scalars import seconds
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 from trainid_ros.stream.samples import Sample
 
@@ -42,8 +42,7 @@ class SharedRecord:
             if self._streams[k] is stream:
                 events = self._events[k]
                 if events is None:
-                    msg = 'the stream that it shares with another estimator has failed'
-                    raise TrainIdError(msg)
+                    raise TrainIdError('the stream that it shares with another estimator has failed')
                 return events
         self._streams.append(stream)
         self._events.append(None)  # until it has succeeded

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from trainid_ros.estimators.consistency import ConsistencyState
-from trainid_ros.results import Reason, Rejection, Status
+from trainid_ros.interface.results import Reason, Rejection, Status
 from trainid_ros.state import check_not_negative, check_restored
 from trainid_ros.stream.stream_state import StreamState
 
@@ -32,34 +32,20 @@ SUSPECTED_S: Final = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What an estimator had learned, and whether its uncertainty was true.
+    """What an estimator had learned, and whether its uncertainty was true."""
 
-    Attributes:
-        estimator: State of the estimator as text.
-        consistency: Innovations of the updates before.
-
-    """
-
-    estimator: str
-    consistency: ConsistencyState
+    estimator: str  # State of the estimator as text
+    consistency: ConsistencyState  # Innovations of the updates before
 
 
 @dataclass(slots=True)
 class Snapshots:
-    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong.
+    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong."""
 
-    Attributes:
-        before: The state to go back to; it is older than it takes to find a contradiction.
-        newest: The newest state.
-        moved_s: Time in motion since then [s].
-        left: The state where the stamps left their time base, None if they never did.
-
-    """
-
-    before: Snapshot
-    newest: Snapshot
-    moved_s: float = 0.0
-    left: Snapshot | None = None
+    before: Snapshot  # The state to go back to; it is older than it takes to find a contradiction
+    newest: Snapshot  # The newest state
+    moved_s: float = 0.0  # Time in motion since then [s]
+    left: Snapshot | None = None  # The state where the stamps left their time base, None if they never did
 
     def add(self, state: Snapshot) -> None:
         """Add the present state."""
@@ -68,36 +54,20 @@ class Snapshots:
 
 @dataclass(frozen=True, slots=True)
 class PipelineState:
-    """State of a pipeline.
+    """State of a pipeline."""
 
-    Attributes:
-        estimator: State of the estimator as text.
-        snapshots: Earlier ones.
-        stream: State of the stream of samples.
-        consistency: Innovations of the last updates.
-        status: Status of the last output; not FAULT.
-        used: Samples used.
-        samples: Samples.
-        resets: Number of resets.
-        rejections: Records and samples not used, by reason.
-        last_rejection: The newest of them, None if there was none.
-        speed: Speed of the newest sample [m/s].
-        sample_ns: Its stamp [ns].
-
-    """
-
-    estimator: str
-    snapshots: Snapshots
-    stream: StreamState
-    consistency: ConsistencyState
-    status: Status
-    used: int
-    samples: int
-    resets: int
-    rejections: tuple[ReasonCount, ...]
-    last_rejection: Rejection | None
-    speed: float
-    sample_ns: int
+    estimator: str  # State of the estimator as text
+    snapshots: Snapshots  # Earlier ones
+    stream: StreamState  # State of the stream of samples
+    consistency: ConsistencyState  # Innovations of the last updates
+    status: Status  # Status of the last output; not FAULT
+    used: int  # Samples used
+    samples: int  # Samples
+    resets: int  # Number of resets
+    rejections: tuple[ReasonCount, ...]  # Records and samples not used, by reason
+    last_rejection: Rejection | None  # The newest of them, None if there was none
+    speed: float  # Speed of the newest sample [m/s]
+    sample_ns: int  # Its stamp [ns]
 
     def check(self) -> None:
         """Raise InputError unless this is a possible state."""

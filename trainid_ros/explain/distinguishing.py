@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
-from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.effects import EFFECTS, TrackPoint
+from trainid_ros.train.forces import specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +69,6 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
         parameters: Its parameters as found.
         twin: The other effect, of any size.
         known: What is known from the runs so far.
-
     """
     kind, other = EFFECTS[name], EFFECTS[twin]
     shape = _typical(other)

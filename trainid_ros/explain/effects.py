@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
 from trainid_ros.explain.track_points import track_points
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
@@ -42,18 +42,11 @@ _SPREAD: Final = math.sqrt(2.0 * math.pi)
 
 @dataclass(frozen=True, slots=True)
 class EffectTerm:
-    """An effect in the model.
+    """An effect in the model."""
 
-    Attributes:
-        name: Its name in train files.
-        parameters: Its parameters, in the units of the effect.
-        covariance: Their covariance in the same order, None before a fit.
-
-    """
-
-    name: str
-    parameters: Mapping[str, float]
-    covariance: NDArray[np.float64] | None = None
+    name: str  # Its name in train files
+    parameters: Mapping[str, float]  # Its parameters, in the units of the effect
+    covariance: NDArray[np.float64] | None = None  # Their covariance in the same order, None before a fit
 
     @property
     def size(self) -> float:
@@ -143,7 +136,6 @@ class EffectEvaluator:
     Attributes:
         dataset: The dataset.
         davis: Davis parameters a, b, c of the train file.
-
     """
 
     def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
@@ -165,7 +157,6 @@ class EffectEvaluator:
 
         Raises:
             InputError: The resistance is not finite or cannot be calculated.
-
         """
         kind = EFFECTS[name]
         if not kind.linear:
@@ -191,11 +182,11 @@ class EffectEvaluator:
             each = map(function, repeat(parameters), repeat(davis), self._points)
             values = np.fromiter(each, dtype=float, count=len(self._points))
         except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
-            msg = f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
-            raise InputError(msg) from error
+            raise InputError(
+                f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
+            ) from error
         if not np.isfinite(values).all():
-            msg = f'effect {name}: its resistance is not finite for {_formatted(parameters)}'
-            raise InputError(msg)
+            raise InputError(f'effect {name}: its resistance is not finite for {_formatted(parameters)}')
         return values
 
     def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.noise import Grid, Noise, Spread, Whitener, prior_factor
+from trainid_ros.interface.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,18 +37,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Gram:
-    """Products of whitened columns, summed over runs; those with the factors of single runs are separate.
+    """Products of whitened columns, summed over runs; those with the factors of single runs are separate."""
 
-    Attributes:
-        total: Products of columns, shape (C, C).
-        cross: Products of columns with the factors of the run, shape (R, C, F).
-        own: Products of those factors, shape (R, F, F).
-
-    """
-
-    total: Array
-    cross: Array
-    own: Array
+    total: Array  # Products of columns, shape (C, C)
+    cross: Array  # Products of columns with the factors of the run, shape (R, C, F)
+    own: Array  # Products of those factors, shape (R, F, F)
 
     @classmethod
     def of(cls, columns: Array, factors: int, whitener: Whitener) -> Gram:
@@ -66,7 +59,6 @@ class Gram:
 
         Returns:
             Products of columns, shape (C, C), and the log determinant of the marginalisation.
-
         """
         weighted = self.own + np.diag(1.0 / np.square(std))
         _, log_det = np.linalg.slogdet(weighted)
@@ -77,16 +69,10 @@ class Gram:
 
 @dataclass(frozen=True, slots=True)
 class Nuisances:
-    """Nuisances N with prior covariance K = L L', to integrate out; see the module.
+    """Nuisances N with prior covariance K = L L', to integrate out; see the module."""
 
-    Attributes:
-        root: L, shape (n, n).
-        factor: Cholesky factor of I + L'N'N L.
-
-    """
-
-    root: Array
-    factor: tuple[Array, bool]
+    root: Array  # L, shape (n, n)
+    factor: tuple[Array, bool]  # Cholesky factor of I + L'N'N L
 
     @classmethod
     def of(cls, products: Array, root: Array) -> Nuisances:
@@ -105,20 +91,12 @@ class Nuisances:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """Information on k columns after elimination of all nuisances; see the module.
+    """Information on k columns after elimination of all nuisances; see the module."""
 
-    Attributes:
-        A: Products of the columns, shape (k, k).
-        b: Products of the columns with y, shape (k,).
-        yy: Product of y with itself.
-        log_det: Log determinant of the marginalisation of the nuisances.
-
-    """
-
-    A: Array
-    b: Array
-    yy: float
-    log_det: float
+    A: Array  # Products of the columns, shape (k, k)
+    b: Array  # Products of the columns with y, shape (k,)
+    yy: float  # Product of y with itself
+    log_det: float  # Log determinant of the marginalisation of the nuisances
 
 
 def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
@@ -128,7 +106,6 @@ def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Informati
         products: Products of y, nuisances and candidates, shape (C, C).
         nuisances: Number of nuisances, columns 1 to ``nuisances``.
         prior_factor: L with L L' the prior covariance of the nuisances, shape (nuisances, nuisances).
-
     """
     own = slice(1, 1 + nuisances)
     found = Nuisances.of(products[own, own], prior_factor)
@@ -146,7 +123,6 @@ def informations(columns: Array, candidates: Sequence[Array], prior_factor: Arra
         columns: y and nuisances, whitened, shape (m, 1 + n).
         candidates: Columns of each group, whitened, shapes (m, k).
         prior_factor: L with L L' the prior covariance of the nuisances, shape (n, n).
-
     """
     y, N = columns[:, :1], columns[:, 1:]
     nuisances, Ny = Nuisances.of(N.T @ N, prior_factor), N.T @ y
@@ -166,7 +142,6 @@ def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
     Args:
         products: Products of y and the columns, shape (1 + n, 1 + n).
         prior_factor: L with L L' the prior covariance of the columns, shape (n, n).
-
     """
     inner = np.eye(len(prior_factor)) + prior_factor.T @ products[1:, 1:] @ prior_factor
     covariance = prior_factor @ np.linalg.solve(inner, prior_factor.T)
@@ -211,18 +186,11 @@ _GUST, _GUST_TIME = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Standard deviations of noise and nuisances.
+    """Standard deviations of noise and nuisances."""
 
-    Attributes:
-        noise: Those of noise along a run.
-        spread: Those of nuisances by run and by place.
-        evidence: 2 ln of marginal likelihood times prior at these values, up to a constant.
-
-    """
-
-    noise: Noise
-    spread: Spread
-    evidence: float
+    noise: Noise  # Those of noise along a run
+    spread: Spread  # Those of nuisances by run and by place
+    evidence: float  # 2 ln of marginal likelihood times prior at these values, up to a constant
 
 
 class MarginalLikelihood:
@@ -240,7 +208,6 @@ class MarginalLikelihood:
             common_std: Prior std of the common nuisances, shape (q,).
             map_root: Cholesky factor of the correlation of map errors, shape (k, k).
             weighed: True if the mass is measured.
-
         """
         self._grid, self._factors = grid, factors.shape[1]
         self._columns = np.concatenate([columns, factors], axis=1)
@@ -274,15 +241,13 @@ class MarginalLikelihood:
 
         Raises:
             NoAnswerError: The likelihood cannot be computed at the start.
-
         """
         x, value = self._median.copy(), self._value(self._median)
         # Hyperparameters estimated without an effect can be far off with it.
         if start is not None and (there := self._value(start)) < value:
             x, value = start.copy(), there
         if not math.isfinite(value):
-            msg = 'the motion differs too much from that of the train file to be compared'
-            raise NoAnswerError(msg)
+            raise NoAnswerError('the motion differs too much from that of the train file to be compared')
         gradient, curvature = self._slopes(x, value)
         for _ in range(_MAX_STEPS):
             # Beside hyperparameters whose likelihood cannot be computed there is no slope to follow.

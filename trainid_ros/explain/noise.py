@@ -38,44 +38,26 @@ _SHARED: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of the noise along a run.
+    """Standard deviations of the noise along a run."""
 
-    Attributes:
-        speed: Noise of one measured speed [m/s].
-        gust: Standard deviation of gusts [N/kN].
-        gust_time: Correlation time of gusts [s].
-        jitter: Random delay of each change of traction or brake [s], since forces are sampled a few times a second.
-
-    """
-
-    speed: float
-    gust: float
-    gust_time: float
-    jitter: float
+    speed: float  # Noise of one measured speed [m/s]
+    gust: float  # Standard deviation of gusts [N/kN]
+    gust_time: float  # Correlation time of gusts [s]
+    jitter: float  # Random delay of each change of traction or brake [s], since forces are sampled a few times a second
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Grid points of all runs side by side, longest run first, padded to its length; N grid points by R runs.
+    """Grid points of all runs side by side, longest run first, padded to its length; N grid points by R runs."""
 
-    Attributes:
-        edges: First grid point of each run in the dataset, and the number of grid points, shape (R + 1,).
-        inside: True for grid points, False for padding, shape (N, R).
-        order: Index in the dataset of each point of the grid, row by row, shape (m,).
-        dt: Time since the previous grid point [s], shape (N, R).
-        share: Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R).
-        change: Change of the force since the previous grid point, as acceleration [m/s^2], shape (N, R).
-        inertia: Specific force per acceleration [N/kN per m/s^2].
-
-    """
-
-    edges: tuple[int, ...]
-    inside: NDArray[np.bool_]
-    order: NDArray[np.intp]
-    dt: Array
+    edges: tuple[int, ...]  # First grid point of each run in the dataset, and the number of grid points, shape (R + 1,)
+    inside: NDArray[np.bool_]  # True for grid points, False for padding, shape (N, R)
+    order: NDArray[np.intp]  # Index in the dataset of each point of the grid, row by row, shape (m,)
+    dt: Array  # Time since the previous grid point [s], shape (N, R)
+    # Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R)
     share: Array
-    change: Array
-    inertia: float
+    change: Array  # Change of the force since the previous grid point, as acceleration [m/s^2], shape (N, R)
+    inertia: float  # Specific force per acceleration [N/kN per m/s^2]
 
     @classmethod
     def of(cls, dataset: Dataset) -> Grid:
@@ -102,20 +84,13 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """Gains of the whitening Kalman filter; see :meth:`apply`.
+    """Gains of the whitening Kalman filter; see :meth:`apply`."""
 
-    Attributes:
-        grid: Grid of these points.
-        step: Matrix from [predicted state, measurement] to the predicted state at the next point, shape (N, R, 2, 3).
-        scale: Inverse standard deviation of the innovation [s/m], 0 without a measurement, shape (N, R).
-        log_det: Sum of the log of the innovation variance over all measurements.
-
-    """
-
-    grid: Grid
+    grid: Grid  # Grid of these points
+    # Matrix from [predicted state, measurement] to the predicted state at the next point, shape (N, R, 2, 3)
     step: Array
-    scale: Array
-    log_det: float
+    scale: Array  # Inverse standard deviation of the innovation [s/m], 0 without a measurement, shape (N, R)
+    log_det: float  # Sum of the log of the innovation variance over all measurements
 
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
@@ -160,17 +135,11 @@ class Whitening:
 
     With whitened factors O of standard deviations s, a run has the covariance I + A A', A = O s. A = U D V' gives its
     inverse root I - A V diag(w) V' A', w = 1 / (r (r + 1)), r^2 = 1 + D^2.
-
-    Attributes:
-        whitener: The filter.
-        along: A V, shape (m, F).
-        weight: w, shape (R, F).
-
     """
 
-    whitener: Whitener
-    along: Array
-    weight: Array
+    whitener: Whitener  # The filter
+    along: Array  # A V, shape (m, F)
+    weight: Array  # w, shape (R, F)
 
     @classmethod
     def of(cls, whitener: Whitener, factors: Array, std: Array) -> Whitening:
@@ -180,7 +149,6 @@ class Whitening:
             whitener: The filter.
             factors: Columns of the factors at the grid points, shape (m, F).
             std: Prior standard deviation of each factor, shape (F,).
-
         """
         scaled = whitener.apply(factors) * std
         squares, V = np.linalg.eigh(np.stack([scaled[run].T @ scaled[run] for run in whitener.grid.runs]))
@@ -272,18 +240,11 @@ DAVIS: Final = slice(0, 3)
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Standard deviations of nuisances that differ from run to run and from place to place.
+    """Standard deviations of nuisances that differ from run to run and from place to place."""
 
-    Attributes:
-        payload: Relative error of the mass of a run [1].
-        brake: Relative change of the brake force from run to run [1].
-        map: Error of the map's gradient [per mille].
-
-    """
-
-    payload: float
-    brake: float
-    map: float
+    payload: float  # Relative error of the mass of a run [1]
+    brake: float  # Relative change of the brake force from run to run [1]
+    map: float  # Error of the map's gradient [per mille]
 
     @property
     def of_run(self) -> Array:
@@ -293,18 +254,11 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Sections of the line of equal length.
+    """Sections of the line of equal length."""
 
-    Attributes:
-        low: Start of the first section [m].
-        width: Their length [m].
-        count: Their number.
-
-    """
-
-    low: float
-    width: float
-    count: int
+    low: float  # Start of the first section [m]
+    width: float  # Their length [m]
+    count: int  # Their number
 
     @classmethod
     def of(cls, dataset: Dataset, length: float, *, fine: bool = False) -> Bins:
@@ -360,7 +314,6 @@ def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
         common: Prior std of the former, shape (q,).
         map_root: Cholesky factor of the correlation of the latter, shape (k, k).
         spread: Standard deviations, of which that of the map is used.
-
     """
     q, k = len(common), len(map_root)
     factor = np.zeros((q + k, q + k))

@@ -27,86 +27,48 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """An alternative effect that explains the data equally well.
+    """An alternative effect that explains the data equally well."""
 
-    Attributes:
-        name: Its name in train files.
-        drive: The test run that would distinguish the two.
-
-    """
-
-    name: str
-    drive: str
+    name: str  # Its name in train files
+    drive: str  # The test run that would distinguish the two
 
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """An effect that was added to the model.
+    """An effect that was added to the model."""
 
-    Attributes:
-        name: Its name in train files.
-        title: Short description.
-        equation: Its equation in one line.
-        origin: 'physics' or 'sensor'.
-        parameters: Its parameters, in the units of the effect.
-        std: Their standard deviations.
-        evidence: 2 ln of its Bayes factor, given the other effects [1].
-        where: Where and when it shows, as text.
-        twins: Alternative effects that explain the data equally well, nearest first.
-
-    """
-
-    name: str
-    title: str
-    equation: str
-    origin: str
-    parameters: NamedValues
-    std: NamedValues
-    evidence: float
-    where: str
-    twins: tuple[Alternative, ...]
+    name: str  # Its name in train files
+    title: str  # Short description
+    equation: str  # Its equation in one line
+    origin: str  # 'physics' or 'sensor'
+    parameters: NamedValues  # Its parameters, in the units of the effect
+    std: NamedValues  # Their standard deviations
+    evidence: float  # 2 ln of its Bayes factor, given the other effects [1]
+    where: str  # Where and when it shows, as text
+    twins: tuple[Alternative, ...]  # Alternative effects that explain the data equally well, nearest first
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """RMS of simulated less measured speed on runs held out of the fit, with fitted initial speeds [m/s].
+    """RMS of simulated less measured speed on runs held out of the fit, with fitted initial speeds [m/s]."""
 
-    Attributes:
-        before: Without the effects; a, b, c and nuisances are fitted.
-        after: With the effects.
-        noise_floor: RMS expected of a correct model, from noise, gusts, map errors and payload.
-        runs_held_out: Number of runs it was measured on, each simulated by a fit to other runs.
-
-    """
-
-    before: float
-    after: float
-    noise_floor: float
-    runs_held_out: int
+    before: float  # Without the effects; a, b, c and nuisances are fitted
+    after: float  # With the effects
+    noise_floor: float  # RMS expected of a correct model, from noise, gusts, map errors and payload
+    runs_held_out: int  # Number of runs it was measured on, each simulated by a fit to other runs
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Mean resistance that a model lacks in one part of the data.
+    """Mean resistance that a model lacks in one part of the data."""
 
-    Attributes:
-        label: Name of the part.
-        low: Lower edge on its axis, NaN for a category.
-        high: Upper edge on its axis, NaN for a category.
-        before: Missing resistance without the effects [N/kN].
-        after: Missing resistance with the effects [N/kN].
-        std: Standard deviation, allowing for errors that are correlated in time [N/kN].
-        share: Share of the driving time [1].
-
-    """
-
-    label: str
-    low: float
-    high: float
-    before: float
-    after: float
-    std: float
-    share: float
+    label: str  # Name of the part
+    low: float  # Lower edge on its axis, NaN for a category
+    high: float  # Upper edge on its axis, NaN for a category
+    before: float  # Missing resistance without the effects [N/kN]
+    after: float  # Missing resistance with the effects [N/kN]
+    std: float  # Standard deviation, allowing for errors that are correlated in time [N/kN]
+    share: float  # Share of the driving time [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,83 +82,47 @@ class Location:
 
 @dataclass(frozen=True, slots=True)
 class RunTrace:
-    """One run for plots, at the grid points (about one per second), shapes (n,).
+    """One run for plots, at the grid points (about one per second), shapes (n,)."""
 
-    Attributes:
-        bag: Number of its bag.
-        direction: +1 for rising positions, -1 for falling ones.
-        time: Time since departure [s].
-        position: Position [m].
-        speed: Measured speed [m/s].
-        before: Measured less simulated speed without the effects [m/s].
-        after: Measured less simulated speed with the effects [m/s].
-        band: Standard deviation expected of a correct model [m/s].
-
-    """
-
-    bag: int
-    direction: int
-    time: Array
-    position: Array
-    speed: Array
-    before: Array
-    after: Array
-    band: Array
+    bag: int  # Number of its bag
+    direction: int  # +1 for rising positions, -1 for falling ones
+    time: Array  # Time since departure [s]
+    position: Array  # Position [m]
+    speed: Array  # Measured speed [m/s]
+    before: Array  # Measured less simulated speed without the effects [m/s]
+    after: Array  # Measured less simulated speed with the effects [m/s]
+    band: Array  # Standard deviation expected of a correct model [m/s]
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """Estimated standard deviations of noise and nuisances.
+    """Estimated standard deviations of noise and nuisances."""
 
-    Attributes:
-        speed: Noise of one measured speed [m/s].
-        gust: Standard deviation of gusts [N/kN].
-        gust_time: Correlation time of gusts [s].
-        payload: Relative error of the mass of a run [1].
-        brake: Relative change of the brake force from run to run [1].
-        map: Error of the map's gradient [per mille].
-
-    """
-
-    speed: float
-    gust: float
-    gust_time: float
-    payload: float
-    brake: float
-    map: float
+    speed: float  # Noise of one measured speed [m/s]
+    gust: float  # Standard deviation of gusts [N/kN]
+    gust_time: float  # Correlation time of gusts [s]
+    payload: float  # Relative error of the mass of a run [1]
+    brake: float  # Relative change of the brake force from run to run [1]
+    map: float  # Error of the map's gradient [per mille]
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Result of the workflow.
+    """Result of the workflow."""
 
-    Attributes:
-        verdict: Outcome.
-        effects: Effects added to the model, strongest first; empty if no fit is supported by the data.
-        gap: Gap before and after; None with too few runs to hold one out.
-        remaining: One sentence on what the rest of the gap depends on.
-        train_file: Train file with the effects added, and a, b, c as estimated with them.
-        davis_std: Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2].
-        locations: Where the gap is.
-        traces: All runs, for plots.
-        noise: Standard deviations of noise and nuisances.
-        outliers: Share of speeds excluded as outliers [1].
-        weighed: True if the mass was measured.
-        gradient_point: Point of the train at which gradients were taken to be given; None if they are means under it.
-
-    """
-
-    verdict: Verdict
+    verdict: Verdict  # Outcome
+    # Effects added to the model, strongest first; empty if no fit is supported by the data
     effects: tuple[FoundEffect, ...]
-    gap: Gap | None
-    remaining: str
-    train_file: TrainFile
-    davis_std: tuple[float, float, float]
-    locations: tuple[Location, ...]
-    traces: tuple[RunTrace, ...]
-    noise: NoiseLevels
-    outliers: float
-    weighed: bool
+    gap: Gap | None  # Gap before and after; None with too few runs to hold one out
+    remaining: str  # One sentence on what the rest of the gap depends on
+    train_file: TrainFile  # Train file with the effects added, and a, b, c as estimated with them
+    davis_std: tuple[float, float, float]  # Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2]
+    locations: tuple[Location, ...]  # Where the gap is
+    traces: tuple[RunTrace, ...]  # All runs, for plots
+    noise: NoiseLevels  # Standard deviations of noise and nuisances
+    outliers: float  # Share of speeds excluded as outliers [1]
+    weighed: bool  # True if the mass was measured
+    # Point of the train at which gradients were taken to be given; None if they are means under it
     gradient_point: str | None
 
 

@@ -8,9 +8,9 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.explain.run_data import Run
-from trainid_ros.train.davis import davis
-from trainid_ros.train.effects.point import TrackPoint
+from trainid_ros.explain.dataset import Run
+from trainid_ros.train.effect_point import TrackPoint
+from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis
 
 
@@ -61,7 +61,6 @@ def track_points(
         length: Length of the train [m].
         inertia: Specific force per acceleration [N/kN per m/s^2].
         resistance: Davis resistance of the train file.
-
     """
     middle = run.time - 0.5 * run.dt
     place = run.position - 0.5 * run.direction * run.dt * speed

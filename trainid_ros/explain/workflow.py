@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.distinguishing import Known, distinguishing_drive
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
-from trainid_ros.explain.location import locate, where
-from trainid_ros.explain.measurement_errors import find_slip, read_at
-from trainid_ros.explain.model import Model
+from trainid_ros.explain.model import Model, find_slip, read_at
 from trainid_ros.explain.noise import DAVIS
-from trainid_ros.explain.proof import assess
+from trainid_ros.explain.proof import assess, locate, where
 from trainid_ros.explain.result import (
     Alternative,
     Explanation,
@@ -27,7 +24,8 @@ from trainid_ros.explain.result import (
     Verdict,
 )
 from trainid_ros.explain.search import Search, Selection
-from trainid_ros.text import pluralise
+from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.text import pluralise
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis, Effect
 
@@ -36,9 +34,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from trainid_ros.explain.dataset import Run
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.proof import Outcome
-    from trainid_ros.explain.run_data import Run
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
@@ -71,11 +69,9 @@ def explain(
 
     Raises:
         NoAnswerError: There is too little motion.
-
     """
     if sum(run.time.size for run in runs) < _MIN_SAMPLES:
-        msg = f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare'
-        raise NoAnswerError(msg)
+        raise NoAnswerError(f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare')
     # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
     compared = _some(runs, COMPARED_S)
     search = _search(compared, train_file, advance)

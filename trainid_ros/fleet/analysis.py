@@ -10,19 +10,37 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.fleet.causes import Cause, causes_of
-from trainid_ros.fleet.changes import Change, Series, Step, find_changes
-from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, has_estimate, labels_of
-from trainid_ros.fleet.departures import Departure, departures, usual_days
-from trainid_ros.fleet.mixed_model import ROUNDS, MixedFit, fit
+from trainid_ros.fleet.changes import (
+    Cause,
+    Change,
+    Departure,
+    Series,
+    Step,
+    causes_of,
+    departures,
+    find_changes,
+    usual_days,
+)
+from trainid_ros.fleet.mixed_model import (
+    CHANNELS,
+    ROUNDS,
+    Cells,
+    Channel,
+    Labels,
+    MixedFit,
+    cells_of,
+    fit,
+    has_estimate,
+    labels_of,
+)
+from trainid_ros.interface.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.table_file import Row
 
     Array = NDArray[np.float64]
 
@@ -42,18 +60,11 @@ _LEVEL_SIGMAS: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class ChannelView:
-    """One channel of the fleet.
+    """One channel of the fleet."""
 
-    Attributes:
-        channel: Which.
-        cells: Its values.
-        fit: The fitted model.
-
-    """
-
-    channel: Channel
-    cells: Cells
-    fit: MixedFit
+    channel: Channel  # Which
+    cells: Cells  # Its values
+    fit: MixedFit  # The fitted model
 
     def series(self, train: int, days: int) -> Series:
         """Return the values of a train by day, less what trains have in common."""
@@ -81,26 +92,15 @@ class LevelOutlier:
 
 @dataclass(frozen=True, slots=True)
 class TrainView:
-    """One train.
+    """One train."""
 
-    Attributes:
-        name: Its name.
-        number: Index in the labels.
-        series: Its values by channel.
-        changes: Its changes.
-        departures: Days on which it was away from its usual level.
-        outliers: Channels in which it always differed.
-        causes: What the main departure may be, the most probable first.
-
-    """
-
-    name: str
-    number: int
-    series: tuple[Series, ...]
-    changes: tuple[Change, ...]
-    departures: tuple[Departure, ...]
-    outliers: tuple[LevelOutlier, ...]
-    causes: tuple[Cause, ...]
+    name: str  # Its name
+    number: int  # Index in the labels
+    series: tuple[Series, ...]  # Its values by channel
+    changes: tuple[Change, ...]  # Its changes
+    departures: tuple[Departure, ...]  # Days on which it was away from its usual level
+    outliers: tuple[LevelOutlier, ...]  # Channels in which it always differed
+    causes: tuple[Cause, ...]  # What the main departure may be, the most probable first
 
     @property
     def main(self) -> Departure | None:
@@ -121,19 +121,12 @@ class TrainView:
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """The whole fleet.
+    """The whole fleet."""
 
-    Attributes:
-        labels: Its labels.
-        channels: Its channels.
-        trains: Its trains by evidence, the strongest first.
-        contradicted: Trains with runs that were left out as their inputs contradict each other, with how many.
-
-    """
-
-    labels: Labels
-    channels: tuple[ChannelView, ...]
-    trains: tuple[TrainView, ...]
+    labels: Labels  # Its labels
+    channels: tuple[ChannelView, ...]  # Its channels
+    trains: tuple[TrainView, ...]  # Its trains by evidence, the strongest first
+    # Trains with runs that were left out as their inputs contradict each other, with how many
     contradicted: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -151,18 +144,16 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
 
     Raises:
         NoAnswerError: Too few runs of known trains and days have an estimate.
-
     """
     labels = labels_of(rows)
     cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
     cells = [(channel, found) for channel, found in cells if found.value.size >= _LEAST_CELLS]
     if not cells:
         usable = sum(has_estimate(row) and not row['contradiction'] for row in rows)
-        msg = (
+        raise NoAnswerError(
             f'too few days of trains to compare: {len(rows)} rows, {usable} with train, day and estimate and without '
             f'contradiction; {_LEAST_CELLS} days, those of all trains together, are the least'
         )
-        raise NoAnswerError(msg)
     views, series, changes = _fit_and_test(labels, cells, limit)
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
     contradicted = Counter(row['train'] for row in rows if has_estimate(row) and row['contradiction'])

@@ -12,6 +12,18 @@ grid, so that the evidence of a step on day k, seen on day n, is the Bayes facto
 Without a change R(n) - n is a martingale, so an alarm at R >= C comes less often than once in C days (Pollak, Ann.
 Statist. 13 (1985) 206): C is the number of train-days for one false alarm. After an alarm the test goes on from the
 step found, so that a repair is a change too.
+
+What a change may be, by the channels that show it: a hint, until ``explain`` has seen the bags.
+
+A cause of size theta changes channel c by theta d_c, as a share of the mean of the fleet. With a normal prior of theta
+and a slack for what the directions leave out, the steps found are normal, and Bayes' rule gives the probability of
+each cause; 'other' changes each channel on its own.
+
+Days on which a train was away from its usual level: from the first change away from it to the change back.
+
+The usual level is that before the first change, unless the train was then far from the others and came near them later:
+a table may begin with a fault. What lies between two changes is a part; parts that lie to the same side of the usual
+level belong to one departure.
 """
 
 from __future__ import annotations
@@ -31,6 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+    from collections.abc import Mapping
 
 _SHARE: Final = 0.5  # q
 # A step is looked for among so many days before the newest, and needs so many days of data after it.
@@ -43,22 +56,13 @@ _TINY: Final = 1e-300
 
 
 class Series(NamedTuple):
-    """Values of one train in one channel by day, less what trains have in common; NaN where there is none.
+    """Values of one train in one channel by day, less what trains have in common; NaN where there is none."""
 
-    Attributes:
-        value: Shape (days,).
-        std: Scale of the errors, shape (days,).
-        degrees: Degrees of freedom of the errors.
-        level_std: Standard deviation of the level among trains.
-        step_std: Standard deviation of a step that matters.
-
-    """
-
-    value: Array
-    std: Array
-    degrees: float
-    level_std: float
-    step_std: float
+    value: Array  # Shape (days,)
+    std: Array  # Scale of the errors, shape (days,)
+    degrees: float  # Degrees of freedom of the errors
+    level_std: float  # Standard deviation of the level among trains
+    step_std: float  # Standard deviation of a step that matters
 
 
 class Level(NamedTuple):
@@ -88,20 +92,12 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A change of a train.
+    """A change of a train."""
 
-    Attributes:
-        day: First day after it.
-        alarm: Day on which it was certain enough.
-        evidence: ln R at the newest day of this segment.
-        steps: Steps by channel, None where the channel has no data.
-
-    """
-
-    day: int
-    alarm: int
-    evidence: float
-    steps: tuple[Step | None, ...]
+    day: int  # First day after it
+    alarm: int  # Day on which it was certain enough
+    evidence: float  # ln R at the newest day of this segment
+    steps: tuple[Step | None, ...]  # Steps by channel, None where the channel has no data
 
 
 class _Segment:
@@ -226,3 +222,197 @@ def _posterior(prior: Array, log_likelihood: Array) -> tuple[Array, Array]:
     weight = prior * np.exp(log_likelihood - top)
     total = np.maximum(weight.sum(axis=1, keepdims=True), _TINY)
     return weight / total, _log(total[:, 0]) + top[:, 0]
+
+
+class Cause(NamedTuple):
+    """A cause with its probability: name of the effect of the library, what it is in a depot."""
+
+    effect: str
+    title: str
+    probability: float
+
+
+class _Kind(NamedTuple):
+    """A cause: direction by channel, size of theta, and sign of theta (0 for both)."""
+
+    effect: str
+    title: str
+    direction: Mapping[str, float]
+    size: float
+    sign: int
+
+
+_KINDS: Final = (
+    _Kind('dragging_brake', 'dragging brake or another added resistance', {'w15': 1.0}, 0.3, 1),
+    _Kind('resistance_step', 'less resistance than before, as after a repair', {'w15': 1.0}, 0.3, -1),
+    _Kind('brake_scale', 'worn or glazed brake pads', {'brake_rate': 1.0}, 0.1, -1),
+    _Kind('brake_scale', 'brake stronger than before, as with new pads', {'brake_rate': 1.0}, 0.1, 1),
+    # A wheel that reads r times the true speed makes each force seem r times as strong, and each distance as long.
+    _Kind(
+        'wheel_diameter', 'wrong wheel diameter', {'wheel_ratio': 1.0, 'force_scale': 1.0, 'brake_rate': 1.0}, 0.02, 0
+    ),
+    # A train heavier than weighed reaches less acceleration with each force.
+    _Kind('mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0),
+    _Kind('traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0),
+)
+OTHER: Final = 'other'
+_OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
+# What the directions leave out, as a share of the mean.
+_SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_ratio': 0.0005}
+_LEAST: Final = 0.05
+
+
+def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, ...]:
+    """Return the causes with a probability that counts, the most probable first.
+
+    Args:
+        steps: Step and its standard deviation as shares of the mean of the fleet by channel, None without data.
+    """
+    known = {name: step for name, step in steps.items() if step is not None}
+    names = tuple(known)
+    step, std = np.array([known[name] for name in names]).reshape(-1, 2).T
+    noise = np.diag(std**2 + np.array([_SLACK[name] for name in names]) ** 2)
+    found = [_log_evidence(kind, names, step, noise) for kind in _KINDS]
+    other = noise + np.diag([_OTHER_SIZE[name] ** 2 for name in names])
+    log_p = np.array([*found, _log_normal(step, other)])
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    causes = [Cause(kind.effect, kind.title, float(share)) for kind, share in zip(_KINDS, p, strict=False)]
+    causes.append(Cause(OTHER, 'no single known cause', float(p[-1])))
+    return tuple(sorted((c for c in causes if c.probability >= _LEAST), key=lambda cause: -cause.probability))
+
+
+def _log_evidence(kind: _Kind, names: tuple[str, ...], step: np.ndarray, noise: np.ndarray) -> float:
+    """Return ln p(steps | cause); a cause of one sign has twice the density on that side and none on the other."""
+    d = np.array([kind.direction.get(name, 0.0) for name in names])
+    if not d.any():
+        return -math.inf
+    log_p = _log_normal(step, noise + kind.size**2 * np.outer(d, d))
+    if not kind.sign:
+        return log_p
+    # Posterior of theta: the share of it on the permitted side.
+    weight = np.linalg.solve(noise, d)
+    variance = 1.0 / (float(d @ weight) + kind.size**-2)
+    z = kind.sign * variance * float(weight @ step) / math.sqrt(2.0 * variance)
+    return log_p + math.log(max(1e-300, math.erfc(-z)))
+
+
+def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+    _, log_det = np.linalg.slogdet(covariance)
+    return -0.5 * (float(log_det) + float(x @ np.linalg.solve(covariance, x)) + x.size * math.log(2.0 * math.pi))
+
+
+# Distance to the fleet beyond which the first level of a train is a fault, in standard deviations among trains.
+_MIN_DEVIATION: Final = 5.0
+# A train is back when less than this share of the departure is left.
+_BACK: Final = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """Days on which a train was away from its usual level."""
+
+    first: int  # First day; 0 if the table begins with it
+    end: int | None  # First day after it, None if it has not ended
+    alarm: int  # Day on which it was certain enough; if the table begins with it, that on which its end was
+    evidence: float  # ln R of the most certain of its changes
+    # From the usual level to that of its most certain part by channel, None where the channel has no data
+    steps: tuple[Step | None, ...]
+
+
+class _Part(NamedTuple):
+    """Days between two changes, and levels by channel, None without data."""
+
+    first: int
+    end: int | None
+    levels: tuple[Level | None, ...]
+
+
+def usual_days(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[float, float]:
+    """Return the first day of the usual level of a train, and the first one after it."""
+    if not changes:
+        return 0.0, math.inf
+    parts = _parts(changes)
+    part = parts[_usual(channels, parts)]
+    return float(part.first), math.inf if part.end is None else float(part.end)
+
+
+def departures(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[Departure, ...]:
+    """Return the departures of a train, in order.
+
+    Args:
+        channels: Its values.
+        changes: Its changes, in order.
+    """
+    if not changes:
+        return ()
+    parts = _parts(changes)
+    usual = _usual(channels, parts)
+    steps = [_steps(channels, parts[usual], part) for part in parts]
+    sizes = [_sizes(channels, step) for step in steps]
+    groups: list[list[int]] = []
+    away = False
+    for k, size in enumerate(sizes):
+        main = _main(steps, groups[-1]) if away else k
+        if k == usual or (k != main and float(np.linalg.norm(size)) < _BACK * float(np.linalg.norm(sizes[main]))):
+            away = False
+        elif k != main and float(size @ sizes[main]) >= _BACK * float(sizes[main] @ sizes[main]):
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+            away = True
+    return tuple(_departure(changes, parts, group, steps[_main(steps, group)]) for group in groups)
+
+
+def _departure(
+    changes: Sequence[Change], parts: Sequence[_Part], group: Sequence[int], steps: tuple[Step | None, ...]
+) -> Departure:
+    # Change k - 1 begins part k; if the table begins with it, its end is what shows it.
+    mine = [changes[max(k - 1, 0)] for k in group]
+    evidence = max(change.evidence for change in mine)
+    return Departure(parts[group[0]].first, parts[group[-1]].end, mine[0].alarm, evidence, steps)
+
+
+def _parts(changes: Sequence[Change]) -> list[_Part]:
+    starts = [0, *(change.day for change in changes)]
+    ends = [*starts[1:], None]
+    first = tuple(step and step.before for step in changes[0].steps)
+    levels = [first, *(tuple(step and step.after for step in change.steps) for change in changes)]
+    return [_Part(*part) for part in zip(starts, ends, levels, strict=True)]
+
+
+def _usual(channels: Sequence[Series], parts: Sequence[_Part]) -> int:
+    """Return the number of the part with the usual level."""
+    distances = [_distance_to_fleet(channels, part) for part in parts]
+    return 0 if distances[0] < _MIN_DEVIATION else distances.index(min(distances))
+
+
+def _distance_to_fleet(channels: Sequence[Series], part: _Part) -> float:
+    """Return the largest difference from the fleet in standard deviations among trains."""
+    known = ((series, level) for series, level in zip(channels, part.levels, strict=True) if level is not None)
+    return max((abs(level.mean) / math.hypot(series.level_std, level.std) for series, level in known), default=0.0)
+
+
+def _steps(channels: Sequence[Series], usual: _Part, part: _Part) -> tuple[Step | None, ...]:
+    """Return the steps from the usual level to a part with ln of their Bayes factors, for normal levels."""
+    found: list[Step | None] = []
+    for series, before, after in zip(channels, usual.levels, part.levels, strict=True):
+        if before is None or after is None:
+            found.append(None)
+            continue
+        noise, total = before.std**2 + after.std**2, before.std**2 + after.std**2 + series.step_std**2
+        square = (after.mean - before.mean) ** 2
+        found.append(Step(before, after, 0.5 * (square / noise - square / total - math.log(total / noise))))
+    return tuple(found)
+
+
+def _sizes(channels: Sequence[Series], steps: Sequence[Step | None]) -> Array:
+    """Return the sizes of steps in those that matter, 0 where a channel has no data."""
+    return np.array(
+        [step.size / series.step_std if step else 0.0 for series, step in zip(channels, steps, strict=True)]
+    )
+
+
+def _main(steps: Sequence[tuple[Step | None, ...]], group: Sequence[int]) -> int:
+    """Return the most certain part of a departure."""
+    return max(group, key=lambda k: sum(step.evidence for step in steps[k] if step))

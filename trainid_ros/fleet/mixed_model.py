@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear mixed model of one channel: what trains have in common, and what is each train's own.
+"""Quantities of the table in which trains are compared.
+
+Linear mixed model of one channel: what trains have in common, and what is each train's own.
 
     y_n = mu + u_train(n) + sum_k b_k(n) + e_n,   u ~ N(0, s_T^2),   b_k ~ N(0, s_k^2),   e_n ~ N(0, v_n)
     v_n = (kappa^2 std_n^2 + s_E^2) / omega_n
@@ -22,6 +24,7 @@ J. Am. Stat. Assoc. 84 (1989) 881.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -30,12 +33,102 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from trainid_ros.fleet.channels import Cells, Labels
+    from trainid_ros.fleet.table_file import Row
 
     Array = NDArray[np.float64]
     Numbers = NDArray[np.intp]
+
+_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
+
+
+class Channel(NamedTuple):
+    """A quantity that is compared."""
+
+    name: str  # Column of the value; that of its standard deviation ends with ``_std``
+    title: str  # What it is
+    unit: str  # Its unit, '' for ratios
+    change: float  # Standard deviation of a change that matters, as a share of the mean of the fleet [1]
+
+
+CHANNELS: Final = (
+    Channel('w15', 'resistance at 15 m/s', 'N/kN', 0.2),
+    Channel('brake_rate', 'brake rate', '', 0.08),
+    Channel('force_scale', 'force scale', '', 0.06),
+    Channel('wheel_ratio', 'wheel ratio', '', 0.02),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Names of trains, days and common causes; the tables of all channels count by them."""
+
+    trains: tuple[str, ...]
+    days: tuple[str, ...]
+    lines: tuple[str, ...]
+    weathers: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Values of one channel, runs of a train on one day, line and weather taken together; shapes (n,)."""
+
+    value: Array  # Mean, weighted by the inverse variances
+    std: Array  # Standard deviation stated by the estimator, of the mean
+    train: Numbers  # Index in the labels; likewise day, line and weather
+    day: Numbers  # Day
+    line: Numbers  # Line
+    weather: Numbers  # Weather
+
+
+def labels_of(rows: Sequence[Row]) -> Labels:
+    """Return all labels in use, in order; rows without train or day do not count."""
+    known = [row for row in rows if is_known(row)]
+
+    def names(column: str) -> tuple[str, ...]:
+        return tuple(sorted({row[column] or '' for row in known}))
+
+    return Labels(names('train'), names('day'), names('line'), names('weather'))
+
+
+def is_known(row: Row) -> bool:
+    """Return whether a row has an estimate of a known train and day, from inputs that do not contradict each other."""
+    return has_estimate(row) and not row['contradiction']
+
+
+def has_estimate(row: Row) -> bool:
+    """Return whether a row has an estimate of a known train and day, whatever its inputs."""
+    return bool(row['train'] and row['day'] and row['status'] in _USABLE)
+
+
+def cells_of(rows: Sequence[Row], channel: Channel, labels: Labels) -> Cells:
+    """Return the cells of a channel; rows without a finite value are left out."""
+    index = [{name: k for k, name in enumerate(names)} for names in
+             (labels.trains, labels.days, labels.lines, labels.weathers)]  # fmt: skip
+    runs: dict[tuple[int, ...], list[tuple[float, float]]] = defaultdict(list)
+    for row in rows:
+        value, std = row[channel.name], row[f'{channel.name}_std']
+        if not is_known(row) or value is None or std is None or not std > 0.0 or not math.isfinite(value + std):
+            continue
+        key = tuple(
+            numbers[row[column] or '']
+            for numbers, column in zip(index, ('train', 'day', 'line', 'weather'), strict=True)
+        )
+        runs[key].append((value, std))
+    keys = np.array(sorted(runs), dtype=np.intp).reshape(-1, 4)
+    means = [_mean(runs[key]) for key in sorted(runs)]
+    value, std = np.array(means).reshape(-1, 2).T
+    return Cells(value, std, *keys.T)
+
+
+def _mean(runs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    weights = [1.0 / (std * std) for _, std in runs]
+    total = sum(weights)
+    return sum(w * value for w, (value, _) in zip(weights, runs, strict=True)) / total, total**-0.5
+
 
 DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 """Degrees of freedom of Student's t among which the data choose."""
@@ -52,18 +145,11 @@ _PRIOR_STD: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Random effects that trains have in common, numbered through; number 0 is the mean of the fleet.
+    """Random effects that trains have in common, numbered through; number 0 is the mean of the fleet."""
 
-    Attributes:
-        of_cell: Effects of each cell, shape (n, 1 + factors).
-        factor: Factor of each effect, shape (m,); -1 for the mean, whose prior is flat.
-        names: Names of the factors.
-
-    """
-
-    of_cell: Numbers
-    factor: Numbers
-    names: tuple[str, ...]
+    of_cell: Numbers  # Effects of each cell, shape (n, 1 + factors)
+    factor: Numbers  # Factor of each effect, shape (m,); -1 for the mean, whose prior is flat
+    names: tuple[str, ...]  # Names of the factors
 
     def at_cells(self, b: Array) -> Array:
         """Return the sum of the effects of each cell, shape (n,)."""
@@ -73,28 +159,16 @@ class Effects:
 
 @dataclass(frozen=True, slots=True)
 class MixedFit:
-    """The fitted model of one channel.
+    """The fitted model of one channel."""
 
-    Attributes:
-        mean: Mean of the fleet.
-        train: Effect of each train, shape (trains,), 0 where it has no cell; and its standard deviation.
-        train_std: See ``train``.
-        common: Mean and common effects of each cell, shape (n,), and the variance of the latter.
-        common_variance: See ``common``.
-        variance: Variance of each cell, without the weights, shape (n,).
-        stds: Standard deviation of the effects by name; 'train', 'error', and the factor 'stated' [1].
-        degrees: Degrees of freedom of the errors.
-
-    """
-
-    mean: float
-    train: Array
-    train_std: Array
-    common: Array
-    common_variance: Array
-    variance: Array
-    stds: dict[str, float]
-    degrees: float
+    mean: float  # Mean of the fleet
+    train: Array  # Effect of each train, shape (trains,), 0 where it has no cell; and its standard deviation
+    train_std: Array  # See ``train``
+    common: Array  # Mean and common effects of each cell, shape (n,), and the variance of the latter
+    common_variance: Array  # See ``common``
+    variance: Array  # Variance of each cell, without the weights, shape (n,)
+    stds: dict[str, float]  # Standard deviation of the effects by name; 'train', 'error', and the factor 'stated' [1]
+    degrees: float  # Degrees of freedom of the errors
 
 
 def common_effects(cells: Cells, labels: Labels) -> Effects:
@@ -124,7 +198,6 @@ class _Problem:
         trains: Number of trains.
         used: Cells that count, shape (n,).
         level_std: Usual standard deviation among trains.
-
     """
 
     def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_], level_std: float) -> None:
@@ -219,7 +292,6 @@ def fit(
         level_std: Usual standard deviation among trains.
         used: Cells that count, shape (n,); all if None. The others only get their common effects.
         rounds: How often the weights are found anew.
-
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
     problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used, level_std)

@@ -1,20 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a fleet as files: Parquet with units in the metadata of the columns, or CSV."""
+"""Columns of the table of a fleet: one row per bag.
+
+Tables of a fleet as files: Parquet with units in the metadata of the columns, or CSV.
+
+Rows as they come, one JSON object a line: what a killed run leaves, and the next run goes on from.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.columns import COLUMNS, NAMES, Column, Row, empty_row
-from trainid_ros.fleet.files import write_whole
+from trainid_ros.fleet.plan import write_whole
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Reason, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
+    from types import TracebackType
+    from typing import TextIO
+
+Row = dict[str, Any]
+"""Values by name of the column; None where a value is not known. Times are in seconds since 1970 (UTC)."""
+
+SPEEDS: Final = (10, 15, 20)
+"""Speeds at which the resistance is stated [m/s]."""
+
+
+class Column(NamedTuple):
+    """One column."""
+
+    name: str  # Name
+    kind: str  # 'text', 'float', 'int' or 'time'
+    unit: str  # Unit, '' for text; '1' for ratios and counts
+    text: str  # What it is
+
+
+def reason_column(reason: Reason) -> str:
+    """Return the column with the number of rejections for a reason."""
+    return f'rejected_{reason.name.lower()}'
+
+
+def share_column(status: Status) -> str:
+    """Return the column with the share of outputs that had a status."""
+    return f'share_{status.name.lower()}'
+
+
+_PARAMETERS: Final = (('a', 'N/kN'), ('b', 'N/kN per m/s'), ('c', 'N/kN per (m/s)^2'))
+_REASONS: Final = tuple(reason for reason in Reason if reason not in (Reason.NONE, Reason.THINNED))
+
+
+def _with_std(name: str, unit: str, text: str) -> tuple[Column, Column]:
+    return Column(name, 'float', unit, text), Column(f'{name}_std', 'float', unit, f'standard deviation of {name}')
+
+
+COLUMNS: Final = (
+    Column('bag', 'text', '', 'absolute path of the bag'),
+    Column('train', 'text', '', 'train, from --label, --namespace or the custom data of the bag'),
+    Column('line', 'text', '', 'line, from --label or the custom data of the bag'),
+    Column('day', 'text', '', 'day, YYYY-MM-DD: as line, or that of the start in UTC'),
+    Column('weather', 'text', '', 'weather, as line'),
+    Column('start', 'time', 's', 'log time of the first message'),
+    Column('duration_s', 'float', 's', 'time covered by the samples'),
+    Column('status', 'text', '', 'status of the resistance at the end; empty if the bag was not replayed'),
+    Column('error', 'text', '', 'why there is no estimate'),
+    *(Column(name, 'float', unit, f'Davis parameter {name}') for name, unit in _PARAMETERS),
+    *(Column(f'{name}_std', 'float', unit, f'standard deviation of {name}') for name, unit in _PARAMETERS),
+    *(column for speed in SPEEDS for column in _with_std(f'w{speed}', 'N/kN', f'running resistance at {speed} m/s')),
+    Column('speed_min', 'float', 'm/s', 'slowest speed learned from'),
+    Column('speed_max', 'float', 'm/s', 'fastest speed learned from'),
+    *_with_std('brake_rate', '1', 'brake rate, 1 = nominal'),
+    Column('brake_status', 'text', '', 'status of the brake rate at the end'),
+    *_with_std('dead_time', 's', 'dead time of the brake; empty where none was learned'),
+    *_with_std('force_scale', '1', 'actual over reported specific force'),
+    *_with_std('force_delay', 's', 'delay of the stamps of the force'),
+    *_with_std('wheel_ratio', '1', 'distance by the speed over that by the position, from stop to stop'),
+    Column('mass_factor', 'float', '1', 'true over stated mass, with rotating masses, from the speed model'),
+    Column('used', 'int', '1', 'samples that the resistance was learned from'),
+    Column('brake_used', 'int', '1', 'samples that the brake rate was learned from'),
+    Column('rejected', 'int', '1', 'records and samples that the resistance was not learned from'),
+    *(Column(reason_column(reason), 'int', '1', f'of these: {reason.name}') for reason in _REASONS),
+    *(Column(share_column(status), 'float', '1', f'share of outputs that were {status.name}') for status in Status),
+    Column('contradiction', 'text', '', 'last contradiction between the inputs: no estimate of this run is compared'),
+    Column('finding', 'text', '', 'errors of the force and of the brake that were found'),
+    Column('warnings', 'text', '', 'faults of the bag that do not prevent reading'),
+    Column('revision', 'text', '', 'version of trainid_ros and digest of the modules that compute'),
+)
+NAMES: Final = tuple(column.name for column in COLUMNS)
+
+
+def empty_row() -> Row:
+    """Return a row without values."""
+    return dict.fromkeys(NAMES)
+
 
 META: Final = b'trainid_fleet'
 _WRITTEN: Final = 'table of trainid fleet'
@@ -23,8 +104,7 @@ _WRITTEN: Final = 'table of trainid fleet'
 def check_table(path: Path) -> None:
     """Raise InputError if a table cannot be written to a path: its type is not known, or pyarrow is missing."""
     if path.suffix not in ('.parquet', '.csv'):
-        msg = f'{path}: a table ends with .parquet or .csv'
-        raise InputError(msg)
+        raise InputError(f'{path}: a table ends with .parquet or .csv')
     if path.suffix == '.parquet':
         import pyarrow.parquet  # noqa: F401, PLC0415 - optional
 
@@ -34,7 +114,6 @@ def write_table(rows: Sequence[Row], path: Path, about: Mapping[str, Any]) -> No
 
     Raises:
         InputError: It cannot be written.
-
     """
     if path.suffix == '.csv':
         write_whole(path, lambda part: _write_csv(rows, part))
@@ -47,25 +126,21 @@ def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
 
     Raises:
         InputError: It cannot be read, or lacks the columns that every table has.
-
     """
     try:
         path.open('rb').close()  # pyarrow does not say why it cannot
         rows, about = _read_csv(path) if path.suffix == '.csv' else _read_parquet(path)
     except OSError as error:
-        msg = f'{path}: cannot be read ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{path}: cannot be read ({error.strerror})') from None
     except ValueError as error:  # of pyarrow and csv
-        msg = f'{path}: is not a {_WRITTEN} ({" ".join(str(error).split())[:200]})'
-        raise InputError(msg) from None
+        raise InputError(f'{path}: is not a {_WRITTEN} ({" ".join(str(error).split())[:200]})') from None
     return [empty_row() | row for row in rows], about
 
 
 def _require(names: Sequence[str]) -> None:
     for name in ('bag', 'train', 'day', 'w15', 'w15_std'):
         if name not in names:
-            msg = f'column {name} is missing'
-            raise ValueError(msg)
+            raise ValueError(f'column {name} is missing')
 
 
 def _write_csv(rows: Sequence[Row], path: Path) -> None:
@@ -128,3 +203,68 @@ def _read_parquet(path: Path) -> tuple[list[Row], dict[str, Any]]:
         if row.get('start') is not None:
             row['start'] /= 1e6
     return rows, json.loads((table.schema.metadata or {}).get(META, b'{}'))
+
+
+_START: Final = '["'
+
+
+def read_journal(path: Path) -> dict[str, Row]:
+    """Return the rows by key; lines that a killed run left unfinished are no rows. Empty without a file.
+
+    Raises:
+        InputError: It cannot be read, or is something else.
+    """
+    rows: dict[str, Row] = {}
+    try:
+        text = path.read_text(encoding='utf-8', errors='replace')
+    except FileNotFoundError:
+        return rows
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error})') from None
+    *lines, _ = text.split('\n')
+    for line in lines:
+        try:
+            key, row = json.loads(line)
+            rows[str(key)] = dict(row)
+        except (ValueError, TypeError):
+            continue  # a kill, or a loss of power, may leave anything
+    if lines and not rows and not lines[0].startswith(_START):
+        raise InputError(f'{path}: holds no row of a fleet; remove the file or choose another --out')
+    return rows
+
+
+class Journal:
+    """Appends rows; use as a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        """Name the file."""
+        self._path = path
+        self._file: TextIO | None = None
+
+    def __enter__(self) -> Self:
+        """Open the file; a line that was left unfinished is ended.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        try:
+            self._file = self._path.open('a', encoding='utf-8')
+            if self._file.tell() and not self._path.read_bytes().endswith(b'\n'):
+                self._file.write('\n')
+        except OSError as error:
+            raise InputError(f'{self._path}: cannot be written ({error.strerror})') from None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, key: str, row: Row) -> None:
+        """Append a row; it survives the end of this process."""
+        if self._file is not None:
+            json.dump((key, row), self._file, allow_nan=False, ensure_ascii=True)
+            self._file.write('\n')
+            self._file.flush()

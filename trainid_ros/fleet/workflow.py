@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.errors import InputError, TrainIdError
+from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.train.train_file import load_train_file
 
@@ -52,7 +52,6 @@ def name_cause(view: FleetView, train: TrainView, runs: Sequence[Run]) -> Cause:
         view: The fleet.
         train: A train with a departure.
         runs: Rows of the tables; each bag is explained with the train file and mapping that it was replayed with.
-
     """
     usual, away = _bags(view, train, runs)
     try:
@@ -103,14 +102,12 @@ def _explain(run: Run) -> Explanation:
     Raises:
         InputError: It cannot be used, or it is not known how.
         NoAnswerError: It holds too little motion.
-
     """
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415 - takes long to load
 
     row, setup = run
     if setup is None:
-        msg = 'the plan of the table is missing'
-        raise InputError(msg)
+        raise InputError('the plan of the table is missing')
     train_file = load_train_file(setup.train)
     inputs = mapped_inputs(setup.mapping, train_file)
     found = read_runs([Path(row['bag'])], train_file, setup.namespace, setup.max_chunk, inputs)

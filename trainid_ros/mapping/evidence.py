@@ -61,16 +61,10 @@ def correlation(x: Array, y: Array) -> float:
 
 
 class Travel(NamedTuple):
-    """A position compared with the integral of a speed.
+    """A position compared with the integral of a speed."""
 
-    Attributes:
-        correlation: Correlation of their changes [1].
-        ratio: Change of the position for each unit of the speed and second.
-
-    """
-
-    correlation: float
-    ratio: float
+    correlation: float  # Correlation of their changes [1]
+    ratio: float  # Change of the position for each unit of the speed and second
 
 
 def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
@@ -101,16 +95,10 @@ def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
 
 
 class Fit(NamedTuple):
-    """A regression.
+    """A regression."""
 
-    Attributes:
-        slopes: Coefficients of the regressors.
-        share: Explained share of the variance [1].
-
-    """
-
-    slopes: tuple[float, ...]
-    share: float
+    slopes: tuple[float, ...]  # Coefficients of the regressors
+    share: float  # Explained share of the variance [1]
 
 
 def regress(y: Array, columns: Sequence[Array], moving: NDArray[np.bool_]) -> Fit | None:
@@ -120,7 +108,6 @@ def regress(y: Array, columns: Sequence[Array], moving: NDArray[np.bool_]) -> Fi
         y: Shape (n,).
         columns: Each of shape (n,).
         moving: Shape (n,).
-
     """
     known = np.isfinite(y) & moving
     for column in columns:

@@ -8,13 +8,8 @@ from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource
-from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.mapping.message_fields import type_of
-from trainid_ros.mapping.series import JoinedSeries
-from trainid_ros.messages import stamp_of
-from trainid_ros.records import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -22,8 +17,13 @@ from trainid_ros.records import (
     MassRecord,
     Record,
     SpeedRecord,
+    stamp_of,
 )
-from trainid_ros.text import pluralise
+from trainid_ros.interface.text import pluralise
+from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.mapping.message_fields import type_of
+from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line
 
@@ -50,7 +50,6 @@ class MappedInputs:
     Attributes:
         mapping: Where each input comes from.
         key: What the records depend on: inputs of equal keys give equal records.
-
     """
 
     def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
@@ -62,7 +61,6 @@ class MappedInputs:
 
         Raises:
             InputError: The gradient is to come from the line, but there is none.
-
         """
         self.mapping = mapping
         line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
@@ -70,8 +68,7 @@ class MappedInputs:
         self._line = LineProfile(line, length)
         if isinstance(mapping.gradient, LineLookup) and not line.gradient:
             missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
-            msg = f'mapping: gradient is to come from the line, but no {missing}'
-            raise InputError(msg)
+            raise InputError(f'mapping: gradient is to come from the line, but no {missing}')
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
         self._series: dict[str, JoinedSeries] = {}
         for quantity in _QUANTITIES:
@@ -123,7 +120,6 @@ class MappedInputs:
 
         Raises:
             InputError: The message lacks a field; the error names topic and field.
-
         """
         records: list[Record] = []
         self._last_unlisted.pop(topic, None)
@@ -144,7 +140,6 @@ class MappedInputs:
             index: Place of the source among those of the quantity.
             stamp_ns: Stamp [ns].
             value: The number, as :meth:`Source.value` returns it.
-
         """
         function = getattr(self.mapping, quantity).function
         records: list[Record] = []
@@ -207,7 +202,6 @@ def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[
 
     Raises:
         InputError: The file cannot be used.
-
     """
     if path is None:
         return None
@@ -222,7 +216,6 @@ class DeadReckoning:
     Attributes:
         at: Position at the last speed [m], NaN while it is not known.
         direction: +1 while positions rise, -1 while they fall.
-
     """
 
     def __init__(self, how: Signal | SpeedIntegral | None) -> None:
@@ -283,5 +276,4 @@ def _stamp(source: Source, message: Any, received_ns: int) -> int:
     try:
         return stamp_of(message)
     except AttributeError:
-        msg = f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive'
-        raise InputError(msg) from None
+        raise InputError(f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive') from None

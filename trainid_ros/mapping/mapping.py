@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 from trainid_ros.mapping.message_fields import names_of, type_of
 from trainid_ros.mapping.units import Unit
-from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
 if TYPE_CHECKING:
     from trainid_ros.mapping.user_function import UserFunction
@@ -32,28 +32,17 @@ class StampSource(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One number in the messages of one topic, or in one column of a table.
+    """One number in the messages of one topic, or in one column of a table."""
 
-    Attributes:
-        topic: Name of the topic; a relative one lies in the namespace of the train. '' for a column.
-        path: Names of fields and indices of arrays that lead to the number; for a column its name.
-        unit: Its unit.
-        sign: 1, or -1 where it counts the other way.
-        gain: Factor on it [1].
-        offset: Added after sign and gain, in its unit.
-        table: Value in its unit by raw number, such as that of a notch; empty without.
-        stamp: Where its stamp comes from.
-
-    """
-
-    topic: str
-    path: tuple[str | int, ...]
-    unit: Unit
-    sign: float = 1.0
-    gain: float = 1.0
-    offset: float = 0.0
+    topic: str  # Name of the topic; a relative one lies in the namespace of the train. '' for a column.
+    path: tuple[str | int, ...]  # Names of fields and indices of arrays that lead to the number; for a column its name
+    unit: Unit  # Its unit
+    sign: float = 1.0  # 1, or -1 where it counts the other way
+    gain: float = 1.0  # Factor on it [1]
+    offset: float = 0.0  # Added after sign and gain, in its unit
+    # Value in its unit by raw number, such as that of a notch; empty without
     table: tuple[tuple[float, float], ...] = ()
-    stamp: StampSource = StampSource.HEADER
+    stamp: StampSource = StampSource.HEADER  # Where its stamp comes from
 
     @property
     def field(self) -> str:
@@ -65,7 +54,6 @@ class Source:
 
         Raises:
             InputError: The message has no such number; the error names topic and field.
-
         """
         return self.value(self.raw(message))
 
@@ -88,8 +76,9 @@ class Source:
         except (AttributeError, IndexError, TypeError, ValueError):
             names = ', '.join(names_of(value))
             hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
-            msg = f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
-            raise InputError(msg) from None
+            raise InputError(
+                f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
+            ) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,38 +111,22 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class TimeColumn:
-    """The times of the rows of a table.
+    """The times of the rows of a table."""
 
-    Attributes:
-        columns: Names of the columns they are made of: one, without a function.
-        unit: Unit of times that are numbers.
-        start_ns: What such times count from [ns], None if the file does not say so.
-        function: Function of the columns, None without.
-
-    """
-
-    columns: tuple[str, ...]
-    unit: Unit
-    start_ns: int | None = None
-    function: UserFunction | None = None
+    columns: tuple[str, ...]  # Names of the columns they are made of: one, without a function
+    unit: Unit  # Unit of times that are numbers
+    start_ns: int | None = None  # What such times count from [ns], None if the file does not say so
+    function: UserFunction | None = None  # Function of the columns, None without
 
 
 @dataclass(frozen=True, slots=True)
 class CsvFormat:
-    """How a CSV file is written; None where it is to be found out.
+    """How a CSV file is written; None where it is to be found out."""
 
-    Attributes:
-        separator: Character between cells.
-        decimal: Decimal sign.
-        header_rows: Number of rows with names, units and the like.
-        encoding: Name of the encoding.
-
-    """
-
-    separator: str | None = None
-    decimal: str | None = None
-    header_rows: int | None = None
-    encoding: str | None = None
+    separator: str | None = None  # Character between cells
+    decimal: str | None = None  # Decimal sign
+    header_rows: int | None = None  # Number of rows with names, units and the like
+    encoding: str | None = None  # Name of the encoding
 
 
 # How long a brake command published only on change holds, unless a parameter says otherwise [s].
@@ -171,30 +144,17 @@ Gradient: TypeAlias = Signal | LineLookup | Constant
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """Where each input comes from; None: from its own topic of trainid_msgs, and in a table not at all.
+    """Where each input comes from; None: from its own topic of trainid_msgs, and in a table not at all."""
 
-    Attributes:
-        speed: Speed [m/s]; its sign is ignored.
-        position: Position [m].
-        force: Force [N].
-        gradient: Gradient [per mille].
-        brake_command: Target acceleration [m/s^2].
-        mass: Mass [kg].
-        on_change: Whether brake commands are published only when they change.
-        time: Times of the rows of a table, None for messages.
-        csv: How the table is written, if it is a CSV file.
-
-    """
-
-    speed: Signal | None = None
-    position: Position | None = None
-    force: Signal | None = None
-    gradient: Gradient | None = None
-    brake_command: Signal | Constant | None = None
-    mass: Signal | None = None
-    on_change: bool = False
-    time: TimeColumn | None = None
-    csv: CsvFormat = CsvFormat()
+    speed: Signal | None = None  # Speed [m/s]; its sign is ignored
+    position: Position | None = None  # Position [m]
+    force: Signal | None = None  # Force [N]
+    gradient: Gradient | None = None  # Gradient [per mille]
+    brake_command: Signal | Constant | None = None  # Target acceleration [m/s^2]
+    mass: Signal | None = None  # Mass [kg]
+    on_change: bool = False  # Whether brake commands are published only when they change
+    time: TimeColumn | None = None  # Times of the rows of a table, None for messages
+    csv: CsvFormat = CsvFormat()  # How the table is written, if it is a CSV file
 
     def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
         """Return settings of the alignment that fit the mapping."""

@@ -7,7 +7,7 @@ import codecs
 from pathlib import Path
 from typing import Final
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import (
     UNKNOWN_EFFORT,
     Constant,
@@ -54,12 +54,12 @@ def load_mapping(path: str | Path) -> Mapping:
 
     Raises:
         InputError: The file cannot be read or says something impossible; the error names file and field.
-
     """
     mapping = parse_mapping(read_text(path), str(path))
     if mapping.time is not None:
-        msg = f'{path}: time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
-        raise InputError(msg)
+        raise InputError(
+            f'{path}: time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
+        )
     return mapping
 
 
@@ -69,8 +69,9 @@ def load_table_mapping(path: str | Path) -> Mapping:
     top = _top(text, str(path))
     for name in (_TIME, 'speed'):  # first, as without a time the fields are those of messages
         if name not in top.data:
-            msg = f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
-            raise InputError(msg)
+            raise InputError(
+                f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
+            )
     return parse_mapping(text, str(path))
 
 

@@ -7,7 +7,7 @@ import math
 from bisect import bisect_left, insort
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 # Numbers farther apart are not interpolated, and nothing waits longer for one of the series.
 _LONGEST_NS: Final = NS_PER_S

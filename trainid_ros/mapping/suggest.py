@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 from trainid_ros.mapping.suggest_brake import choose_brake
 from trainid_ros.mapping.suggest_force import choose_force, choose_gradient, choose_mass, specific_force, total_force
 from trainid_ros.mapping.suggest_speed import choose_speed, possible_speeds, speeds_by_numbers
 from trainid_ros.mapping.suggestion import Choice, Suggestion, listed
-from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -28,7 +28,6 @@ def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None)
         numbers: The numbers.
         name: Name of the bag.
         train_file: Its train, if known: the mass shows the unit of the force, the line may have the gradients.
-
     """
     head = (
         f'Suggested by trainid info --suggest-map for {name}: {numbers.duration_s / 60.0:.0f} min were read.',

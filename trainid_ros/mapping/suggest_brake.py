@@ -40,7 +40,6 @@ def choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array |
         motion: The motion of the train.
         effort: Force by mass [m/s^2], shape (n,), None if it is not known. While braking it is the effort of a nominal
             brake, which is what a command asks for.
-
     """
     ranked = _ranked(series, motion)
     if not ranked:

@@ -50,7 +50,6 @@ def choose_force(series: Sequence[NumberSeries], motion: Motion, train_file: Tra
         series: What they may be.
         motion: The motion of the train.
         train_file: Its mass shows the unit; None if it is not known.
-
     """
     groups: dict[tuple[str, str, str], list[NumberSeries]] = {}
     for item in series:
@@ -182,7 +181,6 @@ def choose_gradient(
         total: The force [N] at the common times, shape (n,); None if it is not known.
         train_file: Its line may have the gradients; None if it is not known.
         has_position: Whether the position is known.
-
     """
     named = [item for item in series if score('gradient', item.topic, item.field) > 0.0]
     if named:

@@ -40,20 +40,12 @@ _PUSHED: Final = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The speed that was chosen, at common times.
+    """The speed that was chosen, at common times."""
 
-    Attributes:
-        series: The speed as it is in the bag.
-        times: Common times [s], shape (n,).
-        speed: Speed [m/s], shape (n,).
-        acceleration: Its derivative [m/s^2], shape (n,).
-
-    """
-
-    series: NumberSeries
-    times: Array
-    speed: Array
-    acceleration: Array
+    series: NumberSeries  # The speed as it is in the bag
+    times: Array  # Common times [s], shape (n,)
+    speed: Array  # Speed [m/s], shape (n,)
+    acceleration: Array  # Its derivative [m/s^2], shape (n,)
 
     @property
     def moving(self) -> NDArray[np.bool_]:
@@ -111,7 +103,6 @@ def choose_speed(speeds: Sequence[NumberSeries], series: Sequence[NumberSeries])
     Args:
         speeds: What the speed may be.
         series: What position, force and accelerations may be.
-
     """
     ranked = sorted((_rank(item, series) for item in speeds), key=lambda item: -item.points)
     best = ranked[0]

@@ -42,24 +42,14 @@ class Part:
 
 @dataclass(slots=True)
 class Choice:
-    """What is suggested for one quantity.
+    """What is suggested for one quantity."""
 
-    Attributes:
-        quantity: The quantity.
-        parts: Its sources, which are summed.
-        text: What the file says in place of sources, '' with some.
-        reasons: What speaks for it.
-        decisions: What the reader must decide.
-        on_change: Whether commands come only when they change.
-
-    """
-
-    quantity: str
-    parts: tuple[Part, ...] = ()
-    text: str = ''
-    reasons: list[str] = field(default_factory=list)
-    decisions: list[str] = field(default_factory=list)
-    on_change: bool = False
+    quantity: str  # The quantity
+    parts: tuple[Part, ...] = ()  # Its sources, which are summed
+    text: str = ''  # What the file says in place of sources, '' with some
+    reasons: list[str] = field(default_factory=list)  # What speaks for it
+    decisions: list[str] = field(default_factory=list)  # What the reader must decide
+    on_change: bool = False  # Whether commands come only when they change
 
     def lines(self) -> list[str]:
         """Return its lines in the file."""
@@ -82,20 +72,12 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Suggestion:
-    """A suggested mapping.
+    """A suggested mapping."""
 
-    Attributes:
-        head: What was read.
-        choices: What is suggested for each quantity.
-        missing: Required quantities for which nothing was found.
-        notes: What else there is to know.
-
-    """
-
-    head: tuple[str, ...]
-    choices: tuple[Choice, ...]
-    missing: tuple[str, ...]
-    notes: tuple[str, ...]
+    head: tuple[str, ...]  # What was read
+    choices: tuple[Choice, ...]  # What is suggested for each quantity
+    missing: tuple[str, ...]  # Required quantities for which nothing was found
+    notes: tuple[str, ...]  # What else there is to know
 
     def text(self) -> str:
         """Return the mapping file, with reasons as comments."""

@@ -7,7 +7,7 @@ import re
 from datetime import UTC, datetime
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 _FRACTION: Final = re.compile(r'[.,](\d{1,9})\d*')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')

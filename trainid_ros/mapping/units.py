@@ -26,18 +26,11 @@ _PERCENT_OF: Final = 'percent_of'
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of a quantity.
+    """A unit of a quantity."""
 
-    Attributes:
-        name: As in the file.
-        factor: SI units (for gradients: per mille, for angles: radian) in this one.
-        is_angle: True for a gradient that is stated as the angle of the track.
-
-    """
-
-    name: str
-    factor: float
-    is_angle: bool = False
+    name: str  # As in the file
+    factor: float  # SI units (for gradients: per mille, for angles: radian) in this one
+    is_angle: bool = False  # True for a gradient that is stated as the angle of the track
 
     def convert(self, value: float) -> float:
         """Return a value in the unit of the interface."""
@@ -54,7 +47,6 @@ def find_unit(text: str, quantity: str) -> Unit:
 
     Raises:
         ValueError: The unit is not known for this quantity; the message says which are.
-
     """
     factors = _FACTORS[quantity]
     if text in factors:
@@ -64,8 +56,7 @@ def find_unit(text: str, quantity: str) -> Unit:
     if text.startswith(_PERCENT_OF):
         return _percentage(text, factors)
     known = [*factors, *(_ANGLES if quantity == 'gradient' else ()), f'{_PERCENT_OF} NUMBER UNIT']
-    msg = f'is not a unit of {quantity}; {did_you_mean(text, known)}'
-    raise ValueError(msg)
+    raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, known)}')
 
 
 def spelled(text: str, quantity: str) -> str:
@@ -82,6 +73,7 @@ def _percentage(text: str, factors: dict[str, float]) -> Unit:
     except (ValueError, KeyError):
         whole = math.nan
     if not (math.isfinite(whole) and whole != 0.0):
-        msg = f'must be like "{_PERCENT_OF} 300 {next(reversed(factors))}", with a unit of {", ".join(factors)}'
-        raise ValueError(msg)
+        raise ValueError(
+            f'must be like "{_PERCENT_OF} 300 {next(reversed(factors))}", with a unit of {", ".join(factors)}'
+        )
     return Unit(text, whole / 100.0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.units import Unit
 
 if TYPE_CHECKING:
@@ -22,18 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UserFunction:
-    """A function of arrays of numbers, all of shape (n,), that returns such an array.
+    """A function of arrays of numbers, all of shape (n,), that returns such an array."""
 
-    Attributes:
-        path: The Python file.
-        name: Name of the function in it.
-        unit: Unit of what it returns.
-
-    """
-
-    path: Path
-    name: str
-    unit: Unit
+    path: Path  # The Python file
+    name: str  # Name of the function in it
+    unit: Unit  # Unit of what it returns
 
     def __str__(self) -> str:
         """Return file and name, as in a mapping."""
@@ -44,12 +37,10 @@ class UserFunction:
 
         Raises:
             InputError: The file cannot be run, or has no such function.
-
         """
         function: Callable[..., object] | None = _names_of(self.path).get(self.name)
         if function is None or not callable(function):
-            msg = f'{self.path}: has no function {self.name}'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: has no function {self.name}')
         return function
 
     def of_columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -57,17 +48,14 @@ class UserFunction:
 
         Raises:
             InputError: The function fails, or returns something else.
-
         """
         function = self.load()
         try:
             result = np.asarray(function(*columns), dtype=np.float64)
         except (Exception, SystemExit) as error:  # whatever its code raises
-            msg = f'{self} failed{_line(self.path, error)}: {type(error).__name__}: {error}'
-            raise InputError(msg) from error
+            raise InputError(f'{self} failed{_line(self.path, error)}: {type(error).__name__}: {error}') from error
         if result.shape != columns[0].shape:
-            msg = f'{self} returned shape {result.shape}, {columns[0].shape} expected: one number a row'
-            raise InputError(msg)
+            raise InputError(f'{self} returned shape {result.shape}, {columns[0].shape} expected: one number a row')
         return np.array([self.unit.convert(value) for value in result.tolist()], dtype=np.float64)
 
     def of_numbers(self, numbers: Sequence[float]) -> float:
@@ -85,19 +73,15 @@ def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
 
     Raises:
         ValueError: The text is not of this form, or the file does not lie in the folder itself.
-
     """
     file, _, name = text.partition(':')
     if not (file.endswith('.py') and name.isidentifier()):
-        msg = 'must be a Python file and a function in it, like force.py:wheel_force'
-        raise ValueError(msg)
+        raise ValueError('must be a Python file and a function in it, like force.py:wheel_force')
     path = (folder / file).resolve()
     if Path(file).name != file or path.parent != folder.resolve():
-        msg = 'must lie in the folder of the mapping itself'
-        raise ValueError(msg)
+        raise ValueError('must lie in the folder of the mapping itself')
     if not path.is_file():
-        msg = f'is not there: no file {path}'
-        raise ValueError(msg)
+        raise ValueError(f'is not there: no file {path}')
     return UserFunction(path, name, unit)
 
 
@@ -108,8 +92,7 @@ def _names_of(path: Path) -> dict[str, Any]:
     try:
         exec(compile(path.read_bytes(), path, 'exec'), names)
     except (Exception, SystemExit) as error:  # whatever its code raises
-        msg = f'{path}: cannot be run{_line(path, error)}: {type(error).__name__}: {error}'
-        raise InputError(msg) from error
+        raise InputError(f'{path}: cannot be run{_line(path, error)}: {type(error).__name__}: {error}') from error
     return names
 
 

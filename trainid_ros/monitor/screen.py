@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views as a screen of a terminal of any size, with rich."""
+"""An estimate over time in characters: a line of blocks, or several lines with the band of two standard deviations.
+
+Views as lines of text, where no screen can be drawn: no terminal, a dumb one, or no colours wanted.
+
+Views as a screen of a terminal of any size, with rich.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from trainid_ros.monitor.chart import ASCII, UNICODE, chart
+from trainid_ros.interface.results import Status
+from trainid_ros.interface.text import in_ascii, printable
 from trainid_ros.monitor.view import (
     EstimateView,
     InputView,
@@ -22,13 +29,159 @@ from trainid_ros.monitor.view import (
     state_of,
     with_band,
 )
-from trainid_ros.results import Status
-from trainid_ros.text import in_ascii, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
+
+    from trainid_ros.monitor.view import InputView, Point, TrainView
+
+BAND_STD: Final = 2.0
+_LEVELS: Final = '▁▂▃▄▅▆▇█'
+_ASCII_LEVELS: Final = '_.-~=+*#'
+_EMPTY: Final = ' '
+# Bands that are wider than this many of the narrowest one are cut off [1].
+_WIDEST: Final = 3.0
+# Values that differ less than this share of their size are drawn as a level line [1].
+_LEAST_SPAN: Final = 1e-3
+# Larger values are not drawn: messages may hold any number.
+_LARGEST: Final = 1e100
+
+
+class Marks(NamedTuple):
+    """Characters of a chart: levels of a single line from low to high, the value and the band of several lines."""
+
+    levels: str
+    value: str
+    band: str
+
+
+UNICODE: Final = Marks(_LEVELS, '●', '░')
+ASCII: Final = Marks(_ASCII_LEVELS, 'o', ':')
+
+
+class Chart(NamedTuple):
+    """Lines of a chart, the top one first, and the values of its upper and lower edge."""
+
+    lines: tuple[str, ...]
+    high: float
+    low: float
+
+
+def chart(points: Sequence[Point], columns: int, rows: int, span_s: float, marks: Marks = UNICODE) -> Chart:
+    """Draw the last time of an estimate.
+
+    Args:
+        points: Past values, the oldest first.
+        columns: Characters in a line.
+        rows: Lines; a single one shows the value alone.
+        span_s: Time that the columns cover [s].
+        marks: Characters to use.
+
+    Returns:
+        The chart; empty lines where no value is in that time.
+    """
+    binned = _binned(points, columns, span_s)
+    drawn = [point for point in binned if point is not None]
+    if not drawn:
+        return Chart((_EMPTY * columns,) * rows, math.nan, math.nan)
+    low, high = _range(drawn, with_band=rows > 1)
+    lines = [''.join(_chart_cell(point, row, rows, low, high, marks) for point in binned) for row in range(rows)]
+    return Chart(tuple(reversed(lines)), high, low)
+
+
+def _binned(points: Sequence[Point], columns: int, span_s: float) -> list[Point | None]:
+    """Return the last point in the time of each column, None where there is none."""
+    binned: list[Point | None] = [None] * columns
+    for point in points:
+        column = columns - 1 - int(point.ago_s / span_s * columns)
+        if 0 <= column < columns and abs(point.value) < _LARGEST:
+            binned[column] = point
+    return binned
+
+
+def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
+    """Return the lower and upper edge: all values, and their bands unless much wider than the narrowest."""
+    values = [point.value for point in drawn]
+    if with_band:
+        widest = _WIDEST * min(map(_deviation, drawn))
+        for point in drawn:
+            half = BAND_STD * min(_deviation(point), widest)
+            values += [point.value - half, point.value + half]
+    low, high = min(values), max(values)
+    least = _LEAST_SPAN * max(abs(low), abs(high), _LEAST_SPAN)
+    middle, half = 0.5 * (low + high), max(0.5 * (high - low), least)
+    return middle - half, middle + half
+
+
+def _deviation(point: Point) -> float:
+    return point.std if abs(point.std) < _LARGEST else 0.0
+
+
+def _chart_cell(point: Point | None, row: int, rows: int, low: float, high: float, marks: Marks) -> str:
+    """Return the character of a column; row 0 is the lowest one."""
+    if point is None:
+        return _EMPTY
+    place = (point.value - low) / (high - low) * rows
+    if rows == 1:
+        return marks.levels[min(int(place * len(marks.levels)), len(marks.levels) - 1)]
+    if row == min(int(place), rows - 1):
+        return marks.value
+    half = BAND_STD * _deviation(point) / (high - low) * rows
+    return marks.band if place - half < row + 1 and place + half > row else _EMPTY
+
+
+_NUMBER: Final = re.compile(r'-?[0-9.]+(e[-+]?[0-9]+)?')
+
+
+class Lines:
+    """Turns views into lines: the state of each train every time, findings when they come and go."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str, str], str] = {}
+        self._notice = ''
+
+    def of(self, views: Sequence[TrainView], notice: str) -> list[str]:
+        """Return what to print now; the notice, where there is no train, only when it changes."""
+        lines = [] if views or notice == self._notice else [notice]
+        self._notice = '' if views else notice
+        present: dict[tuple[str, str, str], str] = {}
+        for view in views:
+            lines.append(train_line(view))
+            for item in view.findings:
+                present[view.namespace, item.source, item.level.name] = item.text
+        for namespace, source, level in sorted(key for key, text in present.items() if self._is_news(key, text)):
+            lines.append(f'{namespace} {level} {source}: {present[namespace, source, level]}')
+        gone = sorted(self._known.keys() - present.keys())
+        shown = {view.namespace for view in views}
+        lines += [f'{namespace} {level} {source} cleared' for namespace, source, level in gone if namespace in shown]
+        self._known = present
+        return [printable(line.replace('\n', ' ')) for line in lines]
+
+    def _is_news(self, key: tuple[str, str, str], text: str) -> bool:
+        """Return whether a finding is new, or says more than other numbers."""
+        return key not in self._known or _NUMBER.sub('', text) != _NUMBER.sub('', self._known[key])
+
+
+def train_line(view: TrainView) -> str:
+    """Return the state of a train as one line."""
+    parts = [f'{view.time} {view.namespace}  {number(view.speed_kmh, 1)} km/h']
+    for item in view.estimates:
+        known = '' if item.status is None else f' {with_band(item)}'
+        parts.append(f'{item.name}{known} {state_of(item)}')
+    return ' | '.join((*parts, 'inputs ' + ', '.join(_input_lines(view.inputs))))
+
+
+def _input_lines(inputs: Iterable[InputView]) -> Iterable[str]:
+    """Yield name, rate and age of each input; optional ones only if they come."""
+    for item in inputs:
+        if math.isinf(item.silent_s):
+            if not item.optional:
+                yield f'{item.name} never'
+            continue
+        yield f'{item.name} {number(item.rate, 1)} Hz {number(item.silent_s, 1)} s'
+
 
 _SPAN_S: Final = 120.0
 """Time that the charts cover [s]."""

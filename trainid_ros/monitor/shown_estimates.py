@@ -7,14 +7,13 @@ import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.estimators.observability import resistance_std
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
-from trainid_ros.records import KM_H
-from trainid_ros.results import Status
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, KM_H, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
+from trainid_ros.interface.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from trainid_ros.messages import OutputTopic
+    from trainid_ros.interface.records import OutputTopic
 
 _STEP_KMH: Final = 5.0
 _USUAL_KMH: Final = 50.0
@@ -26,24 +25,15 @@ _B1: Final = 10
 
 
 class ShownEstimate(NamedTuple):
-    """How one estimate is shown.
+    """How one estimate is shown."""
 
-    Attributes:
-        topic: Its topic.
-        name: What is estimated.
-        unit: Unit of the value shown, '' for none.
-        quantity: Names the value shown, given the newest message.
-        value: Value and standard deviation of a message, given the newest message.
-        details: Further values of a message as text.
-
-    """
-
-    topic: OutputTopic
-    name: str
-    unit: str
-    quantity: Callable[[Any], str]
+    topic: OutputTopic  # Its topic
+    name: str  # What is estimated
+    unit: str  # Unit of the value shown, '' for none
+    quantity: Callable[[Any], str]  # Names the value shown, given the newest message
+    # Value and standard deviation of a message, given the newest message
     value: Callable[[Any, Any], tuple[float, float]]
-    details: Callable[[Any], str]
+    details: Callable[[Any], str]  # Further values of a message as text
 
 
 def reference_speed(message: Any) -> float:

@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from trainid_ros.results import Status
+    from trainid_ros.interface.results import Status
 
 
 # Numbers from here on are written with a power of ten.
@@ -36,42 +36,24 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is wrong or in progress.
+    """What is wrong or in progress."""
 
-    Attributes:
-        level: How bad it is.
-        source: Node or input that it is about.
-        text: What is the case, since when, and what to do.
-
-    """
-
-    level: Level
-    source: str
-    text: str
+    level: Level  # How bad it is
+    source: str  # Node or input that it is about
+    text: str  # What is the case, since when, and what to do
 
 
 @dataclass(frozen=True, slots=True)
 class InputView:
-    """One input.
+    """One input."""
 
-    Attributes:
-        name: Topic, without the namespace of the train.
-        value: Its newest value with its unit, '' before the first.
-        rate: Messages in a second [Hz], NaN if unknown.
-        age_s: Age of the newest stamp [s], NaN if unknown or of another clock.
-        silent_s: Time since the last message [s], infinite before the first.
-        publishers: Nodes that publish it.
-        optional: True if the estimators can run without it.
-
-    """
-
-    name: str
-    value: str
-    rate: float
-    age_s: float
-    silent_s: float
-    publishers: tuple[str, ...]
-    optional: bool
+    name: str  # Topic, without the namespace of the train
+    value: str  # Its newest value with its unit, '' before the first
+    rate: float  # Messages in a second [Hz], NaN if unknown
+    age_s: float  # Age of the newest stamp [s], NaN if unknown or of another clock
+    silent_s: float  # Time since the last message [s], infinite before the first
+    publishers: tuple[str, ...]  # Nodes that publish it
+    optional: bool  # True if the estimators can run without it
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,70 +67,39 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class EstimateView:
-    """One estimate.
+    """One estimate."""
 
-    Attributes:
-        name: What is estimated.
-        quantity: The value that is shown.
-        unit: Its unit, '' for none.
-        value: The value, NaN before the first message.
-        std: Its standard deviation.
-        details: Further values as text.
-        status: Status, None before the first message.
-        status_s: Time for which it has this status [s].
-        is_longer: True if it had the status before it was first seen, for an unknown time.
-        idle: Lifecycle state of its node if that is known and not active, else ''.
-        silent_s: Time since the last message [s], infinite before the first.
-        is_silent: True if messages should have come since then.
-        is_published: True if a node publishes the topic.
-        used: Samples used.
-        rejected: Samples not used.
-        reasons: Why, with their numbers, the most frequent first; empty before the first diagnostics.
-        history: Past values, the oldest first.
-
-    """
-
-    name: str
-    quantity: str
-    unit: str
-    value: float
-    std: float
-    details: str
-    status: Status | None
-    status_s: float
-    is_longer: bool
-    idle: str
-    silent_s: float
-    is_silent: bool
-    is_published: bool
-    used: int
-    rejected: int
+    name: str  # What is estimated
+    quantity: str  # The value that is shown
+    unit: str  # Its unit, '' for none
+    value: float  # The value, NaN before the first message
+    std: float  # Its standard deviation
+    details: str  # Further values as text
+    status: Status | None  # Status, None before the first message
+    status_s: float  # Time for which it has this status [s]
+    is_longer: bool  # True if it had the status before it was first seen, for an unknown time
+    idle: str  # Lifecycle state of its node if that is known and not active, else ''
+    silent_s: float  # Time since the last message [s], infinite before the first
+    is_silent: bool  # True if messages should have come since then
+    is_published: bool  # True if a node publishes the topic
+    used: int  # Samples used
+    rejected: int  # Samples not used
+    # Why, with their numbers, the most frequent first; empty before the first diagnostics
     reasons: tuple[tuple[str, int], ...]
-    history: tuple[Point, ...]
+    history: tuple[Point, ...]  # Past values, the oldest first
 
 
 @dataclass(frozen=True, slots=True)
 class TrainView:
-    """One train.
+    """One train."""
 
-    Attributes:
-        namespace: Namespace of its topics, '/' for the root.
-        time: Time of day.
-        speed_kmh: Speed [km/h], NaN if unknown.
-        inputs: Its inputs.
-        estimates: Its estimates.
-        findings: What is wrong or in progress, the worst first.
-        has_diagnostics: True if any of its nodes has reported.
-
-    """
-
-    namespace: str
-    time: str
-    speed_kmh: float
-    inputs: tuple[InputView, ...]
-    estimates: tuple[EstimateView, ...]
-    findings: tuple[Finding, ...]
-    has_diagnostics: bool
+    namespace: str  # Namespace of its topics, '/' for the root
+    time: str  # Time of day
+    speed_kmh: float  # Speed [km/h], NaN if unknown
+    inputs: tuple[InputView, ...]  # Its inputs
+    estimates: tuple[EstimateView, ...]  # Its estimates
+    findings: tuple[Finding, ...]  # What is wrong or in progress, the worst first
+    has_diagnostics: bool  # True if any of its nodes has reported
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
@@ -24,24 +24,14 @@ SIGMA_95: Final = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class AccuracyScore:
-    """Errors over all usable outputs (VALID or HOLDING), in the unit of the quantity.
+    """Errors over all usable outputs (VALID or HOLDING), in the unit of the quantity."""
 
-    Attributes:
-        outputs: Number of outputs compared.
-        bias: Mean error, estimate less truth.
-        rms: Root mean square error.
-        last: Error of the last output.
-        inside_68: Share of errors within one published standard deviation [1].
-        inside_95: Share of errors within 1.96 standard deviations [1].
-
-    """
-
-    outputs: int
-    bias: float
-    rms: float
-    last: float
-    inside_68: float
-    inside_95: float
+    outputs: int  # Number of outputs compared
+    bias: float  # Mean error, estimate less truth
+    rms: float  # Root mean square error
+    last: float  # Error of the last output
+    inside_68: float  # Share of errors within one published standard deviation [1]
+    inside_95: float  # Share of errors within 1.96 standard deviations [1]
 
 
 def resistance_std(covariance: Array, speed: float | Array) -> Array:

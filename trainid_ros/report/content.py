@@ -8,58 +8,36 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import Replay
+    from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.report.traces import Traces
-    from trainid_ros.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
 class RejectionCounts:
-    """Records and samples that one estimator did not use.
+    """Records and samples that one estimator did not use."""
 
-    Attributes:
-        estimator: Name of the estimator.
-        counts: Number by reason.
-
-    """
-
-    estimator: str
-    counts: tuple[tuple[Reason, int], ...]
+    estimator: str  # Name of the estimator
+    counts: tuple[tuple[Reason, int], ...]  # Number by reason
 
 
 @dataclass(frozen=True, slots=True)
 class Chapter:
-    """One drive in a report.
+    """One drive in a report."""
 
-    Attributes:
-        title: Heading.
-        bag: Name of the bag.
-        train_file_name: Name of the train file.
-        train_file: The train file, whose values are the priors.
-        how: How the estimators were run, as text.
-        traces: Time series to plot.
-        resistance: Last output of the resistance estimator.
-        speed_model: Last output of AM-VFF-RLS.
-        brake_rate: Last output of GSMA.
-        rejections: Rejected samples by estimator.
-        truth: True parameters, None if unknown.
-        notes: Further sentences, such as the outcome of a comparison.
-
-    """
-
-    title: str
-    bag: str
-    train_file_name: str
-    train_file: TrainFile
-    how: str
-    traces: Traces
-    resistance: Output[ResistanceEstimate]
-    speed_model: Output[SpeedModelEstimate]
-    brake_rate: Output[BrakeRateEstimate]
-    rejections: tuple[RejectionCounts, ...]
-    truth: Truth | None = None
-    notes: tuple[str, ...] = ()
+    title: str  # Heading
+    bag: str  # Name of the bag
+    train_file_name: str  # Name of the train file
+    train_file: TrainFile  # The train file, whose values are the priors
+    how: str  # How the estimators were run, as text
+    traces: Traces  # Time series to plot
+    resistance: Output[ResistanceEstimate]  # Last output of the resistance estimator
+    speed_model: Output[SpeedModelEstimate]  # Last output of AM-VFF-RLS
+    brake_rate: Output[BrakeRateEstimate]  # Last output of GSMA
+    rejections: tuple[RejectionCounts, ...]  # Rejected samples by estimator
+    truth: Truth | None = None  # True parameters, None if unknown
+    notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,24 +53,14 @@ _FOOTER: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """An explanation with the inputs it was made from.
+    """An explanation with the inputs it was made from."""
 
-    Attributes:
-        title: Heading.
-        explanation: Result of the workflow.
-        train_file: Train file given to the workflow.
-        train_file_name: Name of the train file.
-        bags: Names of the bags.
-        notes: Further sentences, such as the truth.
-
-    """
-
-    title: str
-    explanation: Explanation
-    train_file: TrainFile
-    train_file_name: str
-    bags: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    title: str  # Heading
+    explanation: Explanation  # Result of the workflow
+    train_file: TrainFile  # Train file given to the workflow
+    train_file_name: str  # Name of the train file
+    bags: tuple[str, ...]  # Names of the bags
+    notes: tuple[str, ...] = ()  # Further sentences, such as the truth
 
 
 def write_explained(explained: Explained, path: str | Path) -> None:
@@ -78,7 +68,6 @@ def write_explained(explained: Explained, path: str | Path) -> None:
 
     Raises:
         InputError: The file cannot be written.
-
     """
     write_page(render_explained(explained), path)
 

@@ -39,7 +39,7 @@ from trainid_ros.report.style import (
     to_svg,
 )
 from trainid_ros.report.traces import BRAKING, COASTING, PULLING, STANDSTILL
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import davis
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -7,17 +7,17 @@ from html import escape
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.fleet.mixed_model import LEAST_TRAINS
+from trainid_ros.interface.text import pluralise
 from trainid_ros.report.fleet_figures import common_over_days, fleet_over_days, train_over_days
 from trainid_ros.report.page import bullets, captioned, facts_list, page
 from trainid_ros.report.tables import html_table
 from trainid_ros.report.words import plus_minus
-from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from trainid_ros.fleet.analysis import ChannelView, FleetView, LevelOutlier, TrainView
-    from trainid_ros.fleet.departures import Departure
+    from trainid_ros.fleet.changes import Departure
 
 MOST_PAGES: Final = 60
 """Trains with a page of their own: those that stand out, and of the others the first."""
@@ -38,7 +38,6 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
         tables: Names of the tables.
         limit: Train-days for one false alarm.
         notes: Further sentences by name of the train, such as what ``explain`` found in its bags.
-
     """
     shown = view.trains[: max(MOST_PAGES, len(view.found))]
     body = _head(view, tables, limit) + _ranking(view) + _spread_table(view) + _overview(view)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros import __version__
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.report import HTML_START
 from trainid_ros.report.figures import (
     brake_rate_over_time,
@@ -41,7 +41,6 @@ def page(title: str, body: str, footer: str) -> str:
         title: Heading, as text.
         body: Content, as HTML.
         footer: Last line, as text.
-
     """
     name = escape(title)
     return (
@@ -58,7 +57,6 @@ def write_page(text: str, path: str | Path) -> None:
 
     Raises:
         InputError: The file cannot be written.
-
     """
     target = Path(path)
     try:
@@ -66,8 +64,7 @@ def write_page(text: str, path: str | Path) -> None:
         # Names of files may hold bytes that are no text.
         target.write_text(text, encoding='utf-8', errors='backslashreplace')
     except OSError as error:
-        msg = f'{path}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
 
 
 def versions() -> tuple[str, ...]:
@@ -105,7 +102,6 @@ def write_report(report: Report, path: str | Path) -> None:
 
     Raises:
         InputError: The file cannot be written.
-
     """
     write_page(render(report), path)
 

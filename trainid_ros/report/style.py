@@ -97,7 +97,6 @@ def styled_figure(height: float) -> Iterator[Figure]:
 
     Args:
         height: Height of the figure [inch].
-
     """
     with mpl.rc_context():
         mpl.rcdefaults()

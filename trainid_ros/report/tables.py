@@ -20,10 +20,10 @@ from trainid_ros.report.accuracy_scores import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from trainid_ros.interface.results import Status
     from trainid_ros.report.accuracy_scores import AccuracyScore
     from trainid_ros.report.content import Chapter
     from trainid_ros.report.traces import Array
-    from trainid_ros.results import Status
 
 SPEEDS: Final = (10.0, 15.0, 20.0)
 _DASH: Final = '–'

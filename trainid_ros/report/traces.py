@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.bag.plausible_stamps import PlausibleStamps
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 
 AnyOutput: TypeAlias = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
 Array: TypeAlias = NDArray[np.float64]
@@ -53,30 +53,17 @@ class DriveTrace:
 
 @dataclass(frozen=True, slots=True)
 class ResistanceTrace:
-    """The resistance over time.
+    """The resistance over time."""
 
-    Attributes:
-        time_s: Time since the start [s], shape (n,).
-        theta: a, b, c [N/kN, v in m/s], shape (n, 3).
-        covariance: Their covariance, shape (n, 3, 3).
-        speed: Speed at that time [m/s], shape (n,).
-        usable: True where the status was VALID or HOLDING, shape (n,).
-        ratio_time_s: Times of the test ratios [s], shape (k,).
-        ratio: Greatest test ratio around each of these times [1], shape (k,).
-        speed_range: Slowest and fastest speed learned from at the end [m/s]; (0, 0) = none.
-        statuses: Status over time.
-
-    """
-
-    time_s: Array
-    theta: Array
-    covariance: Array
-    speed: Array
-    usable: NDArray[np.bool_]
-    ratio_time_s: Array
-    ratio: Array
-    speed_range: tuple[float, float]
-    statuses: tuple[Span, ...]
+    time_s: Array  # Time since the start [s], shape (n,)
+    theta: Array  # a, b, c [N/kN, v in m/s], shape (n, 3)
+    covariance: Array  # Their covariance, shape (n, 3, 3)
+    speed: Array  # Speed at that time [m/s], shape (n,)
+    usable: NDArray[np.bool_]  # True where the status was VALID or HOLDING, shape (n,)
+    ratio_time_s: Array  # Times of the test ratios [s], shape (k,)
+    ratio: Array  # Greatest test ratio around each of these times [1], shape (k,)
+    speed_range: tuple[float, float]  # Slowest and fastest speed learned from at the end [m/s]; (0, 0) = none
+    statuses: tuple[Span, ...]  # Status over time
 
 
 @dataclass(frozen=True, slots=True)

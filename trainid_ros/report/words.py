@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_text
+from trainid_ros.interface.text import pluralise
 from trainid_ros.report.tables import number
-from trainid_ros.text import pluralise
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:

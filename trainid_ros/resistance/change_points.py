@@ -27,6 +27,7 @@ from typing import Final
 
 import numpy as np
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.normal import (
     Array,
     Normal,
@@ -41,7 +42,6 @@ from trainid_ros.resistance.normal import (
 )
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
 from trainid_ros.resistance.saved_states import MAX_EVIDENCE, ChangePointState, RunLengthState
-from trainid_ros.vectors import vec
 
 # Log odds against the long memory at which it is replaced.
 _REPLACED: Final = math.log(1e3)
@@ -51,28 +51,17 @@ _LOCKED_OUT: Final = 0.4
 
 @dataclass(frozen=True, slots=True)
 class ChangePointConfig:
-    """Settings of the change-point detection.
+    """Settings of the change-point detection."""
 
-    Attributes:
-        p: Innovation length of the long memory.
-        outliers: Share of outliers.
-        step_variances: Variances that a step adds to the n parameters; 0 for those that do not step.
-        hazard: Probability of a step at each observation.
-        spacing: Number of observations between the creation of two hypotheses.
-        hypotheses: Maximum number of hypotheses.
-        min_age: Number of observations after which a hypothesis counts.
-        lockout: Number of observations over which weights are averaged to detect a lock-out, and from which the long
-            memory then restarts.
-
-    """
-
-    p: int
-    outliers: float
-    step_variances: tuple[float, ...]
-    hazard: float
-    spacing: int
-    hypotheses: int
-    min_age: int
+    p: int  # Innovation length of the long memory
+    outliers: float  # Share of outliers
+    step_variances: tuple[float, ...]  # Variances that a step adds to the n parameters; 0 for those that do not step
+    hazard: float  # Probability of a step at each observation
+    spacing: int  # Number of observations between the creation of two hypotheses
+    hypotheses: int  # Maximum number of hypotheses
+    min_age: int  # Number of observations after which a hypothesis counts
+    # Number of observations over which weights are averaged to detect a lock-out, and from which the long memory then
+    # restarts
     lockout: int
 
 
@@ -92,7 +81,6 @@ class Tracker:
         estimate: Mixture of the long memory and the hypotheses.
         steps_found: Number of detected steps.
         change_probability: Probability of a step since the long memory began [1], below 0.001 when settled.
-
     """
 
     def __init__(self, prior: Normal, plan: ChangePointConfig) -> None:
@@ -148,7 +136,6 @@ class Tracker:
             y: Observation.
             R: Variance of the noise.
             slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
-
         """
         plan, long = self.plan, self._long
         if self._count % plan.spacing == 0 and self._count > 0:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
+"""Motion without braking as arrays: pieces of a drive, each with its own initial speed, and the noise of its speeds.
+
+Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
 The model is that of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
 ``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
@@ -27,20 +29,147 @@ speeds would bring their noise into the model.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.linalg.lapack import dptsv
+from scipy.linalg.lapack import dptsv, dtbtrs
 
-from trainid_ros.errors import NoAnswerError
-from trainid_ros.resistance.trajectory import half_variance, recur, rounding_variance
-from trainid_ros.settings import check_settings, setting
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.interface.errors import NoAnswerError, check_settings, setting
+from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
+    from collections import Counter
+
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.trajectory import Trajectory
+    from trainid_ros.interface.results import Reason, Rejection
+    from trainid_ros.stream.samples import Sample
+    from trainid_ros.train.train_file import TrainFile
+
+# Ratio of the standard deviation to the median absolute deviation of a Gaussian.
+_MAD: Final = 1.4826
+# Median absolute difference of two rounding errors, in quanta.
+_ROUNDED: Final = 1.0 - math.sqrt(0.5)
+# Share of steps of a rounded speed that are not whole multiples of its quantum, due to errors of single messages.
+_STRAY_STEPS: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Concatenated pieces; a stage leads from each node to the next one of its piece."""
+
+    speed: NDArray[np.float64]  # Measured speed at the nodes [m/s], shape (n,)
+    dt: NDArray[np.float64]  # Time since the previous node [s], 0 at the start of a piece, shape (n,)
+    known: NDArray[np.float64]  # Mean known specific force since the previous node [N/kN], shape (n,)
+    traction: NDArray[np.float64]  # Traction part of it [N/kN], shape (n,)
+    inertia: float  # Specific force per acceleration, 1000 (1 + gamma) / g [N/kN per m/s^2]
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """Start indices of the pieces, shape (m,)."""
+        return np.flatnonzero(self.dt == 0.0)
+
+    def traction_rate(self) -> NDArray[np.float64]:
+        """Return the rate of traction over each stage [N/kN per s], 0 at the ends of pieces, shape (n,)."""
+        stage, t = self.dt > 0.0, self.traction
+        change = np.zeros_like(t)
+        before = np.where(stage[:-2], t[:-2], t[1:-1])
+        change[1:-1] = np.where(stage[1:-1] & stage[2:], 0.5 * (t[2:] - before), 0.0)
+        return np.asarray(change / np.where(stage, self.dt, 1.0))
+
+
+@dataclass(slots=True)
+class PieceCollector:
+    """Collector of the samples without braking for a trajectory."""
+
+    train_file: TrainFile  # Train file with train and effects
+    min_speed: float  # Slowest speed to learn from [m/s]
+    shortest: float  # Shortest piece to use, given that each needs its own initial speed [s]
+    known: KnownForce = field(init=False)
+    _nodes: list[tuple[float, float, float, float]] = field(init=False, default_factory=list)
+    _begun: int = field(init=False, default=0)
+    _admission: Admission = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.known = KnownForce(self.train_file)
+        self._admission = Admission(self.known, self.min_speed)
+
+    def monitor(self, sample: Sample) -> None:
+        """Update the drive history without adding the sample."""
+        self._reject(sample)
+
+    def _reject(self, sample: Sample) -> Rejection | None:
+        rejection = self._admission.reject(sample)
+        return sample.rejection or rejection
+
+    def add(self, sample: Sample, rejected: Counter[Reason]) -> None:
+        """Add one sample, or count the reason for its rejection."""
+        rejection = self._reject(sample)
+        if rejection is not None:
+            rejected[rejection.reason] += 1
+            self.end_piece()
+            return
+        traction = self.known.traction(sample.force_mean, sample)
+        dt = sample.dt if len(self._nodes) > self._begun else 0.0
+        self._nodes.append((sample.speed, dt, traction - self.known.track(sample), traction))
+
+    def end_piece(self) -> None:
+        """End the current piece, and remove it if it is too short."""
+        if sum(node[1] for node in self._nodes[self._begun :]) < self.shortest:
+            del self._nodes[self._begun :]
+        self._begun = len(self._nodes)
+
+    def trajectory(self) -> Trajectory:
+        """Return all pieces collected so far."""
+        self.end_piece()
+        speed, dt, known, traction = np.array(self._nodes, dtype=float).reshape(-1, 4).T.copy()
+        return Trajectory(speed, dt, known, traction, self.known.inertia)
+
+
+def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> float:
+    """Return half the variance of increments over a lag within pieces; for white noise this is its variance.
+
+    Args:
+        y: A signal, shape (n,).
+        piece: Index of the piece of each value, shape (n,).
+        lag: Lag in values; at least one piece must be longer.
+    """
+    change = np.abs(y[lag:] - y[:-lag])[piece[lag:] == piece[:-lag]]
+    middle = change.size // 2
+    return 0.5 * (_MAD * float(np.partition(change, middle)[middle])) ** 2
+
+
+def rounding_variance(given: Trajectory) -> float:
+    """Return the :func:`half_variance` of rounding alone, for lags over which speed changes many quanta [(m/s)^2].
+
+    The quantum is the smallest step of the measured speed, except for a few percent of the steps. With fine rounding
+    the result is less than the noise.
+    """
+    steps = np.abs(np.diff(given.speed))[given.dt[1:] > 0.0]
+    steps = steps[steps > 0.0]
+    quantum = float(np.quantile(steps, _STRAY_STEPS)) if steps.size else 0.0
+    return 0.5 * (_MAD * _ROUNDED * quantum) ** 2
+
+
+def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides: one LAPACK call, no loop over stages.
+
+    Args:
+        k: Coefficients of stages 1 to I, shape (I,); the first is not used.
+        rows: Right-hand sides, shape (m, I).
+
+    Returns:
+        x_1 to x_I for each right-hand side, shape (m, I).
+    """
+    band = np.ones((2, k.size))
+    band[1, :-1] = -k[1:]
+    # Rows in C order are columns in Fortran order, so only the result is copied.
+    x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
+    result: NDArray[np.float64] = x.T
+    return result
+
 
 # Typical sizes of a, b, c, force delay and force gain, used to scale the steps.
 _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
@@ -88,40 +217,22 @@ class DavisFitConfig:
 
 @dataclass(frozen=True, slots=True)
 class DavisFit:
-    """Result of a batch fit.
+    """Result of a batch fit."""
 
-    Attributes:
-        theta: a, b, c [N/kN, v in m/s], shape (3,).
-        covariance: Covariance of theta, shape (3, 3).
-        force_delay: Estimated delay of the reported force [s].
-        force_gain: Estimated relative error of the traction force [1].
-        iterations: Number of Gauss-Newton steps.
-        converged: True if the last step was negligible.
-        mse: Objective (8): mean square of measured minus calculated speed, without the disturbance [(m/s)^2].
-        speed_std: Estimated noise of measured speed [m/s].
-        disturbance: Estimated density D of unmodelled resistance [(N/kN)^2 s].
-        inflation: Factor on the covariance, the spread of the cluster scores relative to the noise model, >= 1 [1].
-        outliers: Share of excluded speeds [1].
-        speed_range: Slowest and fastest speed [m/s].
-        pieces: Number of pieces.
-        nodes: Number of speeds.
-
-    """
-
-    theta: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    force_delay: float
-    force_gain: float
-    iterations: int
-    converged: bool
-    mse: float
-    speed_std: float
-    disturbance: float
-    inflation: float
-    outliers: float
-    speed_range: tuple[float, float]
-    pieces: int
-    nodes: int
+    theta: NDArray[np.float64]  # a, b, c [N/kN, v in m/s], shape (3,)
+    covariance: NDArray[np.float64]  # Covariance of theta, shape (3, 3)
+    force_delay: float  # Estimated delay of the reported force [s]
+    force_gain: float  # Estimated relative error of the traction force [1]
+    iterations: int  # Number of Gauss-Newton steps
+    converged: bool  # True if the last step was negligible
+    mse: float  # Objective (8): mean square of measured minus calculated speed, without the disturbance [(m/s)^2]
+    speed_std: float  # Estimated noise of measured speed [m/s]
+    disturbance: float  # Estimated density D of unmodelled resistance [(N/kN)^2 s]
+    inflation: float  # Factor on the covariance, the spread of the cluster scores relative to the noise model, >= 1 [1]
+    outliers: float  # Share of excluded speeds [1]
+    speed_range: tuple[float, float]  # Slowest and fastest speed [m/s]
+    pieces: int  # Number of pieces
+    nodes: int  # Number of speeds
 
     def resistance(self, speed: float) -> tuple[float, float]:
         """Return w(v) and its standard deviation [N/kN] at a speed [m/s]."""
@@ -135,12 +246,12 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
     Raises:
         InputError: A setting is out of range.
         NoAnswerError: There are too few speeds, or they do not determine a, b and c separately.
-
     """
     check_settings(config)
     if trajectory.speed.size < 4 + trajectory.starts.size:
-        msg = f'{trajectory.speed.size} speeds without braking in {trajectory.starts.size} pieces are too few to fit'
-        raise NoAnswerError(msg)
+        raise NoAnswerError(
+            f'{trajectory.speed.size} speeds without braking in {trajectory.starts.size} pieces are too few to fit'
+        )
     work = _Iteration(trajectory, config)
     step, iterations, learning = math.inf, 0, True
     while (learning or step > _STEP_TOLERANCE) and iterations < _MAX_ITERATIONS:
@@ -162,8 +273,9 @@ def check_plausible(fit: DavisFit, config: DavisFitConfig) -> None:
     """
     odd = _oddity(fit, config)
     if odd:
-        msg = f'{odd}: check the units and signs of speed, force, mass and gradient, and the speed sensor'
-        raise NoAnswerError(msg)
+        raise NoAnswerError(
+            f'{odd}: check the units and signs of speed, force, mass and gradient, and the speed sensor'
+        )
 
 
 def _oddity(fit: DavisFit, config: DavisFitConfig) -> str:
@@ -373,8 +485,7 @@ def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64
     size = np.sqrt(np.maximum(np.diag(S), 1e-300))
     unit = S / np.outer(size, size)
     if not np.all(np.isfinite(unit)) or np.linalg.eigvalsh(unit)[0] < 1e-11:
-        msg = 'the driven speeds do not determine a, b and c separately'
-        raise NoAnswerError(msg)
+        raise NoAnswerError('the driven speeds do not determine a, b and c separately')
     return np.asarray(np.linalg.solve(S, h))
 
 
@@ -385,11 +496,9 @@ def _solve_tridiagonal(
 
     Raises:
         NoAnswerError: The system is not positive definite.
-
     """
     _, _, x, info = dptsv(diagonal, below, rows.T)
     if info != 0:
-        msg = 'speeds and forces do not determine a trajectory'
-        raise NoAnswerError(msg)
+        raise NoAnswerError('speeds and forces do not determine a trajectory')
     result: NDArray[np.float64] = x.T
     return result

@@ -1,17 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Posterior of the Davis parameters in plain floats: drift, prediction, and the published estimate.
+"""Error model of the known forces: scale and delay of the traction, and error of the curve resistance.
+
+With T the reported specific traction [N/kN] and R the curve radius, the true forces are modelled as
+
+    (1 + kappa) T(t + delta)   and   w_curve + kappa_curve 600 m / R.
+
+Force gain and mass share one scale kappa: only their ratio is observable in the motion.
+
+Posterior of the Davis parameters in plain floats: drift, prediction, and the published estimate.
 
 A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
 covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
 since arrays of three cost more than the arithmetic.
+
+Test whether a resistance is fit to use: known well enough over the observed speeds, with hysteresis.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
-from trainid_ros.results import ResistanceEstimate
+from trainid_ros.interface.results import ResistanceEstimate
+
+if TYPE_CHECKING:
+    from trainid_ros.train.train_file import Train, TrainFile
+
+CURVE_RADIUS: Final = 600.0
+"""Radius at which the error of the curve resistance is stated [m]."""
+MIN_DELAY: Final = -0.2
+MAX_DELAY: Final = 0.4
+"""Range of estimable force delays [s], limited by the reports available ahead and the range of the cubic."""
+# A delay this near the end of the range counts as beyond it; the mean of a mixture never quite reaches the end.
+_AT_END_S: Final = 0.01
+# Standard deviation of the curve resistance: share of the coefficient if no std is stated, and value at 600 m [N/kN]
+# if the train file has no curve effect.
+_CURVE_SHARE: Final = 0.2
+_CURVE_STD: Final = 0.5
+# Std of the change of kappa at a stop with a weighed load and with an unweighed one.
+_WEIGHED_STEP: Final = 0.004
+_UNWEIGHED_STEP: Final = 0.03
+# The mass error of empty train and scales is constant, that of the load is not: share of the mass error that changes.
+_CHANGING: Final = 0.5
+_MIN_STD: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ForceErrors:
+    """Prior standard deviations of kappa [1], delta [s] and kappa_curve [N/kN at 600 m]."""
+
+    scale: float
+    delay: float
+    curve: float
+
+    @property
+    def variances(self) -> tuple[float, float, float]:
+        """Variances of kappa [1], delta [s^2] and kappa_curve [(N/kN)^2], positive so that information is finite."""
+        scale, delay, curve = (max(std, _MIN_STD) ** 2 for std in (self.scale, self.delay, self.curve))
+        return scale, delay, curve
+
+
+def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
+    """Return the prior standard deviations of the force errors from a train file; ``delay_std`` [s] is a setting."""
+    train = train_file.train
+    return ForceErrors(
+        scale=math.hypot(train.mass_std, train.force_std),
+        delay=delay_std,
+        curve=curve_std(train_file),
+    )
+
+
+def curve_std(train_file: TrainFile) -> float:
+    """Return the prior standard deviation of the curve resistance at 600 m [N/kN]."""
+    for effect in train_file.effects:
+        if effect.name == 'curve_resistance':
+            coefficient = dict(effect.parameters).get('coefficient', 0.0)
+            return dict(effect.std).get('coefficient', _CURVE_SHARE * coefficient) / CURVE_RADIUS
+    return _CURVE_STD
+
+
+def is_delay_at_end(delay: float) -> bool:
+    """Return whether a delay [s] is at an end of its range, so that the true one may lie beyond."""
+    return abs(delay - MIN_DELAY) < _AT_END_S or abs(delay - MAX_DELAY) < _AT_END_S
+
+
+def scale_step(train: Train, *, weighed: bool) -> float:
+    """Return the standard deviation of the change of kappa at a stop [1], where the passenger load changes."""
+    return min(_WEIGHED_STEP if weighed else _UNWEIGHED_STEP, _CHANGING * train.mass_std)
+
 
 DavisPosterior = tuple[float, ...]
 
@@ -31,7 +108,6 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
     Args:
         share: Standard deviation of the drift in one hour as a share of the prior one [1].
         prior: Prior variances.
-
     """
     growth = drift_growth(share)
     a, b, c = prior
@@ -48,7 +124,6 @@ def drifted(
         rates: Growth of the three variances per second.
         elapsed_s: Elapsed time [s].
         limits: Upper limits of the variances; limiting keeps the correlations.
-
     """
     a, b, c, A, B, C, D, E, F = estimate
     A, D, F = A + rates[0] * elapsed_s, D + rates[1] * elapsed_s, F + rates[2] * elapsed_s
@@ -72,7 +147,6 @@ def largest_std(covariance: tuple[float, ...], driven: tuple[float, float], pres
         covariance: Of (a, b, c), 3x3, row-major.
         driven: Slowest and fastest speed learned from [m/s].
         present: Standard deviation at the present speed [N/kN].
-
     """
     A, B, C, _, D, E, _, _, F = covariance
     largest = 0.0
@@ -97,7 +171,6 @@ def resistance_estimate(
         innovation: Innovation of the last update [N/kN], its variance, and its test ratio [1].
         driven: Slowest and fastest speed learned from [m/s].
         force: Scale of the force [1], its standard deviation, delay of the force [s], its standard deviation.
-
     """
     a, b, c, A, B, C, D, E, F = posterior
     resistance, variance = predict(posterior, speed, speed * speed)
@@ -124,3 +197,91 @@ def resistance_estimate(
         force_delay=delay,
         force_delay_std=delay_std,
     )
+
+
+# An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker.
+_HYSTERESIS: Final = 1.5
+
+
+def representative_speeds(slowest: float, fastest: float) -> tuple[float, float, float]:
+    """Return the speeds at which :func:`is_fit` needs the variance of the resistance [m/s]."""
+    return slowest, 0.5 * (slowest + fastest), fastest
+
+
+def is_fit(variances: tuple[float, float, float], valid_std: float, *, was_fit: bool) -> bool:
+    """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
+
+    Args:
+        variances: Variance of the resistance at the :func:`representative_speeds` [(N/kN)^2].
+        valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
+        was_fit: Whether it was fit so far.
+    """
+    at_slowest, between, at_fastest = variances
+    rms = math.sqrt((at_slowest + between + at_fastest) / 3.0)
+    return rms < valid_std * (_HYSTERESIS if was_fit else 1.0)
+
+
+@dataclass(slots=True)
+class DrivenSpeeds:
+    """Moments of all speeds used for estimation."""
+
+    count: int = 0  # Number of speeds
+    slowest: float = 0.0  # Slowest speed [m/s], 0 before the first
+    fastest: float = 0.0  # Fastest speed [m/s]
+    m1: float = 0.0  # Mean of v [m/s]
+    m2: float = 0.0  # Mean of v^2 [(m/s)^2]
+    m3: float = 0.0  # Mean of v^3 [(m/s)^3]
+    m4: float = 0.0  # Mean of v^4 [(m/s)^4]
+
+    def add(self, v: float) -> None:
+        """Add one speed [m/s]."""
+        self.add_mean(v, v, v)
+
+    def add_mean(self, v: float, slowest: float, fastest: float) -> None:
+        """Add the mean of speeds from slowest to fastest [m/s]."""
+        self.slowest = min(self.slowest, slowest) if self.count else slowest
+        self.fastest = max(self.fastest, fastest)
+        self.count += 1
+        square = v * v
+        share = 1.0 / self.count
+        self.m1 += share * (v - self.m1)
+        self.m2 += share * (square - self.m2)
+        self.m3 += share * (square * v - self.m3)
+        self.m4 += share * (square * square - self.m4)
+
+    def is_valid(self) -> bool:
+        """Return whether the numbers are possible moments of speeds."""
+        return (
+            self.count >= 0 and 0.0 <= self.slowest <= self.fastest and min(self.m1, self.m2, self.m3, self.m4) >= 0.0
+        )
+
+
+def is_fit_where_driven(
+    posterior: DavisPosterior, driven: DrivenSpeeds, valid_std: float, valid_share: float, *, was_fit: bool
+) -> bool:
+    """Return whether the standard deviation of w, in root mean square over the driven speeds, is small enough.
+
+    Each speed counts as often as it was driven.
+
+    Args:
+        posterior: Posterior of a, b, c.
+        driven: Moments of the driven speeds.
+        valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
+        valid_share: Largest standard deviation as a share of the resistance [1]; both limits add in squares.
+        was_fit: Whether it was fit so far.
+    """
+    if not driven.count:
+        return False
+    a, b, c, A, B, C, D, E, F = posterior
+    m1, m2, m3, m4 = driven.m1, driven.m2, driven.m3, driven.m4
+    # Means of phi' P phi and of w^2 = (phi' theta)^2 with phi = (1, v, v^2).
+    variance = A + 2.0 * B * m1 + (2.0 * C + D) * m2 + 2.0 * E * m3 + F * m4
+    square = a * a + 2.0 * a * b * m1 + (2.0 * a * c + b * b) * m2 + 2.0 * b * c * m3 + c * c * m4
+    limit = valid_std * valid_std + valid_share * valid_share * square
+    return variance < limit * (_HYSTERESIS * _HYSTERESIS if was_fit else 1.0)
+
+
+def is_fit_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
+    """Return whether the standard deviation of w at one speed [m/s] is small enough; limits as for driven speeds."""
+    w, variance = predict(posterior, speed, speed * speed)
+    return variance < valid_std * valid_std + valid_share * valid_share * w * w

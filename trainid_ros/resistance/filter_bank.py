@@ -16,33 +16,40 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
-from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_at, is_fit_where_driven
-from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.interface.errors import check_settings
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.vectors import append, vec
+from trainid_ros.resistance.davis_posterior import (
+    CURVE_RADIUS,
+    DrivenSpeeds,
+    drift_growth,
+    force_errors,
+    is_delay_at_end,
+    is_fit_at,
+    is_fit_where_driven,
+    resistance_estimate,
+    scale_step,
+)
 from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covariance, usual_deviations
 from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, Mixture
-from trainid_ros.resistance.long_run_variance import Inflation
+from trainid_ros.resistance.normal import Inflation
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.saved_states import MAX_STRIDE, FilterBankState
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite, seconds
-from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import STANDING
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from trainid_ros.estimators.settings import FilterBankConfig
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.resistance.hypotheses import Innovation
     from trainid_ros.resistance.planned_drive import Run
-    from trainid_ros.resistance.resistance_settings import FilterBankConfig
-    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -86,7 +93,6 @@ class FilterBank:
     Attributes:
         config: Settings.
         bank: The hypotheses.
-
     """
 
     def __init__(self, train_file: TrainFile, config: FilterBankConfig, plan: BankPlan | None = None) -> None:
@@ -284,7 +290,6 @@ class FilterBank:
             times: Number of runs.
             deviations: Innovations over their standard deviations, shape (n, times, steps): covariances are means over
                 the n sequences; by default those of :func:`usual_deviations`.
-
         """
         mean, slowest, found = self._current().mean, self.config.min_speed, list[list[Mixture]]()
         first = max(1, run.first_learned(self._known.settling, slowest))

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.resistance.force_errors import is_delay_at_end
+from trainid_ros.resistance.davis_posterior import is_delay_at_end
 
 if TYPE_CHECKING:
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.interface.results import ResistanceEstimate
 
 # An error is reported if it differs from zero by this many standard deviations ...
 _SIGNIFICANT: Final = 4.0

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.speed_states import Interval
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -44,7 +44,6 @@ def foreseen_mixtures(
         slowest: Speed at which the train is taken to stop [m/s].
         variances: Variance of the speed at the end of a step [(m/s)^2], and that by which the force scale may change
             at a stop [1].
-
     """
     bank, (speed_variance, scale_variance) = Bank(now.plan), variances
     bank.restore(now.state())

@@ -23,6 +23,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.vectors import append, i64, vec
 from trainid_ros.resistance.davis_posterior import DavisPosterior
 from trainid_ros.resistance.saved_states import BankState
 from trainid_ros.resistance.speed_states import (
@@ -39,8 +41,6 @@ from trainid_ros.resistance.speed_states import (
     entry,
     speed_filter,
 )
-from trainid_ros.scalars import is_finite
-from trainid_ros.vectors import append, i64, vec
 
 Array = NDArray[np.float64]
 
@@ -63,40 +63,22 @@ _NO_WEIGHT: Final = 1e-200
 
 @dataclass(frozen=True, slots=True)
 class BankPlan:
-    """Settings of the bank.
+    """Settings of the bank."""
 
-    Attributes:
-        mean: Prior mean of the states, shape (9,); that of v is not used.
-        variance: Prior variances of the states, shape (9,); those of v, gust and map error are not used.
-        gust_stds: Hypothetical gust standard deviations [N/kN], ascending.
-        map_stds: Hypothetical standard deviations of the map error [N/kN], ascending.
-        step_variances: Variances that a step adds to a and to c, (N/kN)^2 and (N/kN per (m/s)^2)^2.
-        hazard: Probability of a step per second [1/s].
-        branch_interval: Driving time between branchings [s].
-        hypotheses: Maximum number of hypotheses.
-        min_age: Minimum age of a hypothesis in the mixture [s].
-        young_age: Age up to which a hypothesis is young [s].
-        young_weight: Factor on the weight of young hypotheses in the stated covariance [1].
-        wrong_prior: Prior odds that the stated prior is too narrow [1].
-        drift: Growth of the variances of the states [per s], shape (9,).
-        noise: Process and measurement noise.
-
-    """
-
-    mean: Array
-    variance: Array
-    gust_stds: tuple[float, ...]
-    map_stds: tuple[float, ...]
-    step_variances: tuple[float, float]
-    hazard: float
-    branch_interval: float
-    hypotheses: int
-    min_age: float
-    young_age: float
-    young_weight: float
-    wrong_prior: float
-    drift: Array
-    noise: ProcessNoise
+    mean: Array  # Prior mean of the states, shape (9,); that of v is not used
+    variance: Array  # Prior variances of the states, shape (9,); those of v, gust and map error are not used
+    gust_stds: tuple[float, ...]  # Hypothetical gust standard deviations [N/kN], ascending
+    map_stds: tuple[float, ...]  # Hypothetical standard deviations of the map error [N/kN], ascending
+    step_variances: tuple[float, float]  # Variances that a step adds to a and to c, (N/kN)^2 and (N/kN per (m/s)^2)^2
+    hazard: float  # Probability of a step per second [1/s]
+    branch_interval: float  # Driving time between branchings [s]
+    hypotheses: int  # Maximum number of hypotheses
+    min_age: float  # Minimum age of a hypothesis in the mixture [s]
+    young_age: float  # Age up to which a hypothesis is young [s]
+    young_weight: float  # Factor on the weight of young hypotheses in the stated covariance [1]
+    wrong_prior: float  # Prior odds that the stated prior is too narrow [1]
+    drift: Array  # Growth of the variances of the states [per s], shape (9,)
+    noise: ProcessNoise  # Process and measurement noise
 
     @property
     def log_step(self) -> float:
@@ -118,7 +100,6 @@ class Mixture:
     Attributes:
         mean: a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2], kappa [1], delta [s].
         covariance: Upper triangle of their covariance, row by row, 15 numbers.
-
     """
 
     def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
@@ -146,7 +127,6 @@ class Bank:
         hypotheses: The hypotheses, in the order of their creation.
         since_s: Driving time since the last branching [s].
         branchings: Number of branchings.
-
     """
 
     def __init__(self, plan: BankPlan) -> None:
@@ -257,7 +237,6 @@ class Bank:
 
         Returns:
             False, without any change, if the train would be slower.
-
         """
         best = self.hypotheses[0]
         for item in self.hypotheses:
@@ -292,7 +271,6 @@ class Bank:
 
         Args:
             young_weight: Factor on the weights of young hypotheses in the covariance.
-
         """
         plain = self._mature_weights()
         mean, weights, first = vec[float](), _normalised(plain), self.hypotheses[0].filter.x

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.train.brake import lag_response
-from trainid_ros.train.davis import specific_force, specific_inertia
+from trainid_ros.train.forces import lag_response, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 
 if TYPE_CHECKING:
@@ -45,20 +44,12 @@ _HELD_S: Final = (60.0, 180.0)
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """What the driver does once the train has left a stop.
+    """What the driver does once the train has left a stop."""
 
-    Attributes:
-        start: Speed up to which it accelerates with full traction [m/s].
-        end: Speed down to which it then coasts [m/s]; equal to ``start`` if it does not.
-        held_s: Time for which it holds the speed ``start`` instead [s].
-        braking: Command of the braking to the stop [m/s^2, < 0] if that is what the manoeuvre is for; else 0.
-
-    """
-
-    start: float
-    end: float
-    held_s: float = 0.0
-    braking: float = 0.0
+    start: float  # Speed up to which it accelerates with full traction [m/s]
+    end: float  # Speed down to which it then coasts [m/s]; equal to ``start`` if it does not
+    held_s: float = 0.0  # Time for which it holds the speed ``start`` instead [s]
+    braking: float = 0.0  # Command of the braking to the stop [m/s^2, < 0] if that is what the manoeuvre is for; else 0
 
     @property
     def coasts(self) -> bool:
@@ -83,34 +74,20 @@ class Manoeuvre:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Planned motion over :data:`STEP_S`.
+    """Planned motion over :data:`STEP_S`."""
 
-    Attributes:
-        speed: Speed at its end [m/s].
-        traction: Mean reported specific traction [N/kN].
-        ramp: Rate of change of that traction [N/kN per s].
-
-    """
-
-    speed: float
-    traction: float
-    ramp: float
+    speed: float  # Speed at its end [m/s]
+    traction: float  # Mean reported specific traction [N/kN]
+    ramp: float  # Rate of change of that traction [N/kN per s]
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a manoeuvre.
+    """One run of a manoeuvre."""
 
-    Attributes:
-        manoeuvre: The manoeuvre.
-        steps: Its steps before the braking.
-        braking: Speeds at the ends of the steps of the braking to the stop [m/s].
-
-    """
-
-    manoeuvre: Manoeuvre
-    steps: tuple[Step, ...]
-    braking: tuple[float, ...]
+    manoeuvre: Manoeuvre  # The manoeuvre
+    steps: tuple[Step, ...]  # Its steps before the braking
+    braking: tuple[float, ...]  # Speeds at the ends of the steps of the braking to the stop [m/s]
 
     @property
     def speeds(self) -> tuple[float, ...]:
@@ -133,7 +110,6 @@ class Run:
         Args:
             settling_s: Time that the brake takes to release, from the start [s].
             slowest: Slowest speed to learn from [m/s].
-
         """
         released = min(len(self.steps), math.ceil(settling_s / STEP_S))
         fast = (k for k, step in enumerate(self.steps[released:], released) if step.speed >= slowest)
@@ -209,7 +185,6 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
         train_file: Train and line.
         davis: Resistance.
         force_scale: Actual over reported traction [1].
-
     """
     train, scale = train_file.train, force_scale
     m = specific_inertia(1.0, train.rotary_mass)

@@ -6,10 +6,10 @@ from __future__ import annotations
 from typing import Final
 
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
+from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
+from trainid_ros.interface.results import ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.resistance_settings import FilterBankConfig, VMilsConfig
 from trainid_ros.resistance.vmils import VMils
-from trainid_ros.results import ResistanceEstimate
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     'resistance',

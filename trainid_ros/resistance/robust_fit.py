@@ -38,7 +38,6 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | N
         rows: Rows of the n entries of the regressor phi, the observation y, its noise variance R, and the factor on
             R in the mean of many observations.
         prior: Prior distribution of the n parameters.
-
     """
     table = np.array(rows)
     root = np.sqrt(table[:, -2])

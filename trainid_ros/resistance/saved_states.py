@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.fitness import DrivenSpeeds
-from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
+from trainid_ros.resistance.davis_posterior import DrivenSpeeds
+from trainid_ros.resistance.normal import Inflation, SlowNoise
 from trainid_ros.resistance.speed_states import STATES, Tick, V
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, is_covariance_matrix
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.known_force import SpeedNoise
 
 Array = NDArray[np.float64]
 
@@ -33,26 +33,15 @@ _MAX_SPEED: Final = 1e5
 
 @dataclass(slots=True)
 class BankState:
-    """Saved state of the bank, one row per hypothesis.
+    """Saved state of the bank, one row per hypothesis."""
 
-    Attributes:
-        x: Means, shape (n, 9).
-        P: Covariances, shape (n, 9, 9).
-        log_weight: Logarithms of the weights, normalised to a maximum of 0, shape (n,).
-        age: Driving time since it branched off [s], shape (n,).
-        size: Index of the sizes of gusts and map errors, shape (n,).
-        since_s: Driving time since the last branching [s].
-        branchings: Number of branchings.
-
-    """
-
-    x: Array
-    P: Array
-    log_weight: Array
-    age: Array
-    size: Array
-    since_s: float = 0.0
-    branchings: int = 0
+    x: Array  # Means, shape (n, 9)
+    P: Array  # Covariances, shape (n, 9, 9)
+    log_weight: Array  # Logarithms of the weights, normalised to a maximum of 0, shape (n,)
+    age: Array  # Driving time since it branched off [s], shape (n,)
+    size: Array  # Index of the sizes of gusts and map errors, shape (n,)
+    since_s: float = 0.0  # Driving time since the last branching [s]
+    branchings: int = 0  # Number of branchings
 
     def is_valid(self, sizes: int) -> bool:
         """Return whether this is a possible state of a bank with this number of disturbance sizes."""
@@ -131,26 +120,15 @@ class RunLengthState:
 
 @dataclass(frozen=True, slots=True)
 class ChangePointState:
-    """Saved state of a tracker; ``memory`` and each of ``parts`` are information, n (n + 1) numbers row by row.
+    """Saved state of a tracker; ``memory`` and each of ``parts`` are information, n (n + 1) numbers row by row."""
 
-    Attributes:
-        memory: Information of the long memory.
-        parts: Information that each of the last p observations adds at a step.
-        hypotheses: Run-length hypotheses, oldest first.
-        rows: Latest observations: phi, y, R, slow.
-        mean_weight: Recent mean weight of the observations [1].
-        count: Number of observations.
-        steps_found: Number of detected steps.
-
-    """
-
-    memory: tuple[float, ...]
-    parts: tuple[tuple[float, ...], ...]
-    hypotheses: tuple[RunLengthState, ...]
-    rows: tuple[tuple[float, ...], ...]
-    mean_weight: float
-    count: int
-    steps_found: int
+    memory: tuple[float, ...]  # Information of the long memory
+    parts: tuple[tuple[float, ...], ...]  # Information that each of the last p observations adds at a step
+    hypotheses: tuple[RunLengthState, ...]  # Run-length hypotheses, oldest first
+    rows: tuple[tuple[float, ...], ...]  # Latest observations: phi, y, R, slow
+    mean_weight: float  # Recent mean weight of the observations [1]
+    count: int  # Number of observations
+    steps_found: int  # Number of detected steps
 
     def is_valid(self, n: int) -> bool:
         """Return whether all numbers, which must be finite, fit n parameters and lie within their bounds."""

@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.force_errors import MAX_DELAY, MIN_DELAY
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.vectors import i64, vec
+from trainid_ros.resistance.davis_posterior import MAX_DELAY, MIN_DELAY
 from trainid_ros.stream.intervals import FAST_NS
-from trainid_ros.vectors import i64, vec
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,78 +68,44 @@ def entry(i: i64, j: i64) -> i64:
 
 @dataclass(slots=True)
 class Tick:
-    """One admitted sample.
+    """One admitted sample."""
 
-    Attributes:
-        stamp_ns: Time stamp [ns].
-        dt: Time since the previous sample [s].
-        speed: Measured speed [m/s].
-        traction: Mean reported specific traction [N/kN].
-        track: Mean gradient and known extra resistance [N/kN].
-        curve: 600 m over the mean radius [1], 0 on straight track.
-        variance: Variance of the measured speed [(m/s)^2].
-        weighed: Whether the load is weighed.
-        force_interval: Time between the force reports used for interpolation [s].
-
-    """
-
-    stamp_ns: int
-    dt: float
-    speed: float
-    traction: float
-    track: float
-    curve: float
-    variance: float
-    weighed: bool
-    force_interval: float
+    stamp_ns: int  # Time stamp [ns]
+    dt: float  # Time since the previous sample [s]
+    speed: float  # Measured speed [m/s]
+    traction: float  # Mean reported specific traction [N/kN]
+    track: float  # Mean gradient and known extra resistance [N/kN]
+    curve: float  # 600 m over the mean radius [1], 0 on straight track
+    variance: float  # Variance of the measured speed [(m/s)^2]
+    weighed: bool  # Whether the load is weighed
+    force_interval: float  # Time between the force reports used for interpolation [s]
 
 
 @dataclass(slots=True)
 class Interval:
-    """Forces from one speed measurement to the next, and the measurement at the end.
+    """Forces from one speed measurement to the next, and the measurement at the end."""
 
-    Attributes:
-        dt: Length of the interval [s].
-        traction: Mean reported specific traction [N/kN] one ``spacing`` before, in it, and one and two after it.
-        track: Gradient and known extra resistance [N/kN].
-        curve: 600 m over the mean radius [1], 0 on straight track.
-        speed: Speed measured at its end [m/s].
-        speed_variance: Variance of that measurement [(m/s)^2].
-        spacing: Time between the four values of the traction [s].
-        force_interval: Time between the two force reports from which the traction was interpolated [s].
-
-    """
-
-    dt: float
+    dt: float  # Length of the interval [s]
+    # Mean reported specific traction [N/kN] one ``spacing`` before, in it, and one and two after it
     traction: tuple[float, float, float, float]
-    track: float
-    curve: float
-    speed: float
-    speed_variance: float
-    spacing: float
-    force_interval: float
+    track: float  # Gradient and known extra resistance [N/kN]
+    curve: float  # 600 m over the mean radius [1], 0 on straight track
+    speed: float  # Speed measured at its end [m/s]
+    speed_variance: float  # Variance of that measurement [(m/s)^2]
+    spacing: float  # Time between the four values of the traction [s]
+    force_interval: float  # Time between the two force reports from which the traction was interpolated [s]
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """Inertia and noise parameters of the filters.
+    """Inertia and noise parameters of the filters."""
 
-    Attributes:
-        inertia: m of (1) [N/kN per m/s^2].
-        gust_time: Correlation time of the gusts [s].
-        map_length: Correlation length of the map error [m].
-        force_density: Spectral density of the white noise of the force [(N/kN)^2 s].
-        skew: Jitter between the stamps of force and speed [s], independent for each ``spacing``.
-        outliers: Share of outliers among the speeds [1].
-
-    """
-
-    inertia: float
-    gust_time: float
-    map_length: float
-    force_density: float
-    skew: float
-    outliers: float
+    inertia: float  # m of (1) [N/kN per m/s^2]
+    gust_time: float  # Correlation time of the gusts [s]
+    map_length: float  # Correlation length of the map error [m]
+    force_density: float  # Spectral density of the white noise of the force [(N/kN)^2 s]
+    skew: float  # Jitter between the stamps of force and speed [s], independent for each ``spacing``
+    outliers: float  # Share of outliers among the speeds [1]
 
 
 class SpeedTransition:
@@ -152,7 +118,6 @@ class SpeedTransition:
         decay: Factors on the states without (1), shape (9,): 1 but for gust and map error.
         drift: Increase of the variances of the states before the motion, shape (9,).
         speed_noise: Variance that the force adds to v [(m/s)^2].
-
     """
 
     def __init__(self, interval: Interval, noise: ProcessNoise, rates: vec[float]) -> None:
@@ -204,7 +169,6 @@ class SpeedFilter:
         P: Upper triangle of the covariance, row by row, 45 numbers; the first nine are the row of v.
         gust_var: Stationary variance of the gusts [(N/kN)^2].
         map_var: Stationary variance of the map error [(N/kN)^2].
-
     """
 
     def __init__(self, x: vec[float], P: vec[float], gust_var: float, map_var: float) -> None:
@@ -279,7 +243,6 @@ class SpeedFilter:
 
         Returns:
             Logarithm of the density of the measurement [(m/s)^-1], and its weight [1], 1 = no outlier.
-
         """
         x, P, column = self.x, self.P, self._row
         S, nu = P[V] + R, speed - x[V]

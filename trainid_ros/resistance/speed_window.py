@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.vectors import append, vec
 from trainid_ros.resistance.normal import dot
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import seconds
-from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,55 +35,33 @@ _MIN_SAMPLES: Final = 8
 
 @dataclass(slots=True)
 class WindowTick:
-    """One sample of a window.
+    """One sample of a window."""
 
-    Attributes:
-        stamp_ns: Time stamp of the speed [ns].
-        dt: Time since the previous sample [s].
-        speed: Measured speed [m/s].
-        known_force: Mean known specific force since the previous sample [N/kN].
-        traction: Mean specific traction since the previous sample [N/kN].
-        curve: Mean curvature since the previous sample as 600 m over the radius [1]; 0 on straight track.
-
-    """
-
-    stamp_ns: int
-    dt: float
-    speed: float
-    known_force: float
-    traction: float
-    curve: float = 0.0
+    stamp_ns: int  # Time stamp of the speed [ns]
+    dt: float  # Time since the previous sample [s]
+    speed: float  # Measured speed [m/s]
+    known_force: float  # Mean known specific force since the previous sample [N/kN]
+    traction: float  # Mean specific traction since the previous sample [N/kN]
+    curve: float = 0.0  # Mean curvature since the previous sample as 600 m over the radius [1]; 0 on straight track
 
 
 @dataclass(slots=True)
 class WindowResult:
-    """One observation of the resistance.
+    """One observation of the resistance."""
 
-    Attributes:
-        y: Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
-        phi: Regressor [1, v, v^2] with v in m/s, averaged with the weights of the slope, shape (3,).
-        noise_std: Standard deviation of y due to speed noise alone [N/kN].
-        traction: Specific traction Tw, averaged with the weights of the slope [N/kN].
-        traction_size: Mean absolute specific traction [N/kN].
-        traction_rate: Slope Dw of the traction with the weights of the speed slope [N/kN per s]: the error of y per
-            second of force delay.
-        curve: 600 m over the radius, averaged with the weights of the slope [1].
-        duration: Time from the first to the last sample [s].
-        speed_min: Slowest speed in the window without outliers [m/s].
-        speed_max: Fastest speed in the window without outliers [m/s].
-
-    """
-
-    y: float
+    y: float  # Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
+    # Regressor [1, v, v^2] with v in m/s, averaged with the weights of the slope, shape (3,)
     phi: tuple[float, float, float]
-    noise_std: float
-    traction: float
-    traction_size: float
+    noise_std: float  # Standard deviation of y due to speed noise alone [N/kN]
+    traction: float  # Specific traction Tw, averaged with the weights of the slope [N/kN]
+    traction_size: float  # Mean absolute specific traction [N/kN]
+    # Slope Dw of the traction with the weights of the speed slope [N/kN per s]: the error of y per second of force
+    # delay
     traction_rate: float
-    curve: float
-    duration: float
-    speed_min: float
-    speed_max: float
+    curve: float  # 600 m over the radius, averaged with the weights of the slope [1]
+    duration: float  # Time from the first to the last sample [s]
+    speed_min: float  # Slowest speed in the window without outliers [m/s]
+    speed_max: float  # Fastest speed in the window without outliers [m/s]
 
 
 @dataclass(slots=True)
@@ -150,7 +128,6 @@ def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float
 
     Returns:
         The observation, or a rejection if the speed is inconsistent with the forces beyond its noise.
-
     """
     times, rest = _unforced(ticks, inertia)
     tolerance, weights = _OUTLIER_SIGMAS * speed_std, _plain_weights(times)

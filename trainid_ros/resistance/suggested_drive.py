@@ -22,8 +22,8 @@ from trainid_ros.train.train_file import Davis
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.resistance.planned_drive import Run
-    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.train.train_file import TrainFile
 
 # Most repetitions of a run that are suggested.
@@ -79,20 +79,12 @@ class Promise:
 
 @dataclass(frozen=True, slots=True)
 class SuggestedDrive:
-    """A drive and what it promises.
+    """A drive and what it promises."""
 
-    Attributes:
-        run: One run of it, from stop to stop.
-        times: Number of runs.
-        least_known: The quantity for which it is driven.
-        promises: All quantities.
-
-    """
-
-    run: Run
-    times: int
-    least_known: Promise
-    promises: tuple[Promise, ...]
+    run: Run  # One run of it, from stop to stop
+    times: int  # Number of runs
+    least_known: Promise  # The quantity for which it is driven
+    promises: tuple[Promise, ...]  # All quantities
 
     @property
     def duration_s(self) -> float:
@@ -158,7 +150,6 @@ def suggested_drive(
 
     Returns:
         None if all is known, if nothing was learned yet, or if no drive would help.
-
     """
     return drive_search(estimator, train_file, prior, now).finish()
 
@@ -181,7 +172,6 @@ class DriveSearch:
 
     Attributes:
         result: What was found, None before the end of the search.
-
     """
 
     def __init__(
@@ -198,7 +188,6 @@ class DriveSearch:
             now: Present estimate.
             runs: Runs to compare.
             foresee: Yields the estimates after one, two, ... of a number of runs, and None after each step between.
-
         """
         self.result: SuggestedDrive | None = None
         self._quantities, self._now, self._foresee = quantities, now, foresee

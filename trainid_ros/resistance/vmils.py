@@ -23,32 +23,38 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.interface.errors import InputError, check_settings
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.scalars import seconds
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.davis_posterior import drift_rates, drifted, resistance_estimate
-from trainid_ros.resistance.fitness import is_fit_where_driven
-from trainid_ros.resistance.force_errors import CURVE_RADIUS, ForceErrors, force_errors, scale_step
+from trainid_ros.resistance.davis_posterior import (
+    CURVE_RADIUS,
+    ForceErrors,
+    drift_rates,
+    drifted,
+    force_errors,
+    is_fit_where_driven,
+    resistance_estimate,
+    scale_step,
+)
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.saved_states import VMilsState
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
-from trainid_ros.scalars import seconds
-from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from trainid_ros.estimators.settings import VMilsConfig
+    from trainid_ros.interface.results import Rejection, ResistanceEstimate
     from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
     from trainid_ros.resistance.planned_drive import Run
-    from trainid_ros.resistance.resistance_settings import VMilsConfig
-    from trainid_ros.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -71,8 +77,7 @@ class VMils:
     def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
         check_settings(config)
         if config.hop > config.window:
-            msg = f'hop = {config.hop:g} s must not exceed window = {config.window:g} s'
-            raise InputError(msg)
+            raise InputError(f'hop = {config.hop:g} s must not exceed window = {config.window:g} s')
         self.config = config
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)
@@ -285,7 +290,6 @@ def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: V
         davis: Prior means of a, b, c [N/kN, v in m/s].
         errors: Prior standard deviations of the force errors, whose means are 0.
         config: Settings of V-MILS.
-
     """
     variances = prior_variances(davis, config)
     share = config.step_share**2
@@ -315,7 +319,6 @@ def window_plan(config: VMilsConfig, inertia: float, gradient_std: float) -> Win
         config: Settings of V-MILS.
         inertia: As in :func:`observe_resistance` [N/kN per m/s^2].
         gradient_std: Standard deviation of the gradients of the map [per mille].
-
     """
     return WindowPlan(
         window=config.window,

@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.resistance.fitness import DrivenSpeeds
-from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
-from trainid_ros.resistance.normal import gate
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.vectors import vec
+from trainid_ros.resistance.davis_posterior import DrivenSpeeds
+from trainid_ros.resistance.normal import Inflation, SlowNoise, gate
 from trainid_ros.resistance.saved_states import LearnerState
 from trainid_ros.resistance.speed_window import (
     Cut,
@@ -31,10 +33,7 @@ from trainid_ros.resistance.speed_window import (
     observe_resistance,
     overlap_factor,
 )
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.vectors import vec
+from trainid_ros.stream.known_force import SpeedNoise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +84,6 @@ class WindowLearner:
         test_ratio: Its square over that variance and the square of the gate [1]; above 1 the weight of the
             observation is less than one half.
         driven: Speeds of the windows used.
-
     """
 
     def __init__(self, tracker: Tracker, plan: WindowPlan) -> None:
@@ -158,7 +156,6 @@ class WindowLearner:
         Args:
             ticks: The motion, at equal intervals; without noise.
             sampled_s: Time between two speeds that are then measured [s].
-
         """
         plan, n = self._plan, len(self.tracker.prior.mean)
         windows, information = SlidingWindow(plan.window, plan.hop), np.zeros((n, n))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag import missing_package_error
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.parameter_specs import ParameterSpec
@@ -49,12 +49,10 @@ class BagPlayer(PlaybackNode):
 
         Raises:
             InputError: It cannot be read or has no messages on the input topics, or the packages for bags are missing.
-
         """
         path = str(self.parameters.value('bag'))
         if not path:
-            msg = 'no bag: give the parameter bag'
-            raise InputError(msg)
+            raise InputError('no bag: give the parameter bag')
         # Imported here so that the node can name what is missing.
         try:
             from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
@@ -70,8 +68,7 @@ class BagPlayer(PlaybackNode):
         span = reader.time_range()
         if span is None or not reader.input_count:
             self.close_timeline()
-            msg = f'{path}: no messages on the input topics'
-            raise InputError(msg)
+            raise InputError(f'{path}: no messages on the input topics')
         foreign = {name: ForeignOutput(kind.name, kind.digest) for name, kind in reader.mapped_types().items()}
         return Timeline(*span, lambda: _entries(reader), foreign, reader.mapping.replaced)
 

@@ -20,8 +20,8 @@ from trainid_ros.checkpoint import (
     default_path,
     provenance_of,
 )
-from trainid_ros.errors import InputError
-from trainid_ros.results import Status
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.input_monitor import shown_time
 from trainid_ros.ros.services import NUMERICAL_ERRORS
 
@@ -43,7 +43,6 @@ class Checkpoints:
         problem: Why the state cannot be saved now, empty if it can.
         is_due: Whether the period is over.
         saved_at: When it was last saved, or nothing had changed, by a steady clock [s].
-
     """
 
     def __init__(self, node: EstimatorNode) -> None:
@@ -69,7 +68,6 @@ class Checkpoints:
 
         Raises:
             InputError: The parameter ``checkpoint_file`` cannot be used.
-
         """
         path = str(self._node.parameters.value('checkpoint_file'))
         self._provenance = provenance_of(self._node.job.field, train_file, settings)
@@ -207,8 +205,7 @@ class Checkpoints:
         file = self._file_or_default()
         checkpoint = file.read(self._required_provenance())
         if checkpoint is None:
-            msg = f'{file.path}: there is no checkpoint'
-            raise InputError(msg)
+            raise InputError(f'{file.path}: there is no checkpoint')
         age = self._load(pipeline, file, checkpoint)
         self.note_wanted()
         return f'{file.path}, saved {age}'
@@ -227,8 +224,7 @@ class Checkpoints:
         try:
             return self._restore(pipeline, checkpoint)
         except InputError as error:
-            msg = f'{file.path}: checkpoint is invalid: {error}'
-            raise InputError(msg) from error
+            raise InputError(f'{file.path}: checkpoint is invalid: {error}') from error
 
     def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> str:
         """Continue from a checkpoint; return its age as text."""
@@ -239,8 +235,7 @@ class Checkpoints:
 
     def _required_provenance(self) -> Provenance:
         if self._provenance is None:
-            msg = 'configure first'
-            raise InputError(msg)
+            raise InputError('configure first')
         return self._provenance
 
 

@@ -16,15 +16,15 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from trainid_ros.brake_rate.brake_findings import brake_findings
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Reason, Status
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.results import Output
+    from trainid_ros.interface.results import Output
     from trainid_ros.ros.input_monitor import InputMonitor
     from trainid_ros.ros.jobs import Job
 
@@ -92,17 +92,11 @@ def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSpec:
-    """What distinguishes one estimator node from the others.
+    """What distinguishes one estimator node from the others."""
 
-    Attributes:
-        job: What it estimates.
-        shown: Values to show in the diagnostics, the most important first.
-        details: Returns further diagnostics, as names and values, for the prior and the current estimate.
-
-    """
-
-    job: Job
-    shown: tuple[ShownValue, ...]
+    job: Job  # What it estimates
+    shown: tuple[ShownValue, ...]  # Values to show in the diagnostics, the most important first
+    # Returns further diagnostics, as names and values, for the prior and the current estimate
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
 
@@ -124,34 +118,19 @@ _BLOCKING: Final = frozenset({Problem.CONTRADICTION, Problem.BRAKE})
 
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
-    """State of the node apart from its estimator.
+    """State of the node apart from its estimator."""
 
-    Attributes:
-        name: Name of the node.
-        state: Its lifecycle state.
-        failure: Reason of the last failed transition, '' if it succeeded.
-        now_ns: The node's time [ns].
-        clock_problem: What is wrong with the clock, '' if nothing is.
-        since_ns: Since when the estimate has its status [ns].
-        missing: Which inputs are missing, '' if none is.
-        fault: Why the estimator cannot continue, '' if it can.
-        unsaved: Why its state cannot be saved, '' if it can.
-        busy_s: How long the node could not do anything else just now, 0 if not for long [s].
-        began: When each present problem began [ns].
-
-    """
-
-    name: str
-    state: str
-    failure: str
-    now_ns: int
-    clock_problem: str
-    since_ns: int = 0
-    missing: str = ''
-    fault: str = ''
-    unsaved: str = ''
-    busy_s: float = 0.0
-    began: Mapping[Problem, int] = field(default_factory=dict)
+    name: str  # Name of the node
+    state: str  # Its lifecycle state
+    failure: str  # Reason of the last failed transition, '' if it succeeded
+    now_ns: int  # The node's time [ns]
+    clock_problem: str  # What is wrong with the clock, '' if nothing is
+    since_ns: int = 0  # Since when the estimate has its status [ns]
+    missing: str = ''  # Which inputs are missing, '' if none is
+    fault: str = ''  # Why the estimator cannot continue, '' if it can
+    unsaved: str = ''  # Why its state cannot be saved, '' if it can
+    busy_s: float = 0.0  # How long the node could not do anything else just now, 0 if not for long [s]
+    began: Mapping[Problem, int] = field(default_factory=dict)  # When each present problem began [ns]
 
 
 def idle_status(health: NodeHealth) -> Any:

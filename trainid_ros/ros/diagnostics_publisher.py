@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.brake_rate.suggested_braking import braking_search
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.suggested_drive import DriveSearch, drive_search
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.publishers import Publishers, is_hash, sort_publishers
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.interface.results import Output
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import Output
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.ros.foreign_topics import AnyTopic
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.results import Status
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.status_changes import StatusChanges, is_latched
 from trainid_ros.ros.topics import latched_qos, message_class, offered_estimate_qos, overridable, publisher_events
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.messages import OutputTopic
+    from trainid_ros.interface.records import OutputTopic
     from trainid_ros.ros.node import ManagedNode
     from trainid_ros.ros.topics import SerializedEstimate
 
@@ -33,7 +33,6 @@ class EstimatePublisher:
         last_valid: Publishes latched ones, None where nothing is latched.
         latched: Status of the estimate that is latched, None before the first.
         published_ns: Steady time of the last estimate [ns], 0 before the first.
-
     """
 
     def __init__(self, node: ManagedNode, topic: OutputTopic, changes: StatusChanges) -> None:

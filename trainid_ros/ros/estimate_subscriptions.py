@@ -14,12 +14,12 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import qos_policy_name_from_kind
 
 from trainid_ros.client.channel import GONE
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, stamp_of, status_of
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, stamp_of, status_of
 from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
 
 if TYPE_CHECKING:
-    from trainid_ros.messages import OutputTopic
-    from trainid_ros.results import Status
+    from trainid_ros.interface.records import OutputTopic
+    from trainid_ros.interface.results import Status
 
 
 class Receiver(Protocol):

@@ -17,11 +17,11 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
 
-from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.interface.errors import InputError, TrainIdError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
+from trainid_ros.interface.results import Rejection, Status
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
-from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
@@ -73,7 +73,6 @@ class EstimatorNode(ManagedNode):
             arguments: ROS arguments of the process, searched for parameter files.
             inputs: Inputs that the node shares with others of the process, None if it runs alone.
             options: Options of the rclpy node.
-
         """
         super().__init__(spec.job.node_name, **options)
         self.spec = spec

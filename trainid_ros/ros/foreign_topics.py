@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import OWN, Signal
-from trainid_ros.records import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
@@ -23,6 +22,7 @@ from trainid_ros.records import (
     SPEED_TOPIC,
     InputTopic,
 )
+from trainid_ros.mapping.mapping import OWN, Signal
 from trainid_ros.ros.publishers import Publishers
 from trainid_ros.ros.topics import input_qos
 
@@ -49,16 +49,10 @@ _PATIENCE_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ForeignTopic:
-    """A topic that a mapping names.
+    """A topic that a mapping names."""
 
-    Attributes:
-        name: Its name, as in the mapping.
-        quantities: What is read from it.
-
-    """
-
-    name: str
-    quantities: tuple[str, ...]
+    name: str  # Its name, as in the mapping
+    quantities: tuple[str, ...]  # What is read from it
 
     @property
     def label(self) -> str:
@@ -101,11 +95,9 @@ def foreign_class(name: str) -> Any:
 
     Raises:
         InputError: Its package is not installed, or has no such type.
-
     """
     if (match := _TYPE.fullmatch(name)) is None:
-        msg = f'{name!r} is not a type of messages'
-        raise InputError(msg)
+        raise InputError(f'{name!r} is not a type of messages')
     package, kind = match.groups()
     try:
         return getattr(import_module(f'{package}.msg'), kind)
@@ -122,7 +114,6 @@ def foreign_qos(topic: ForeignTopic, offered: Sequence[QoSProfile]) -> QoSProfil
     Args:
         topic: The topic.
         offered: Profiles of its publishers.
-
     """
     profile = input_qos()
     if topic.may_be_held and all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered):
@@ -140,7 +131,6 @@ class ForeignSubscription:
         current: The subscription, None before there is a publisher whose messages can be read.
         type: Name of the type subscribed to, '' without one.
         problem: Why messages cannot be read, '' if they can.
-
     """
 
     def __init__(self, topic: ForeignTopic, open_: Callable[[Any, QoSProfile], Any], close: Callable[[Any], Any]):
@@ -150,7 +140,6 @@ class ForeignSubscription:
             topic: The topic.
             open_: Subscribes with a message class and a profile.
             close: Ends a subscription.
-
         """
         self.topic = topic
         self.current: Any = None
@@ -185,7 +174,6 @@ class ForeignSubscription:
         Args:
             publishers: What ``get_publishers_info_by_topic`` returns.
             steady_ns: Time of a steady clock [ns].
-
         """
         types = list(dict.fromkeys(info.topic_type for info in publishers))
         if not types:

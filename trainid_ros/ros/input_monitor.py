@@ -14,22 +14,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from trainid_ros.records import (
-    BRAKE_TOPIC,
-    FORCE_TOPIC,
-    GRADIENT_TOPIC,
-    MASS_TOPIC,
-    NS_PER_S,
-    SPEED_TOPIC,
-)
-from trainid_ros.results import Reason
+from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.results import Reason
 from trainid_ros.ros.foreign_topics import label_of, required_inputs, subscribed_topics
 from trainid_ros.ros.publishers import Publishers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from trainid_ros.results import Rejection
+    from trainid_ros.interface.results import Rejection
     from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.stream.alignment import AlignmentConfig
 
@@ -60,20 +53,12 @@ _REJECTED: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is wrong, in words.
+    """What is wrong, in words."""
 
-    Attributes:
-        level: Level of the diagnostics.
-        text: What is the case.
-        action: What to do, '' if nothing.
-        since_ns: Since when, by the node's clock [ns]; 0 if not known.
-
-    """
-
-    level: Any
-    text: str
-    action: str = ''
-    since_ns: int = 0
+    level: Any  # Level of the diagnostics
+    text: str  # What is the case
+    action: str = ''  # What to do, '' if nothing
+    since_ns: int = 0  # Since when, by the node's clock [ns]; 0 if not known
 
     def sentence(self, now_ns: int) -> str:
         """Return everything in one line, at a time of the node's clock [ns]."""
@@ -98,7 +83,6 @@ class InputMonitor:
         count: Messages received.
         newest_ns: Stamp of the last message [ns], 0 before the first.
         publishers: Who publishes on it.
-
     """
 
     def __init__(self, topic: AnyTopic, longest_s: float, slowest_s: float, *, optional: bool) -> None:
@@ -181,7 +165,6 @@ class InputMonitor:
             now_ns: The node's time [ns].
             stale_s: Its timeout [s].
             skew_s: How far its stamps are behind those of the other inputs, 0 if too small to report [s].
-
         """
         publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
         # A publisher that was killed still counts as heard for a while.
@@ -234,7 +217,6 @@ class InputMonitors:
     Args:
         alignment: Settings that say how long each input may be missing.
         topics: The topics.
-
     """
 
     def __init__(self, alignment: AlignmentConfig, topics: Iterable[AnyTopic] = subscribed_topics()) -> None:

@@ -15,11 +15,10 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import InputTopic, record_from_message
 from trainid_ros.mapping.mapping import OWN
-from trainid_ros.messages import record_from_message
-from trainid_ros.records import InputTopic
 from trainid_ros.ros.foreign_topics import ForeignSubscription, ForeignTopic, subscribed_topics
 from trainid_ros.ros.publishers import Publishers, type_name
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from rclpy.qos import QoSProfile
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.ros.foreign_topics import AnyTopic
 
@@ -40,20 +39,12 @@ _DISCOVERY_S: Final = 0.25
 
 
 class _Arrival(NamedTuple):
-    """A message taken from a queue.
+    """A message taken from a queue."""
 
-    Attributes:
-        received_ns: When the middleware received it, or when it was sent if that is not known [ns].
-        number: The count of its publisher, None if the middleware does not state it.
-        topic: The topic.
-        message: The message.
-
-    """
-
-    received_ns: int
-    number: int | None
-    topic: AnyTopic
-    message: Any
+    received_ns: int  # When the middleware received it, or when it was sent if that is not known [ns]
+    number: int | None  # The count of its publisher, None if the middleware does not state it
+    topic: AnyTopic  # The topic
+    message: Any  # The message
 
 
 def _arrival(topic: AnyTopic, message: Any, info: Any) -> _Arrival:
@@ -90,7 +81,6 @@ class InputSubscriptions:
         node: The node.
         topics: The topics; a foreign one is subscribed as soon as its type is known.
         deliver: Called with topic, message and the time of its reception [ns], in order of arrival.
-
     """
 
     def __init__(
@@ -230,7 +220,6 @@ class InputGroup:
         topics: The topics, foreign ones of the mapping included.
         subscriptions: What is subscribed, and how.
         mapped: What makes records of the messages of foreign topics, None without a mapping.
-
     """
 
     def __init__(self, node: EstimatorNode) -> None:
@@ -274,7 +263,6 @@ class InputGroup:
             topic: Its topic.
             message: The message.
             received_ns: When it was received, by the clock of the machine [ns].
-
         """
         try:
             records, stamp_ns = self._read(topic, message, received_ns)

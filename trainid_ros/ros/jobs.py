@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import (
@@ -40,22 +40,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One estimate with its node, topics and algorithms.
+    """One estimate with its node, topics and algorithms."""
 
-    Attributes:
-        field: Its name in EstimatorSettings, in pipelines and results.
-        node_name: Name of the node.
-        topic: Topic of the estimates.
-        algorithms: Available algorithms.
-        pipeline: Creates the pipeline.
-
-    """
-
-    field: str
-    node_name: str
-    topic: OutputTopic
-    algorithms: Algorithms[Any]
-    pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]
+    field: str  # Its name in EstimatorSettings, in pipelines and results
+    node_name: str  # Name of the node
+    topic: OutputTopic  # Topic of the estimates
+    algorithms: Algorithms[Any]  # Available algorithms
+    pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]  # Creates the pipeline
 
 
 RESISTANCE_JOB: Final = Job(
@@ -86,22 +77,19 @@ def chosen_algorithms(wanted: Iterable[str]) -> dict[str, str]:
 
     Raises:
         InputError: A job or algorithm does not exist, a name is ambiguous, or a job is given two algorithms.
-
     """
     chosen: dict[str, str] = {}
     for text in wanted:
         field, name = _find(text)
         if chosen.setdefault(field, name) != name:
-            msg = f'algorithm: two given for {field}, {chosen[field]} and {name}'
-            raise InputError(msg)
+            raise InputError(f'algorithm: two given for {field}, {chosen[field]} and {name}')
     return chosen
 
 
 def _find(text: str) -> tuple[str, str]:
     field, equals, name = text.rpartition('=')
     if equals and field not in {job.field for job in JOBS}:
-        msg = f'algorithm {text!r}: {field!r} must be one of {", ".join(job.field for job in JOBS)}'
-        raise InputError(msg)
+        raise InputError(f'algorithm {text!r}: {field!r} must be one of {", ".join(job.field for job in JOBS)}')
     among = [job for job in JOBS if job.field == field or not equals]
     # A built-in name means the same whatever plug-ins are installed.
     found = [job.field for job in among if name in job.algorithms.built_in]
@@ -169,7 +157,6 @@ def node_setups(
 
     Raises:
         InputError: The file cannot be read, or a node would fail to configure; the message names node and reason.
-
     """
     chosen = chosen_algorithms(algorithms)
     base = '/' + namespace.strip('/') if namespace.strip('/') else ''
@@ -188,7 +175,6 @@ def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
 
     Raises:
         InputError: The file cannot be read, or the nodes have different mapping files: a bag is read once for all.
-
     """
     if params is None:
         return None
@@ -196,8 +182,9 @@ def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
     given = (read_overrides(params, f'{base}/{job.node_name}').get(MAPPING_FILE.name) for job in JOBS)
     found = sorted({str(value or '') for value in given})
     if len(found) > 1:
-        msg = f'{params}: nodes with different {MAPPING_FILE.name} ({", ".join(map(repr, found))}): give --map'
-        raise InputError(msg)
+        raise InputError(
+            f'{params}: nodes with different {MAPPING_FILE.name} ({", ".join(map(repr, found))}): give --map'
+        )
     return Path(found[0]).expanduser() if found[0] else None
 
 
@@ -227,5 +214,4 @@ def _setup(
         settings = build_settings(values, job.algorithms, job.field)
         return Setup(job, build_train_file(values, frozenset(given), train_file), settings)
     except InputError as error:
-        msg = f'{job.node_name}: {error}'
-        raise InputError(msg) from None
+        raise InputError(f'{job.node_name}: {error}') from None

@@ -19,7 +19,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
-from trainid_ros.errors import InputError, TrainIdError
+from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.ros.parameter_specs import (
     LIVE,
     TAKEN,
@@ -92,8 +92,7 @@ def creation_of(name: str) -> Iterator[None]:
     try:
         yield
     except (RCLError, InvalidParameterTypeException) as error:
-        msg = f'ROS cannot start {name}: {" ".join(str(error).split())}'
-        raise InputError(msg) from error
+        raise InputError(f'ROS cannot start {name}: {" ".join(str(error).split())}') from error
 
 
 class ManagedNode(LifecycleNode):
@@ -103,7 +102,6 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
-
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -192,7 +190,6 @@ class NodeParameters:
     Attributes:
         given: Names of the parameters that the user set, in a file, on the command line or later.
         on_live_change: Called with the names of parameters that were set and take effect at once.
-
     """
 
     def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
@@ -202,7 +199,6 @@ class NodeParameters:
             node: The node.
             specs: The parameters to declare.
             expected: Names of parameters that other code declares later.
-
         """
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
@@ -265,7 +261,6 @@ class NodeParameters:
 
         Raises:
             InputError: A value is out of the parameter's range.
-
         """
         self._fallback = dict.fromkeys(values, source)
         new = {name: value for name, value in values.items() if name not in self.given}

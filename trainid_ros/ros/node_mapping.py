@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
@@ -30,7 +30,6 @@ class NodeMapping:
     Attributes:
         topics: Topics that the file names, known from the start as they have parameters; none if it cannot be used,
             which is said on configure.
-
     """
 
     def __init__(self, node: Node) -> None:
@@ -49,7 +48,6 @@ class NodeMapping:
 
         Raises:
             InputError: The file cannot be used.
-
         """
         path = str(self._node.get_parameter(MAPPING_FILE.name).value)
         self._make = mapped_inputs(Path(path).expanduser() if path else None, train_file)

@@ -11,12 +11,11 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Choice
 from trainid_ros.estimators.pipeline import PipelineConfig
+from trainid_ros.interface.errors import InputError, setting_info
+from trainid_ros.interface.records import INPUT_TOPICS
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.records import INPUT_TOPICS
-from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.fields import did_you_mean
@@ -62,14 +61,12 @@ class ParameterSpec:
 
         Raises:
             InputError: The value is of another type, not finite, out of range or not among the choices.
-
         """
         if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if not isinstance(value, type(self.default)) or isinstance(value, bool) is not isinstance(self.default, bool):
             wanted = {float: 'a number', int: 'a whole number', str: 'a string', bool: 'true or false'}
-            msg = f'{self.name} = {value!r} must be {wanted[type(self.default)]}'
-            raise InputError(msg)
+            raise InputError(f'{self.name} = {value!r} must be {wanted[type(self.default)]}')
         self.check(value)
         return value
 
@@ -79,18 +76,15 @@ class ParameterSpec:
             if self.look_up is not None:
                 self.look_up(value)
             elif self.choices and value not in self.choices:
-                msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
-                raise InputError(msg)
+                raise InputError(f'{self.name} = {value!r} must be one of {", ".join(self.choices)}')
         elif not isinstance(value, bool):
             self._check_number(value)
 
     def _check_number(self, value: float) -> None:
         if not (math.isfinite(value) and self.low <= value <= self.high):
-            msg = f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]'
-            raise InputError(msg)
+            raise InputError(f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]')
         if value < self.least and value != 0.0:
-            msg = f'{self.name} = {value:g} must be 0 or at least {self.least:g}'
-            raise InputError(msg)
+            raise InputError(f'{self.name} = {value:g} must be 0 or at least {self.least:g}')
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +254,6 @@ def qos_overrides(job: Job, resolve: Callable[[str], str], foreign: Iterable[str
         job: The job of the node.
         resolve: Returns the full name of a topic.
         foreign: Topics of a mapping.
-
     """
     topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
     topics += [(topic, 'publisher') for topic in (job.topic.name, job.topic.last_valid) if topic]
@@ -278,7 +271,6 @@ def validate_overrides(
         overrides: Given values by name.
         specs: Parameters by name.
         others: Names of parameters that are handled elsewhere.
-
     """
     values: dict[str, Value] = {}
     problems: dict[str, str] = {}
@@ -298,8 +290,7 @@ def validate_overrides(
 def check_problems(problems: Mapping[str, str]) -> None:
     """Raise InputError with all problems, if there are any."""
     if problems:
-        msg = f'not configured: {"; ".join(problems.values())}'
-        raise InputError(msg)
+        raise InputError(f'not configured: {"; ".join(problems.values())}')
 
 
 def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpec], source: str) -> None:
@@ -308,8 +299,7 @@ def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpe
         try:
             specs[name].check(value)
         except InputError as error:
-            msg = f'{source}: {error}'
-            raise InputError(msg) from None
+            raise InputError(f'{source}: {error}') from None
 
 
 def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> EstimatorSettings:
@@ -336,13 +326,11 @@ def build_train_file(values: Values, given: frozenset[str], base: TrainFile | No
 
     Raises:
         InputError: There is no train file and a required parameter is not given.
-
     """
     if base is None:
         missing = [item.name for item in TRAIN_PARAMETERS if item.required and item.name not in given]
         if missing:
-            msg = f'no train: give the parameter train_file, or {", ".join(missing)}'
-            raise InputError(msg)
+            raise InputError(f'no train: give the parameter train_file, or {", ".join(missing)}')
         base = TrainFile(Train(mass=float(values['train.mass'])), Davis(0.0, 0.0, 0.0))
     sections: dict[str, Any] = {}
     for item in TRAIN_PARAMETERS:
@@ -351,6 +339,5 @@ def build_train_file(values: Values, given: frozenset[str], base: TrainFile | No
             sections[item.section] = replace(section, **{item.field: values[item.name]})
     train_file = replace(base, **sections)
     if train_file.train.mass <= 0.0:
-        msg = f'train.mass = {train_file.train.mass:g} kg must be > 0'
-        raise InputError(msg)
+        raise InputError(f'train.mass = {train_file.train.mass:g} kg must be > 0')
     return train_file

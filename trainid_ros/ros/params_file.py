@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import yaml
 
-from trainid_ros.errors import InputError
-from trainid_ros.train.fields import read_text
-from trainid_ros.train.strict_yaml import compose, load
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train.fields import compose, load, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,7 +49,6 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
     Returns:
         None if a section matches. It is certainly an error if a section has almost the name of the node
         or the usual name of the node.
-
     """
     try:
         sections = list(_sections(load(read_text(path), str(path)), ''))
@@ -87,7 +85,6 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
 
     Raises:
         InputError: The file cannot be read or is not a parameter file.
-
     """
     tree = compose(read_text(path), str(path))
     found: dict[str, object] = {}
@@ -100,8 +97,7 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
 
 def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
     if not isinstance(tree, yaml.MappingNode):
-        msg = f'{path}: is not a parameter file: {prefix or "it"} has no section with ros__parameters'
-        raise InputError(msg)
+        raise InputError(f'{path}: is not a parameter file: {prefix or "it"} has no section with ros__parameters')
     for key, value in tree.value:
         name = _name(path, key, prefix)
         if name != 'ros__parameters':
@@ -109,15 +105,15 @@ def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml
         elif isinstance(value, yaml.MappingNode):
             yield prefix, value
         else:
-            msg = f'{path}: ros__parameters of {prefix or "the file"} must map names to values'
-            raise InputError(msg)
+            raise InputError(f'{path}: ros__parameters of {prefix or "the file"} must map names to values')
 
 
 def _name(path: Path, key: yaml.Node, prefix: str) -> str:
     if isinstance(key, yaml.ScalarNode):
         return str(key.value)
-    msg = f'{path}: is not a parameter file: a key of {prefix or "it"} is not a name (line {key.start_mark.line + 1})'
-    raise InputError(msg)
+    raise InputError(
+        f'{path}: is not a parameter file: a key of {prefix or "it"} is not a name (line {key.start_mark.line + 1})'
+    )
 
 
 def _flat(path: Path, node: yaml.Node, prefix: str) -> dict[str, object]:

@@ -11,15 +11,15 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Record
+from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapping import OWN
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, Record
 from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
 from trainid_ros.ros.publishers import is_hash
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
-from trainid_ros.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -53,22 +53,13 @@ class TimedRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Records by time, which can be iterated any number of times.
+    """Records by time, which can be iterated any number of times."""
 
-    Attributes:
-        first_ns: Start time [ns].
-        last_ns: End time [ns].
-        entries: Returns an iterator over the records from the start.
-        foreign: Foreign topics among them.
-        replaced: Our own topics that are not among them.
-
-    """
-
-    first_ns: int
-    last_ns: int
-    entries: Callable[[], Iterator[TimedRecord]]
-    foreign: Mapping[str, ForeignOutput] = field(default_factory=dict)
-    replaced: frozenset[str] = OWN.replaced
+    first_ns: int  # Start time [ns]
+    last_ns: int  # End time [ns]
+    entries: Callable[[], Iterator[TimedRecord]]  # Returns an iterator over the records from the start
+    foreign: Mapping[str, ForeignOutput] = field(default_factory=dict)  # Foreign topics among them
+    replaced: frozenset[str] = OWN.replaced  # Our own topics that are not among them
 
     @property
     def duration_s(self) -> float:
@@ -99,7 +90,6 @@ class Pacer:
 
     Args:
         rate: Recorded seconds per second [1].
-
     """
 
     def __init__(self, rate: float) -> None:
@@ -153,7 +143,6 @@ class PlaybackNode(ManagedNode):
         finished: True once all records have been played and delivered.
         position_ns: Recorded time of the last entry published [ns], 0 before the start.
         played: Number of records published.
-
     """
 
     def __init__(
@@ -166,7 +155,6 @@ class PlaybackNode(ManagedNode):
             specs: All its parameters, including those of :func:`playback_parameters`.
             arguments: ROS arguments of the process, searched for parameter files.
             options: Options of the rclpy node.
-
         """
         super().__init__(name, **options)
         self.parameters = NodeParameters(self, specs)
@@ -183,7 +171,6 @@ class PlaybackNode(ManagedNode):
 
         Raises:
             InputError: There is nothing to play.
-
         """
         raise NotImplementedError
 
@@ -196,12 +183,10 @@ class PlaybackNode(ManagedNode):
         self.failure = ''
         self.parameters.check()
         if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
-            msg = f'restamp needs rate = 1, not {self.parameters.value("rate")}'
-            raise InputError(msg)
+            raise InputError(f'restamp needs rate = 1, not {self.parameters.value("rate")}')
         self.timeline = self.open_timeline()
         if self.parameters.value('restamp') and self.timeline.foreign:
-            msg = 'restamp does not change messages of foreign topics: leave out restamp or mapping_file'
-            raise InputError(msg)
+            raise InputError('restamp does not change messages of foreign topics: leave out restamp or mapping_file')
         for topic in INPUT_TOPICS:
             if topic.name not in self.timeline.replaced:
                 self._outputs[topic.record] = self.create_lifecycle_publisher(
@@ -220,15 +205,13 @@ class PlaybackNode(ManagedNode):
 
         Raises:
             InputError: Its type is not installed, or in another version than that of the bag.
-
         """
         publisher = self.create_lifecycle_publisher(foreign_class(output.type), name, source_qos())
         self._outputs[name] = publisher
         for info in self.get_publishers_info_by_topic(publisher.topic_name):
             installed = str(info.topic_type_hash)
             if info.node_name == self.get_name() and is_hash(installed) and installed != output.digest:
-                msg = f'topic {name}: {output.type} in the bag is not the version that is installed here'
-                raise InputError(msg)
+                raise InputError(f'topic {name}: {output.type} in the bag is not the version that is installed here')
 
     @guarded
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -265,8 +248,7 @@ class PlaybackNode(ManagedNode):
     def _rewind(self) -> None:
         start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
         if start > self.timeline.duration_s:
-            msg = f'start = {start:g} s: what is played is {self.timeline.duration_s:.1f} s long'
-            raise InputError(msg)
+            raise InputError(f'start = {start:g} s: what is played is {self.timeline.duration_s:.1f} s long')
         self._entries = with_ticks(self.timeline, start, duration)
         self._next = next(self._entries, None)
         self._anchor()

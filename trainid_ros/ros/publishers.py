@@ -17,18 +17,11 @@ NAMELESS: Final = 'a node without a name'
 
 @dataclass(frozen=True, slots=True)
 class Publishers:
-    """Publishers of a topic.
+    """Publishers of a topic."""
 
-    Attributes:
-        heard: Nodes whose messages arrive, one name for each publisher.
-        unheard: One sentence for each publisher whose messages cannot arrive or be read.
-        remedy: What to do about those.
-
-    """
-
-    heard: tuple[str, ...] = ()
-    unheard: tuple[str, ...] = ()
-    remedy: str = 'correct this publisher'
+    heard: tuple[str, ...] = ()  # Nodes whose messages arrive, one name for each publisher
+    unheard: tuple[str, ...] = ()  # One sentence for each publisher whose messages cannot arrive or be read
+    remedy: str = 'correct this publisher'  # What to do about those
 
     @property
     def count(self) -> int:
@@ -70,7 +63,6 @@ def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile:
         definition: Hash of its definition, '' if it is not known. The middleware does not compare it, and misreads
             messages of another one.
         profile: Its quality of service.
-
     """
     heard, unheard = [], []
     for info in infos:

@@ -16,7 +16,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.ros.node import ManagedNode, RCLError
 
 if TYPE_CHECKING:
@@ -67,7 +67,6 @@ def start_ros(ros_args: Sequence[str]) -> list[str]:
 
     Raises:
         InputError: ROS cannot use the arguments.
-
     """
     return _start(['trainid', '--ros-args', *ros_args])
 
@@ -76,8 +75,7 @@ def _start(arguments: list[str]) -> list[str]:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RCLError, RuntimeError, ValueError) as error:
-        msg = f'ROS cannot start: {str(error).splitlines()[0]}'
-        raise InputError(msg) from error
+        raise InputError(f'ROS cannot start: {str(error).splitlines()[0]}') from error
     _STOP.install()
     return arguments
 
@@ -95,7 +93,6 @@ def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: Fal
     Args:
         nodes: The nodes, created in the default context after :func:`start_ros`.
         until: Checked after every callback.
-
     """
     executor = SingleThreadedExecutor()
     for node in nodes:

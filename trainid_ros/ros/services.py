@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from numpy.linalg import LinAlgError
 from std_srvs.srv import Trigger
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

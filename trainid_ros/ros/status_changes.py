@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +32,6 @@ def is_latched(status: Status, latched: Status | None) -> bool:
     Args:
         status: Status of the estimate.
         latched: Status of the last estimate on that topic, None before the first.
-
     """
     if status is Status.VALID:
         return True
@@ -57,7 +56,6 @@ class StatusChanges:
 
     Attributes:
         since_ns: When the status changed last, by the node's clock [ns]; 0 if not known.
-
     """
 
     def __init__(self, logger: RcutilsLogger, missing: Callable[[], str]) -> None:

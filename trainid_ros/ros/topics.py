@@ -20,9 +20,16 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.messages import OutputLike, output_values, record_values
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
-from trainid_ros.results import Status
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    NS_PER_S,
+    InputTopic,
+    OutputLike,
+    Record,
+    output_values,
+    record_values,
+)
+from trainid_ros.interface.results import Status
 from trainid_ros.ros.parameter_specs import QOS_POLICIES
 
 if TYPE_CHECKING:
@@ -30,7 +37,7 @@ if TYPE_CHECKING:
 
     from rclpy.impl.rcutils_logger import RcutilsLogger
 
-    from trainid_ros.messages import OutputTopic
+    from trainid_ros.interface.records import OutputTopic
 
 
 def message_class(topic: InputTopic | OutputTopic) -> Any:

@@ -14,12 +14,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
-from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
-from trainid_ros.monitor.reports import Report
-from trainid_ros.monitor.trains import Trains
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, record_from_message
+from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.ros.node import creation_of
 from trainid_ros.ros.publishers import type_name
 from trainid_ros.ros.topics import (
@@ -35,10 +33,9 @@ if TYPE_CHECKING:
 
     from rclpy.qos import QoSProfile
 
-    from trainid_ros.messages import OutputTopic
+    from trainid_ros.interface.records import InputTopic, OutputTopic
     from trainid_ros.monitor.trains import Train
     from trainid_ros.monitor.view import TrainView
-    from trainid_ros.records import InputTopic
 
 _LOOK_S: Final = 0.5
 _TOPICS: Final = (*INPUT_TOPICS, *OUTPUT_TOPICS)
@@ -52,8 +49,7 @@ def _checked(namespace: str) -> str:
         validate_namespace(name)
     except InvalidNamespaceException as error:
         reason = str(error).splitlines()[0].partition(': ')[2].rstrip(':')
-        msg = f'--namespace {namespace}: {reason}'
-        raise InputError(msg) from None
+        raise InputError(f'--namespace {namespace}: {reason}') from None
     return name
 
 
@@ -70,7 +66,6 @@ class TrainMonitor(Node):
 
         Raises:
             InputError: No namespace can have this name.
-
         """
         wanted = None if namespace is None else _checked(namespace)
         name = f'trainid_monitor_{os.getpid()}'

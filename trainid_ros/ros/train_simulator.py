@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.ros.parameter_specs import TRAIN_FILE, ParameterSpec
 from trainid_ros.ros.playback import PlaybackNode, TimedRecord, Timeline, playback_parameters
 from trainid_ros.ros.runner import run_node
-from trainid_ros.sim.realism import REALISMS, make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, simulate
-from trainid_ros.sim.worlds import WORLDS, find_world, world_train
+from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 NAME: Final = 'train_simulator'
 _PARAMETERS: Final = (
@@ -59,7 +58,6 @@ class TrainSimulator(PlaybackNode):
 
         Raises:
             InputError: The train file is missing or cannot be simulated.
-
         """
         rng = np.random.default_rng(int(self.parameters.value('seed')))
         records = simulate(self._scenario(rng), rng).records
@@ -69,13 +67,11 @@ class TrainSimulator(PlaybackNode):
         path, name = str(self.parameters.value('train_file')), str(self.parameters.value('world'))
         realism, runs = str(self.parameters.value('realism')), int(self.parameters.value('runs'))
         if not (path or name):
-            msg = 'no train: give the parameter train_file or world'
-            raise InputError(msg)
+            raise InputError('no train: give the parameter train_file or world')
         given = load_train_file(Path(path).expanduser()) if path else None
         if not name and given:
             if realism != 'clean':
-                msg = f'realism = {realism!r} needs the parameter world'
-                raise InputError(msg)
+                raise InputError(f'realism = {realism!r} needs the parameter world')
             return Scenario(given, runs=runs)
         world = find_world(name)
         stated = given or world_train(world)

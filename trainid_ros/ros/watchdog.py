@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 # At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
 _SHORTEST_NS: Final = NS_PER_S // 4
@@ -19,7 +19,6 @@ class Watchdog:
 
     Attributes:
         limit_ns: How long inputs may be missing [ns].
-
     """
 
     def __init__(self, limit_ns: int) -> None:
@@ -45,7 +44,6 @@ class Watchdog:
         Args:
             now_ns: Time of the node's clock [ns], which may be simulated, stop or jump.
             steady_ns: Time of a clock that does none of this [ns].
-
         """
         if now_ns != self._clock[0]:
             self._clock = (now_ns, steady_ns)

@@ -14,8 +14,8 @@ from typing import Final
 
 import yaml
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.fields import Section, finite_number, parse_yaml, read_text
 from trainid_ros.train.train_file import Davis, NamedValues
 
@@ -36,19 +36,13 @@ class TruthPoint:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Piecewise-constant true values; times in seconds since the start, increasing.
+    """Piecewise-constant true values; times in seconds since the start, increasing."""
 
-    Attributes:
-        start_ns: Stamp of time zero [ns].
-        resistance: (time, a, b, c) in s and N/kN with v in m/s; at least one entry.
-        brake_rate: (time [s], rate [1]); empty if the rate is not known.
-        unknowns: True values that are wrong in the train file or missing from it, see ``realism.Unknowns``; SI units.
-
-    """
-
-    start_ns: int
+    start_ns: int  # Stamp of time zero [ns]
+    # (time, a, b, c) in s and N/kN with v in m/s; at least one entry
     resistance: tuple[tuple[float, float, float, float], ...]
-    brake_rate: tuple[tuple[float, float], ...] = ()
+    brake_rate: tuple[tuple[float, float], ...] = ()  # (time [s], rate [1]); empty if the rate is not known
+    # True values that are wrong in the train file or missing from it, see ``realism.Unknowns``; SI units
     unknowns: NamedValues = ()
 
     def truth_at(self, time_s: float) -> TruthPoint:
@@ -90,13 +84,11 @@ def save_truth(truth: Truth, path: str | Path) -> None:
 
     Raises:
         InputError: The file cannot be written.
-
     """
     try:
         Path(path).write_text(dump_truth(truth), encoding='utf-8')
     except OSError as error:
-        msg = f'{path}: cannot be written: {error.strerror or error}'
-        raise InputError(msg) from error
+        raise InputError(f'{path}: cannot be written: {error.strerror or error}') from error
 
 
 def load_truth(path: str | Path) -> Truth:
@@ -104,7 +96,6 @@ def load_truth(path: str | Path) -> Truth:
 
     Raises:
         InputError: The file cannot be read or a field is invalid.
-
     """
     return parse_truth(read_text(path), str(path))
 
@@ -114,7 +105,6 @@ def parse_truth(text: str, source: str) -> Truth:
 
     Raises:
         InputError: A field is invalid.
-
     """
     top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))

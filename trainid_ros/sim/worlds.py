@@ -1,37 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of railway in the simulator: each has a train on its line, a load and a driver."""
+"""Types of railway in the simulator: each has a train on its line, a load and a driver.
+
+Random errors and omissions of a train file, with magnitudes typical of field data.
+
+From a stated train file and a random generator come the true scenario and the train file that the engineer has:
+the same values, with the standard deviations of mass, force and map. Each unknown draws from its own generator,
+so it has the same values alone and in combination with others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
 
-from trainid_ros.errors import InputError
+import numpy as np
+
+from trainid_ros.interface.errors import InputError
 from trainid_ros.package_files import shared_path
-from trainid_ros.sim.driver import DriverModel
+from trainid_ros.sim.plant import DriverModel, GustModel
+from trainid_ros.sim.scenario import Change, Scenario, SensorModel, check_scenario
+from trainid_ros.train.effects import effect_value
 from trainid_ros.train.fields import did_you_mean
-from trainid_ros.train.train_file import TrainFile, load_train_file
+from trainid_ros.train.train_file import Brake, Davis, Effect, NamedValues, TrainFile, load_train_file
 
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A type of railway.
+    """A type of railway."""
 
-    Attributes:
-        train: Name of its train file in ``config/trains``.
-        passengers: Maximum load as a share of the mass [1].
-        driver: Parameters of the driver.
-        mean_speed: Typical mean speed from stop to stop, without dwell [m/s].
-
-    """
-
-    train: str
-    passengers: float
-    driver: DriverModel
-    mean_speed: float
+    train: str  # Name of its train file in ``config/trains``
+    passengers: float  # Maximum load as a share of the mass [1]
+    driver: DriverModel  # Parameters of the driver
+    mean_speed: float  # Typical mean speed from stop to stop, without dwell [m/s]
 
 
 _EMU: Final = DriverModel(
@@ -91,11 +94,9 @@ def find_world(name: str) -> World:
 
     Raises:
         InputError: There is no such world.
-
     """
     if name not in WORLDS:
-        msg = f'world {name!r} is not known; {did_you_mean(name, WORLDS)}'
-        raise InputError(msg)
+        raise InputError(f'world {name!r} is not known; {did_you_mean(name, WORLDS)}')
     return WORLDS[name]
 
 
@@ -104,7 +105,6 @@ def world_train(world: World) -> TrainFile:
 
     Raises:
         InputError: The file is not part of this installation.
-
     """
     return load_train_file(shared_path(f'config/trains/{world.train}.yaml'))
 
@@ -117,3 +117,306 @@ def usual_duration(world: World, stops: tuple[float, ...], runs: int) -> float:
     round_trip = [*there, *reversed(there)]
     distance = sum(round_trip[i % len(round_trip)] for i in range(runs))
     return distance / world.mean_speed + runs * 0.5 * (world.driver.dwell_low + world.driver.dwell_high)
+
+
+_CURVE: Final = 'curve_resistance'
+_CURVE_STD: Final = 0.2
+_MAX_STDS: Final = 3.0
+"""Largest error in standard deviations, so that no ratio is negative."""
+# Changes happen between these shares of the day, so that there are data before and after.
+_FIRST_CHANGE, _LAST_CHANGE = 0.15, 0.85
+
+
+@dataclass(frozen=True, slots=True)
+class ResistanceChange:
+    """From a share of the day on, the initial resistance with a and c multiplied by these ratios [1]."""
+
+    share: float
+    a: float
+    c: float
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeChange:
+    """From a share of the day on, this brake rate (1 = nominal) [1]."""
+
+    share: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unknowns:
+    """Differences of truth and records from the train file; the defaults are those of ``clean``. Ratios are in [1]."""
+
+    # Stated relative standard deviation of the mass; that of each weighing if the mass is exact
+    mass_std: float = SensorModel().mass_noise
+    mass_ratio: float = 1.0  # True over stated (and weighed) mass
+    force_std: float = 0.0  # Stated relative standard deviation of the force gain
+    force_ratio: float = 1.0  # True over reported traction
+    force_delay: float = 0.0  # Delay of the force stamps behind the force [s]
+    curve_std: float = 0.0  # Stated relative standard deviation of the curve coefficient
+    curve_ratio: float = 1.0  # True over stated curve coefficient
+    map_std: float = 0.0  # Standard deviation of the map error [per mille]; stated correctly in the train file
+    map_length: float = SensorModel().map_error_length  # Correlation length of the map error [m]
+    wheel_ratio: float = 1.0  # Measured over true speed
+    gust_std: float = GustModel().std  # Standard deviation of the gusts [N/kN]
+    gust_time_constant: float = GustModel().time_constant  # Correlation time of the gusts [s]
+    speed_quantum: float = SensorModel().speed_quantum  # Resolution of the speed [m/s]
+    brake_timing_std: float = 0.01  # Stated relative standard deviation of dead time and time constant of the brake
+    brake_delay_error: float = 0.0  # True minus stated dead time of the brake [s]
+    brake_time_ratio: float = 1.0  # True over stated time constant of the brake
+    davis_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)  # True over stated a, b, c
+    resistance_changes: tuple[ResistanceChange, ...] = ()  # Changes of the resistance during the day
+    brake_changes: tuple[BrakeChange, ...] = ()  # Changes of the brake rate during the day
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """The true scenario, the train file that the engineer has, and the true values missing from it (SI units)."""
+
+    scenario: Scenario
+    stated: TrainFile
+    true_values: NamedValues
+
+
+def make_case(
+    world: World,
+    file: TrainFile,
+    names: Collection[str],
+    runs: int,
+    rng: np.random.Generator,
+    extra: tuple[Effect, ...] = (),
+) -> Case:
+    """Draw a case.
+
+    Args:
+        world: Type of railway, with its load and driver.
+        file: The train as described by an engineer.
+        names: The unknowns to draw, see :func:`unknowns_of`.
+        runs: Number of runs from stop to stop.
+        rng: Random generator.
+        extra: Further effects of the true train that are missing from the train file.
+
+    Raises:
+        InputError: The scenario cannot be driven, or an effect already exists; the message names it.
+    """
+    unknowns = draw_unknowns(names, rng)
+    stated, true = stated_train(file, unknowns), true_train(file, unknowns)
+    for effect in extra:
+        if any(effect.name == other.name for other in true.effects):
+            raise InputError(
+                f'effect {effect.name}: the true train has it already, from its train file or from the unknowns drawn'
+            )
+    true = replace(true, effects=(*true.effects, *extra))
+    scenario = replace(_scenario(world, true, unknowns, runs), stated=stated)
+    check_scenario(scenario)
+    return Case(scenario, stated, _true_values(unknowns, true))
+
+
+def unknowns_of(realism: str, names: Iterable[str], stated: TrainFile) -> frozenset[str]:
+    """Return the unknowns of a realism level and those named in addition.
+
+    Raises:
+        InputError: The realism or a name is unknown, or a named unknown does not apply to this train file.
+    """
+    if realism not in REALISMS:
+        raise InputError(f'realism {realism!r} is not known; {did_you_mean(realism, REALISMS)}')
+    named = tuple(names)
+    for name in named:
+        if name not in _DRAWS:
+            raise InputError(f'unknown {name!r} is not known; {did_you_mean(name, _DRAWS)}')
+    if 'curve' in named and not (stated.line.curve and _curve_coefficient(stated) > 0.0):
+        raise InputError(f'unknown curve: the train file has no line.curve or no effect {_CURVE}')
+    return REALISMS[realism].union(named)
+
+
+def draw_unknowns(names: Collection[str], rng: np.random.Generator) -> Unknowns:
+    """Draw the named unknowns at random; all others are as in ``clean``."""
+    unknowns = Unknowns()
+    for (name, draw), generator in zip(_DRAWS.items(), rng.spawn(len(_DRAWS)), strict=True):
+        if name in names:
+            unknowns = draw(unknowns, generator)
+    return unknowns
+
+
+def stated_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
+    """Return the train file that the engineer has: as given, with standard deviations of the uncertain values."""
+    curve_std = (('coefficient', unknowns.curve_std * _curve_coefficient(file)),)
+    return replace(
+        file,
+        train=replace(file.train, mass_std=unknowns.mass_std, force_std=unknowns.force_std),
+        brake=replace(file.brake, timing_std=unknowns.brake_timing_std),
+        line=replace(file.line, gradient_std=unknowns.map_std),
+        effects=tuple(replace(e, std=curve_std) if e.name == _CURVE else e for e in file.effects),
+    )
+
+
+def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
+    """Return the true train; mass and reported force remain as stated, effects represent their errors."""
+    effects = [_true_curve(effect, unknowns.curve_ratio) for effect in file.effects]
+    for name, ratio in (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio)):
+        if ratio != 1.0:
+            effects.append(Effect(name, (('ratio', ratio),)))
+    davis, (a, b, c) = file.resistance, unknowns.davis_ratios
+    return replace(
+        file,
+        resistance=Davis(davis.a * a, davis.b * b, davis.c * c),
+        brake=_true_brake(file.brake, unknowns),
+        effects=tuple(effects),
+    )
+
+
+def _scenario(world: World, true: TrainFile, unknowns: Unknowns, runs: int) -> Scenario:
+    return Scenario(
+        train_file=true,
+        runs=runs,
+        changes=_changes(unknowns, true.resistance, usual_duration(world, true.line.stops, runs)),
+        passengers=world.passengers,
+        sensors=_sensors(unknowns),
+        driver=world.driver,
+        gust=GustModel(unknowns.gust_std, unknowns.gust_time_constant),
+    )
+
+
+def _true_curve(effect: Effect, ratio: float) -> Effect:
+    if effect.name != _CURVE:
+        return effect
+    return replace(effect, parameters=tuple((key, ratio * value) for key, value in effect.parameters))
+
+
+def _true_brake(brake: Brake, unknowns: Unknowns) -> Brake:
+    return replace(
+        brake,
+        delay=max(0.0, brake.delay + unknowns.brake_delay_error),
+        time_constant=brake.time_constant * unknowns.brake_time_ratio,
+    )
+
+
+def _sensors(unknowns: Unknowns) -> SensorModel:
+    return SensorModel(
+        speed_quantum=unknowns.speed_quantum,
+        wheel_ratio=unknowns.wheel_ratio,
+        map_error=unknowns.map_std,
+        map_error_length=unknowns.map_length,
+        force_delay=unknowns.force_delay,
+    )
+
+
+def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change, ...]:
+    changes = [
+        Change(change.share * duration, resistance=replace(start, a=change.a * start.a, c=change.c * start.c))
+        for change in unknowns.resistance_changes
+    ]
+    changes += [Change(change.share * duration, brake_rate=change.rate) for change in unknowns.brake_changes]
+    return tuple(sorted(changes, key=lambda change: change.time_s))
+
+
+def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:
+    curve = _curve_coefficient(true)
+    return (
+        ('mass_ratio', unknowns.mass_ratio),
+        ('force_ratio', unknowns.force_ratio),
+        ('force_delay', unknowns.force_delay),
+        *((('curve_coefficient', curve),) if curve > 0.0 else ()),
+        ('map_std', unknowns.map_std),
+        ('map_length', unknowns.map_length),
+        ('wheel_ratio', unknowns.wheel_ratio),
+        ('gust_std', unknowns.gust_std),
+        ('gust_time_constant', unknowns.gust_time_constant),
+        ('speed_quantum', unknowns.speed_quantum),
+        ('brake_delay', true.brake.delay),
+        ('brake_time_constant', true.brake.time_constant),
+    )
+
+
+def _curve_coefficient(file: TrainFile) -> float:
+    return effect_value(file.effects, _CURVE, 'coefficient', 0.0)
+
+
+def _mass(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    std = rng.uniform(0.02, 0.05)
+    return replace(unknowns, mass_std=std, mass_ratio=_ratio(std, rng))
+
+
+def _force_gain(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    std = rng.uniform(0.01, 0.03)
+    return replace(unknowns, force_std=std, force_ratio=_ratio(std, rng))
+
+
+def _force_delay(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, force_delay=rng.uniform(0.0, 0.3))
+
+
+def _curve(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, curve_std=_CURVE_STD, curve_ratio=_ratio(_CURVE_STD, rng))
+
+
+def _map(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, map_std=rng.uniform(0.1, 0.5), map_length=rng.uniform(100.0, 500.0))
+
+
+def _wheels(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, wheel_ratio=1.0 + rng.uniform(-0.005, 0.005))
+
+
+def _gusts(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, gust_std=rng.uniform(0.1, 0.4), gust_time_constant=rng.uniform(3.0, 12.0))
+
+
+def _quantum(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, speed_quantum=rng.uniform(0.1, 0.5) / 3.6)
+
+
+def _changes_during_day(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    resistance = tuple(
+        ResistanceChange(share, 1.0 + _signed_uniform(0.1, 0.3, rng), 1.0 + _signed_uniform(0.05, 0.2, rng))
+        for share in _change_shares(rng)
+    )
+    brake = tuple(BrakeChange(share, 1.0 + _signed_uniform(0.05, 0.2, rng)) for share in _change_shares(rng))
+    return replace(unknowns, resistance_changes=resistance, brake_changes=brake)
+
+
+def _brake(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    error, ratio = rng.uniform(-0.3, 0.3), rng.uniform(0.7, 1.3)
+    return replace(unknowns, brake_timing_std=0.2, brake_delay_error=error, brake_time_ratio=ratio)
+
+
+def _resistance(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    a, b, c = 1.0 + rng.uniform(-0.2, 0.2, 3)
+    return replace(unknowns, davis_ratios=(float(a), float(b), float(c)))
+
+
+def _ratio(std: float, rng: np.random.Generator) -> float:
+    error = float(rng.standard_normal())
+    return 1.0 + std * min(_MAX_STDS, max(-_MAX_STDS, error))
+
+
+def _signed_uniform(low: float, high: float, rng: np.random.Generator) -> float:
+    size = rng.uniform(low, high)
+    return size if rng.random() < 0.5 else -size
+
+
+def _change_shares(rng: np.random.Generator) -> list[float]:
+    """Return one or two shares of the day in increasing order."""
+    shares: list[float] = rng.uniform(_FIRST_CHANGE, _LAST_CHANGE, rng.integers(1, 3)).tolist()
+    return sorted(shares)
+
+
+# Append new ones at the end: the order determines the generator that each draws from.
+_DRAWS: Final[Mapping[str, Callable[[Unknowns, np.random.Generator], Unknowns]]] = MappingProxyType(
+    {
+        'mass': _mass,
+        'force_gain': _force_gain,
+        'force_delay': _force_delay,
+        'curve': _curve,
+        'map': _map,
+        'wheels': _wheels,
+        'gusts': _gusts,
+        'quantum': _quantum,
+        'changes': _changes_during_day,
+        'brake': _brake,
+        'resistance': _resistance,
+    }
+)
+UNKNOWNS: Final = tuple(_DRAWS)
+REALISMS: Final[Mapping[str, frozenset[str]]] = MappingProxyType({'clean': frozenset(), 'field': frozenset(UNKNOWNS)})

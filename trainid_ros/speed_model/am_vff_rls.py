@@ -1,5 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
+"""Parameters of the speed model, their physical meaning and their prior.
+
+Yuan et al. 2017, eq. (2): x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0, by forward Euler of (1):
+
+    a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
+
+with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
+gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
+only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
+kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
+
+Interface of an algorithm for the speed model, as used by the estimator.
+
+AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
 
 Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, with these corrections:
 
@@ -28,12 +41,137 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
-from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import Symmetric, Theta, full
+from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.state import is_covariance
-from trainid_ros.vectors import i64, vec
+from trainid_ros.stream.samples import SAMPLE_PERIOD
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.settings import SpeedModelConfig
+
+Theta: TypeAlias = tuple[float, float, float, float]
+"""a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
+Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
+
+# Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
+_LEAST_MASS_STD: Final = 1e-4
+
+
+def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
+    """Map Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2] and k [m/s^2 per N/kN] to (a1, a2, b1, d0)."""
+    a, b, c = davis
+    scale = SAMPLE_PERIOD * k
+    # Eq. (2).
+    return -scale * c, 1.0 - scale * b, scale, -scale * a
+
+
+def to_physical(theta: Theta, k: float) -> tuple[float, float, float, float]:
+    """Map (a1, a2, b1 > 0, d0) to Davis (a, b, c) and the force scale [1]; k = k0 [m/s^2 per N/kN]."""
+    a1, a2, b1, d0 = theta
+    scale = SAMPLE_PERIOD * k
+    return -d0 / scale, (1.0 - a2) / scale, -a1 / scale, b1 / scale
+
+
+def prior(
+    davis: tuple[float, float, float], k: float, config: SpeedModelConfig, mass_std: float
+) -> tuple[Theta, Symmetric]:
+    """Return theta(0) and its covariance.
+
+    Args:
+        davis: Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2].
+        k: k0 [m/s^2 per N/kN].
+        config: Settings.
+        mass_std: Relative standard deviation of mass and force together [1].
+    """
+    a, b, c = prior_variances(davis, config)
+    scale = (SAMPLE_PERIOD * k) ** 2
+    return to_speed_model(davis, k), (
+        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _LEAST_MASS_STD) ** 2, 0.0, scale * a
+    )  # fmt: skip
+
+
+def full(S: Symmetric) -> tuple[float, ...]:
+    """Return all 16 elements, row by row."""
+    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = S
+    return s11, s12, s13, s14, s12, s22, s23, s24, s13, s23, s33, s34, s14, s24, s34, s44
+
+
+def resistance_variance(S: Symmetric, v: float, k: float) -> float:
+    """Return the variance of w(v) [(N/kN)^2] at v [m/s] from the covariance S of theta; k = k0 [m/s^2 per N/kN]."""
+    s11, s12, _, s14, s22, _, s24, _, _, s44 = S
+    # w = -(a1 v^2 + (a2 - 1) v + d0) / (T k)
+    square = v * v
+    total = square * (s11 * square + 2.0 * (s12 * v + s14)) + v * (s22 * v + 2.0 * s24) + s44
+    return total / (SAMPLE_PERIOD * k) ** 2
+
+
+Numbers: TypeAlias = tuple[float, ...]
+"""State of an algorithm as it is saved: its speed x, then theta, then what else it stores."""
+
+
+class Learned:
+    """Result of one measurement update.
+
+    Attributes:
+        predicted: Predicted speed [m/s].
+        error: Measured less predicted speed [m/s].
+        limit: Errors beyond this are rejected [m/s]; the state is then only predicted.
+        forgetting: Forgetting factor [1].
+        variance: Variance of the error as computed by the algorithm [(m/s)^2]; 0 if it computes none.
+        rejected: Whether the measurement was rejected.
+    """
+
+    def __init__(self, predicted: float, error: float, limit: float, forgetting: float, variance: float = 0.0) -> None:
+        self.predicted = predicted
+        self.error = error
+        self.limit = limit
+        self.forgetting = forgetting
+        self.variance = variance
+        self.rejected = abs(error) > limit
+
+
+class Method(Protocol):
+    """An algorithm on (y, u), independent of samples; its methods change its state."""
+
+    def start(self, variance: float) -> None:
+        """Go to the state before the first measurement; ``variance`` is that of measured speed [(m/s)^2]."""
+
+    def numbers(self) -> Numbers:
+        """Return the state."""
+
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from a saved state; return False if it has the wrong length or a variance is negative."""
+
+    def is_usable(self) -> bool:
+        """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
+
+    def speed(self) -> float:
+        """Return x [m/s]."""
+
+    def theta(self) -> Theta:
+        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
+
+    def covariance(self, variance: float) -> Symmetric:
+        """Return the covariance of theta; ``variance`` is that of measured speed [(m/s)^2]."""
+
+    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+        """Update with y [m/s] of a variance [(m/s)^2] after the force u [N/kN] over ``scale`` sample periods [1]."""
+
+    def coast(self, u: float, scale: float) -> None:
+        """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
+
+    def anchor(self, y: float, variance: float) -> None:
+        """Restart x from a measured speed y [m/s] with a variance [(m/s)^2]; theta is unchanged."""
+
+    def shift(self, change: float) -> None:
+        """Add to x the change of speed by gradient and other known resistance over a step [m/s]."""
+
+    def widen_load(self, share: float) -> None:
+        """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
+
 
 # Places of x_a and of the parameters in the joint state.
 _X: Final = 0
@@ -51,30 +189,17 @@ _TINY: Final = 1e-300
 
 @dataclass(frozen=True)
 class Tuning:
-    """Parameters of the kernel.
+    """Parameters of the kernel."""
 
-    Attributes:
-        noise: Variance that x gains in a sample period in addition to what the estimator adds [(m/s)^2].
-        drift: Variance that d0 gains in a sample period [(m/s)^2].
-        load: Variance that b1 gains at a stop without weighing [(m/s per N/kN)^2].
-        share: Weight of one error in the running mean [1].
-        threshold: Chi-square of the mean error above which lambda falls below 1 [1].
-        scale: sigma of (6): chi-square above the threshold for lambda = 0 [1].
-        low: Smallest forgetting factor [1].
-        gate: Errors beyond this many standard deviations are rejected [1].
-        gate_floor: Errors below this are never rejected [m/s].
-
-    """
-
-    noise: float
-    drift: float
-    load: float
-    share: float
-    threshold: float
-    scale: float
-    low: float
-    gate: float
-    gate_floor: float
+    noise: float  # Variance that x gains in a sample period in addition to what the estimator adds [(m/s)^2]
+    drift: float  # Variance that d0 gains in a sample period [(m/s)^2]
+    load: float  # Variance that b1 gains at a stop without weighing [(m/s per N/kN)^2]
+    share: float  # Weight of one error in the running mean [1]
+    threshold: float  # Chi-square of the mean error above which lambda falls below 1 [1]
+    scale: float  # sigma of (6): chi-square above the threshold for lambda = 0 [1]
+    low: float  # Smallest forgetting factor [1]
+    gate: float  # Errors beyond this many standard deviations are rejected [1]
+    gate_floor: float  # Errors below this are never rejected [m/s]
 
 
 class AuxiliaryModel:
@@ -85,7 +210,6 @@ class AuxiliaryModel:
         z: x_a, a1, a2, b1, d0, shape (5,).
         P: Their covariance, shape (5, 5), row by row.
         mean_error: Running mean of the errors, in standard deviations [1].
-
     """
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
@@ -189,7 +313,6 @@ class AuxiliaryModel:
             u: Specific force over the step [N/kN].
             scale: Duration of the step over the sample period [1].
             variance: Variance of y [(m/s)^2].
-
         """
         tuning = self.tuning
         # Eq. (7): x_a = phi' theta(n-1), with its covariance.
@@ -303,7 +426,6 @@ class AuxiliaryModel:
 
         Args:
             factor: lambda in (0, 1].
-
         """
         n: i64 = _SIZE
         b1 = [self.P[n * i + _B1] for i in range(n)]

@@ -7,10 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
-from trainid_ros.speed_model.method import Numbers
-from trainid_ros.speed_model.physical_parameters import Theta
-from trainid_ros.vectors import i64, vec
+from trainid_ros.interface.vectors import i64, vec
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Numbers, Theta
 
 # Measurements kept: more than a second at the sample period, longer than any delay of the force.
 _KEPT: Final = 6
@@ -60,7 +58,6 @@ class RecentSamples:
             speed: Measured speed [m/s].
             track: Resistance of the track, gradient included [N/kN].
             curve: 600 m over the curve radius, 0 on straight track [1].
-
         """
         if math.isnan(dt):
             self._count = 0
@@ -129,17 +126,11 @@ class ForceDelay:
     force makes the error visible in the innovations. Measurement updates correct the model, so the sensitivity of x to
     delta shrinks with each update. delta has a scalar recursion of its own, separate from that of theta: both use the
     same innovations, and the uncertainty of one adds to the variance of x for the other.
-
-    Attributes:
-        delay: delta [s].
-        variance: Its variance [s^2].
-        sensitivity: Derivative of x with respect to delta [m/s^2].
-
     """
 
-    delay: float
-    variance: float
-    sensitivity: float = 0.0
+    delay: float  # delta [s]
+    variance: float  # Its variance [s^2]
+    sensitivity: float = 0.0  # Derivative of x with respect to delta [m/s^2]
 
     @classmethod
     def unknown(cls, std: float) -> ForceDelay:
@@ -151,7 +142,6 @@ class ForceDelay:
 
         Returns:
             Variance that the uncertainty of the delay adds to x [(m/s)^2].
-
         """
         before = self.sensitivity
         self.sensitivity += change
@@ -164,7 +154,6 @@ class ForceDelay:
             error: Measured less predicted speed [m/s].
             variance: Variance of that innovation [(m/s)^2].
             noise: Variance of the measurement noise, a part of it [(m/s)^2].
-
         """
         gain = self.variance * self.sensitivity / variance
         remaining = self.variance - gain * self.sensitivity * self.variance
@@ -180,25 +169,15 @@ class CurveError:
     A typical curve coefficient is accurate to 20 %, and on a line with many curves this is the largest error. It
     changes the speed by a known amount per step, so it is estimated jointly with x and theta: the auxiliary model holds
     their covariance; this class holds the variance of the curve error and its covariance with x and theta.
-
-    Attributes:
-        error: Error at 600 m [N/kN].
-        variance: Its variance [(N/kN)^2].
-        x: Its covariance with x, and so on with a1, a2, b1, d0.
-        a1: See ``x``.
-        a2: See ``x``.
-        b1: See ``x``.
-        d0: See ``x``.
-
     """
 
-    error: float
-    variance: float
-    x: float = 0.0
-    a1: float = 0.0
-    a2: float = 0.0
-    b1: float = 0.0
-    d0: float = 0.0
+    error: float  # Error at 600 m [N/kN]
+    variance: float  # Its variance [(N/kN)^2]
+    x: float = 0.0  # Its covariance with x, and so on with a1, a2, b1, d0
+    a1: float = 0.0  # See ``x``
+    a2: float = 0.0  # See ``x``
+    b1: float = 0.0  # See ``x``
+    d0: float = 0.0  # See ``x``
 
     def is_valid(self, variances: tuple[float, float, float, float, float]) -> bool:
         """Return whether a restored state is consistent with these variances of x, a1, a2, b1, d0."""
@@ -213,7 +192,6 @@ class CurveError:
             change: Change of speed over the step by 1 N/kN at 600 m radius [m/s].
             u: Specific force over the step [N/kN].
             scale: Duration of the step over the sample period [1].
-
         """
         model.add_input(
             change * self.error,
@@ -234,7 +212,6 @@ class CurveError:
             error: Measured less predicted speed [m/s].
             variance: Variance of that innovation [(m/s)^2].
             noise: Variance of the measurement noise, a part of it [(m/s)^2].
-
         """
         gain = self.x / variance
         # Gains of the model: the covariance with x before the update is that after it times variance / noise.
@@ -256,7 +233,6 @@ class CurveError:
 
         Args:
             model: The auxiliary model, with P.
-
         """
         most = model.squared_norm(self.x, self.a1, self.a2, self.b1, self.d0)
         if most > self.variance:
@@ -274,31 +250,18 @@ class Disturbance:
     the model over a long window, not from one sample to the next. This deviation is the sum of the corrections of x
     over the window, without the effect of the updates of theta meanwhile. Consecutive windows with errors of the same
     sign indicate a change of the resistance, not a disturbance.
-
-    Attributes:
-        density: Variance that the speed gains in a second [(m/s)^2/s].
-        windows: Number of windows used for it [1].
-        mean_error: Running mean of the window errors, in standard deviations [1].
-        elapsed: Duration of the current window so far [s].
-        deviation: Sum of the corrections of x in it [m/s].
-        a1: Parameter a1 at its start [s/m].
-        a2: Parameter a2 at its start [1].
-        b1: Parameter b1 at its start [m/s per N/kN].
-        d0: Parameter d0 at its start [m/s].
-        theta_variance: Variance of the speed at its end due to the uncertainty of theta, over the square of its
-            duration [(m/s^2)^2].
-
     """
 
-    density: float
-    windows: float = _PRIOR_WINDOWS
-    mean_error: float = 0.0
-    elapsed: float = 0.0
-    deviation: float = 0.0
-    a1: float = 0.0
-    a2: float = 0.0
-    b1: float = 0.0
-    d0: float = 0.0
+    density: float  # Variance that the speed gains in a second [(m/s)^2/s]
+    windows: float = _PRIOR_WINDOWS  # Number of windows used for it [1]
+    mean_error: float = 0.0  # Running mean of the window errors, in standard deviations [1]
+    elapsed: float = 0.0  # Duration of the current window so far [s]
+    deviation: float = 0.0  # Sum of the corrections of x in it [m/s]
+    a1: float = 0.0  # Parameter a1 at its start [s/m]
+    a2: float = 0.0  # Parameter a2 at its start [1]
+    b1: float = 0.0  # Parameter b1 at its start [m/s per N/kN]
+    d0: float = 0.0  # Parameter d0 at its start [m/s]
+    # Variance of the speed at its end due to the uncertainty of theta, over the square of its duration [(m/s^2)^2]
     theta_variance: float = 0.0
 
     @classmethod
@@ -315,7 +278,6 @@ class Disturbance:
             phi: Regressor of the step.
             dt: Time since the previous measurement [s].
             variance: Variance of the acceleration due to that of theta [(m/s^2)^2]; used at the start of a window.
-
         """
         a1, a2, b1, d0 = theta
         if self.elapsed == 0.0:

@@ -6,14 +6,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.results import SpeedModelEstimate
+from trainid_ros.estimators.settings import AmVffRlsConfig
+from trainid_ros.interface.results import SpeedModelEstimate
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
-from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
-    from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
+    from trainid_ros.speed_model.am_vff_rls import Symmetric, Theta
     from trainid_ros.train.train_file import TrainFile
 
 

@@ -8,16 +8,15 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.resistance.fitness import is_fit, representative_speeds
-from trainid_ros.resistance.force_errors import CURVE_RADIUS, curve_std
-from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
-from trainid_ros.scalars import is_finite
-from trainid_ros.settings import check_settings
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
-from trainid_ros.speed_model.method import Learned, Method
-from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
-from trainid_ros.speed_model.physical_parameters import (
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.interface.errors import check_settings
+from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.resistance.davis_posterior import CURVE_RADIUS, curve_std, is_fit, representative_speeds
+from trainid_ros.speed_model.am_vff_rls import (
+    AuxiliaryModel,
+    Learned,
+    Method,
     Symmetric,
     Theta,
     full,
@@ -25,16 +24,16 @@ from trainid_ros.speed_model.physical_parameters import (
     resistance_variance,
     to_physical,
 )
+from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
 from trainid_ros.speed_model.speed_model_state import SpeedModelState
 from trainid_ros.state import check_restored, decode, encode
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-from trainid_ros.stream.speed_noise import SpeedNoise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
+    from trainid_ros.estimators.settings import SpeedModelConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -61,7 +60,6 @@ class ModelStep:
         theta: Parameters before it.
         phi: Regressor.
         acceleration_variance: Variance of the acceleration due to that of theta [(m/s^2)^2].
-
     """
 
     def __init__(self, dt: float, traction: float, u: float) -> None:
@@ -89,7 +87,6 @@ class SpeedModelEstimator:
         train_file: Train file.
         config: Settings.
         method: Makes the algorithm from theta(0) and its covariance.
-
     """
 
     def __init__(
@@ -260,7 +257,6 @@ class SpeedModelEstimator:
         Args:
             model: The auxiliary model.
             density: Strength of the disturbances before the last window, which the change does not add to.
-
         """
         disturbance, threshold = self.state.disturbance, self._change_threshold
         if disturbance.chi2 > threshold:

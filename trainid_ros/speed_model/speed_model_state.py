@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from trainid_ros.scalars import is_finite
-from trainid_ros.speed_model.method import Numbers
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.speed_model.am_vff_rls import Numbers
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay
 from trainid_ros.state import check_not_negative, check_numbers, check_restored
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.known_force import SpeedNoise
 
 # The range of speeds driven: memory of about half an hour, and its half-width in standard deviations.
 _SPEED_SAMPLES: Final = 9000.0
@@ -20,54 +20,29 @@ _SPEED_WIDTH: Final = 1.5
 
 @dataclass
 class SpeedModelState:
-    """State of an estimator of the speed model.
+    """State of an estimator of the speed model."""
 
-    Attributes:
-        noise: Noise of measured speed.
-        disturbance: Strength of gusts and other unmodelled disturbances.
-        force_delay: Delay of the reported force.
-        curve: Error of the curve resistance.
-        forgetting: Last forgetting factor [1].
-        predicted: Last predicted speed [m/s].
-        error: Last prediction error [m/s].
-        variance: Its predicted variance [(m/s)^2].
-        slowest: Slowest speed used [m/s].
-        fastest: Fastest speed used [m/s]; less than ``slowest`` if there is none yet.
-        speed_mean: Running mean of the speeds used [m/s].
-        speed_variance: Their running variance [(m/s)^2].
-        used: Number of samples used, up to the memory of these means.
-        rejected_in_a_row: Outliers in a row.
-        slow_in_a_row: Samples in a row below the minimum speed.
-        traction: Last known traction [N/kN].
-        weighed: Whether the mass was weighed at the last sample.
-        fit: Whether the resistance is valid.
-        numbers: State of the algorithm, set only when saved.
-        recent: Last samples, set only when saved.
-        braked_ns: Last stamp at which the brake was commanded [ns], set only when saved.
-
-    """
-
-    noise: SpeedNoise
-    disturbance: Disturbance
-    force_delay: ForceDelay
-    curve: CurveError
-    forgetting: float = 1.0
-    predicted: float = 0.0
-    error: float = 0.0
-    variance: float = 0.0
-    slowest: float = 0.0
-    fastest: float = -1.0
-    speed_mean: float = 0.0
-    speed_variance: float = 0.0
-    used: float = 0.0
-    rejected_in_a_row: int = 0
-    slow_in_a_row: int = 0
-    traction: float = 0.0
-    weighed: bool = False
-    fit: bool = False
-    numbers: Numbers = ()
-    recent: Numbers = ()
-    braked_ns: int = 0
+    noise: SpeedNoise  # Noise of measured speed
+    disturbance: Disturbance  # Strength of gusts and other unmodelled disturbances
+    force_delay: ForceDelay  # Delay of the reported force
+    curve: CurveError  # Error of the curve resistance
+    forgetting: float = 1.0  # Last forgetting factor [1]
+    predicted: float = 0.0  # Last predicted speed [m/s]
+    error: float = 0.0  # Last prediction error [m/s]
+    variance: float = 0.0  # Its predicted variance [(m/s)^2]
+    slowest: float = 0.0  # Slowest speed used [m/s]
+    fastest: float = -1.0  # Fastest speed used [m/s]; less than ``slowest`` if there is none yet
+    speed_mean: float = 0.0  # Running mean of the speeds used [m/s]
+    speed_variance: float = 0.0  # Their running variance [(m/s)^2]
+    used: float = 0.0  # Number of samples used, up to the memory of these means
+    rejected_in_a_row: int = 0  # Outliers in a row
+    slow_in_a_row: int = 0  # Samples in a row below the minimum speed
+    traction: float = 0.0  # Last known traction [N/kN]
+    weighed: bool = False  # Whether the mass was weighed at the last sample
+    fit: bool = False  # Whether the resistance is valid
+    numbers: Numbers = ()  # State of the algorithm, set only when saved
+    recent: Numbers = ()  # Last samples, set only when saved
+    braked_ns: int = 0  # Last stamp at which the brake was commanded [ns], set only when saved
 
     def drive(self, y: float) -> None:
         """Take a speed used [m/s] into the range and the running mean and variance of the speeds."""

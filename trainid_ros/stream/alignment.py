@@ -23,11 +23,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
-from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, MASS, NS_PER_S, SPEED, Record
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import seconds
-from trainid_ros.settings import setting
+from trainid_ros.interface.errors import setting
+from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, MASS, NS_PER_S, SPEED, Record
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import find_fault, seconds
 from trainid_ros.stream.brake_commands import BrakeCommands
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
 from trainid_ros.stream.left_time import LeftTime
@@ -66,20 +65,12 @@ class AlignmentConfig:
 
 @dataclass(frozen=True, slots=True)
 class TimeJump:
-    """The stamps moved to another time base.
+    """The stamps moved to another time base."""
 
-    Attributes:
-        stamp_ns: First stamp there [ns].
-        step_s: How far it is; negative for a jump back [s].
-        leaves: Whether a time base is left to which the stamps may soon return.
-        returns: Whether they have returned to it.
-
-    """
-
-    stamp_ns: int
-    step_s: float
-    leaves: bool = False
-    returns: bool = False
+    stamp_ns: int  # First stamp there [ns]
+    step_s: float  # How far it is; negative for a jump back [s]
+    leaves: bool = False  # Whether a time base is left to which the stamps may soon return
+    returns: bool = False  # Whether they have returned to it
 
 
 AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
@@ -209,7 +200,7 @@ class Aligner:
         return self.push_row(*record.row())
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[AlignmentEvent]:
-        """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
+        """Take in one record as a row of numbers, see :data:`~trainid_ros.interface.records.Row`."""
         if (fault := find_fault(topic, stamp_ns, x, y)) is not None:
             return [fault]
         row = TopicRow(topic, stamp_ns, x, y, flag)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.intervals import NONE_LOST, ONE_LOST
 from trainid_ros.stream.topic_track import TopicRow, TopicTrack
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 
 # What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
 _MAX_UNCERTAIN: Final = 0.25
@@ -30,7 +30,6 @@ class BrakeCommands:
         gap_ns: A command that changed over a longer gap changed unseen [ns].
         hold_ns: How long a command published only on change holds; 0 if commands come all the time [ns].
         lag_ns: How far a topic may lag behind the others [ns].
-
     """
 
     def __init__(self, track: TopicTrack, timeout_ns: int, gap_ns: int, hold_ns: int, lag_ns: int) -> None:

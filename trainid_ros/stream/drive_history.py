@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.scalars import seconds
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.scalars import seconds
 from trainid_ros.stream.samples import Motion, Sample
-from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
+from trainid_ros.train.forces import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.train_file import TrainFile
 
 # During a longer gap the train may have stood still.

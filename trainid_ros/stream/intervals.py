@@ -6,7 +6,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 _WINDOW: Final = 16
 _FEWEST: Final = 4
@@ -31,7 +31,6 @@ class LearnedInterval:
 
     Args:
         longest_ns: A topic with longer intervals is too slow to be used: its interval counts as unknown.
-
     """
 
     __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'room_ns')

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S
 
 RETURN_NS: Final = 60 * NS_PER_S
 """Time, by the stamps, within which a step forward is taken back [ns]."""
@@ -17,16 +17,10 @@ RETURN_NS: Final = 60 * NS_PER_S
 
 @dataclass(slots=True)
 class LeftTime:
-    """The time base that was left.
+    """The time base that was left."""
 
-    Attributes:
-        newest_ns: Its newest stamp [ns]; 0 if none was left.
-        until_ns: Stamp of the present time base up to which the stamps may return [ns].
-
-    """
-
-    newest_ns: int = 0
-    until_ns: int = 0
+    newest_ns: int = 0  # Its newest stamp [ns]; 0 if none was left
+    until_ns: int = 0  # Stamp of the present time base up to which the stamps may return [ns]
 
     @property
     def is_valid(self) -> bool:

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.scalars import is_finite
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.train.forces import BrakeCommandChange
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
 # times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.
@@ -21,20 +21,12 @@ _QUIET: Final = 2.0
 
 @dataclass(slots=True)
 class CommandCheck:
-    """Brake command, and whether it alternates.
+    """Brake command, and whether it alternates."""
 
-    Attributes:
-        finding: What is wrong, empty if nothing is.
-        command: Last brake command [m/s^2, <= 0].
-        direction: Sign of its last large change.
-        reversals: Number of large changes to and fro, with forgetting.
-
-    """
-
-    finding: str = ''
-    command: float = 0.0
-    direction: float = 0.0
-    reversals: float = 0.0
+    finding: str = ''  # What is wrong, empty if nothing is
+    command: float = 0.0  # Last brake command [m/s^2, <= 0]
+    direction: float = 0.0  # Sign of its last large change
+    reversals: float = 0.0  # Number of large changes to and fro, with forgetting
 
     @property
     def limit(self) -> float:
@@ -65,16 +57,10 @@ _TONNE: Final = 1000.0
 
 @dataclass(slots=True)
 class MassCheck:
-    """Weighed mass against that of the train file.
+    """Weighed mass against that of the train file."""
 
-    Attributes:
-        finding: What is wrong, empty if nothing is.
-        ratio: Weighed mass over that of the train file [1].
-
-    """
-
-    finding: str = ''
-    ratio: float = 1.0
+    finding: str = ''  # What is wrong, empty if nothing is
+    ratio: float = 1.0  # Weighed mass over that of the train file [1]
 
     @property
     def limit(self) -> float:
@@ -104,16 +90,10 @@ _SAME: Final = 0.3
 
 @dataclass(slots=True)
 class SpikeCount:
-    """Number of spikes, with forgetting.
+    """Number of spikes, with forgetting."""
 
-    Attributes:
-        finding: What is wrong, empty if nothing is.
-        spikes: Number of spikes.
-
-    """
-
-    finding: str = ''
-    spikes: float = 0.0
+    finding: str = ''  # What is wrong, empty if nothing is
+    spikes: float = 0.0  # Number of spikes
 
     @property
     def limit(self) -> float:
@@ -139,30 +119,17 @@ class SpikeCount:
 
 @dataclass(slots=True)
 class ExcursionCheck(SpikeCount):
-    """Values that leave their level for a moment and return to it, too fast for what they measure.
+    """Values that leave their level for a moment and return to it, too fast for what they measure."""
 
-    Attributes:
-        topic: Topic of the values.
-        height: Least height of a spike, in the unit of the values.
-        longest_s: Longest time of a spike [s].
-        calm_s: Time for which the level must have held before [s]: what alternates has no spikes.
-        direction: -1 if spikes are below the level only, 0 if on both sides.
-        level: The last value outside a spike.
-        held_s: Time for which it has held [s].
-        peak: Largest distance from the level since it was left, 0 if it was not.
-        left_s: Time since it was left [s].
-
-    """
-
-    topic: str = ''
-    height: float = 0.0
-    longest_s: float = 0.0
-    calm_s: float = 0.0
-    direction: float = 0.0
-    level: float = 0.0
-    held_s: float = 0.0
-    peak: float = 0.0
-    left_s: float = 0.0
+    topic: str = ''  # Topic of the values
+    height: float = 0.0  # Least height of a spike, in the unit of the values
+    longest_s: float = 0.0  # Longest time of a spike [s]
+    calm_s: float = 0.0  # Time for which the level must have held before [s]: what alternates has no spikes
+    direction: float = 0.0  # -1 if spikes are below the level only, 0 if on both sides
+    level: float = 0.0  # The last value outside a spike
+    held_s: float = 0.0  # Time for which it has held [s]
+    peak: float = 0.0  # Largest distance from the level since it was left, 0 if it was not
+    left_s: float = 0.0  # Time since it was left [s]
 
     def add(self, value: float, dt: float) -> None:
         """Add a value and the time since the last one [s]; a NaN changes nothing but the time."""
@@ -211,23 +178,14 @@ class ReleaseCheck(SpikeCount):
     """Brake commands that are released for a moment, which the reported force does not follow.
 
     A controller that knows two steps only sends the same, but then the force of a nominal brake falls for as long.
-
-    Attributes:
-        level: Brake command before the last change [m/s^2].
-        held_s: Time for which it has held [s].
-        force: Reported force meanwhile [N/kN].
-        since_s: Time since a release [s], 0 if there is none.
-        released: Integral of the change of the command since then, as a share of the level [s].
-        followed: Integral of the change of the force, as a share of that before [s].
-
     """
 
-    level: float = 0.0
-    held_s: float = 0.0
-    force: float = 0.0
-    since_s: float = 0.0
-    released: float = 0.0
-    followed: float = 0.0
+    level: float = 0.0  # Brake command before the last change [m/s^2]
+    held_s: float = 0.0  # Time for which it has held [s]
+    force: float = 0.0  # Reported force meanwhile [N/kN]
+    since_s: float = 0.0  # Time since a release [s], 0 if there is none
+    released: float = 0.0  # Integral of the change of the command since then, as a share of the level [s]
+    followed: float = 0.0  # Integral of the change of the force, as a share of that before [s]
 
     def add(self, command: float, force: float, followed_s: float, dt: float) -> None:
         """Add a sample.
@@ -237,7 +195,6 @@ class ReleaseCheck(SpikeCount):
             force: Reported force [N/kN], NaN if it is missing.
             followed_s: Time after which a brake has followed a command [s].
             dt: Time since the last sample [s].
-
         """
         self.forget(dt)
         self.judge('ato/brake_command')
@@ -286,35 +243,21 @@ class SpikeCheck(SpikeCount):
     """Single reports of the force that stand out, and are no short cuts of traction.
 
     Brought to the stamps of the speed, a report shows in up to two samples; those before and after them are compared.
-
-    Attributes:
-        last: Last specific force [N/kN].
-        before: The one before.
-        earlier: The one before that.
-        first: The one before that.
-        area: Integral of the force over the last interval [N/kN s].
-        area_before: That over the one before.
-        answer: Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known.
-        answer_before: That over the one before.
-        dt: Length of the last interval [s].
-        dt_before: That of the one before.
-        passed: Number of samples since the last spike, up to those that may still hold it.
-        evidence: Log-likelihood of spikes against cuts of traction, with forgetting.
-
     """
 
-    last: float = 0.0
-    before: float = 0.0
-    earlier: float = 0.0
-    first: float = 0.0
-    area: float = 0.0
-    area_before: float = 0.0
+    last: float = 0.0  # Last specific force [N/kN]
+    before: float = 0.0  # The one before
+    earlier: float = 0.0  # The one before that
+    first: float = 0.0  # The one before that
+    area: float = 0.0  # Integral of the force over the last interval [N/kN s]
+    area_before: float = 0.0  # That over the one before
+    # Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known
     answer: float = math.nan
-    answer_before: float = math.nan
-    dt: float = 0.0
-    dt_before: float = 0.0
-    passed: int = 0
-    evidence: float = 0.0
+    answer_before: float = math.nan  # That over the one before
+    dt: float = 0.0  # Length of the last interval [s]
+    dt_before: float = 0.0  # That of the one before
+    passed: int = 0  # Number of samples since the last spike, up to those that may still hold it
+    evidence: float = 0.0  # Log-likelihood of spikes against cuts of traction, with forgetting
 
     @property
     def is_suspected(self) -> bool:
@@ -330,7 +273,6 @@ class SpikeCheck(SpikeCount):
             answer: Integral of the force by the change of the speed since then [N/kN s], NaN if a brake may act.
             std: Standard deviation of two such integrals [N/kN s].
             dt: Time since the last sample [s].
-
         """
         self.forget(dt)
         self.evidence *= math.exp(-dt / _EVIDENCE_MEMORY_S)

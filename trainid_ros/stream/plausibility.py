@@ -19,20 +19,17 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite
 from trainid_ros.state import decode, encode
-from trainid_ros.stream.balance_check import SUDDEN_MEMORY
-from trainid_ros.stream.brake_delay_check import BrakeDelayCheck, BrakeTiming
-from trainid_ros.stream.distance_check import is_leap
-from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.line_check import LineCheck
+from trainid_ros.stream.balance_checks import SUDDEN_MEMORY, LineCheck, ShiftCheck
+from trainid_ros.stream.brake_checks import BrakeDelayCheck, BrakeTiming
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.message_check import CommandCheck
 from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RECENT, RELEASED, Block, PlausibilityState
 from trainid_ros.stream.samples import STANDING, Sample
-from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.train.davis import davis
+from trainid_ros.stream.slope_checks import is_leap
+from trainid_ros.train.forces import davis
 from trainid_ros.train.line import LineProfile
 
 # Inputs are averaged over blocks, so that the noise of the speed matters little [s].

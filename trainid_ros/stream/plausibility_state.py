@@ -7,15 +7,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from trainid_ros.stream.balance_check import BalanceCheck
-from trainid_ros.stream.brake_delay_check import BrakeDelayCheck
-from trainid_ros.stream.change_check import ChangeCheck
-from trainid_ros.stream.distance_check import DistanceCheck
-from trainid_ros.stream.line_check import LineCheck
+from trainid_ros.stream.balance_checks import BalanceCheck, ChangeCheck, LineCheck, ShiftCheck
+from trainid_ros.stream.brake_checks import BrakeDelayCheck
+from trainid_ros.stream.known_force import SpeedNoise
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, MassCheck, ReleaseCheck, SpikeCheck
-from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Regression, Slope
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.slope_checks import BRAKE_RANGE, TRACTION_RANGE, DistanceCheck, Effort, Regression, Slope
 
 # Noise of the speed at the start [m/s].
 _SPEED_STD: Final = 0.025
@@ -49,22 +45,13 @@ BRAKED: Final = 2
 
 @dataclass(slots=True)
 class Block:
-    """Integrals over the samples of a block, all of which have the brake off, or applied.
+    """Integrals over the samples of a block, all of which have the brake off, or applied."""
 
-    Attributes:
-        kind: Which of them.
-        seconds: Its length [s].
-        answer: Integral of the force by speed, gradient and w(v) [N/kN s].
-        traction: Integral of traction [N/kN s].
-        command: Integral of the brake command [m/s].
-
-    """
-
-    kind: int = NO_BLOCK
-    seconds: float = 0.0
-    answer: float = 0.0
-    traction: float = 0.0
-    command: float = 0.0
+    kind: int = NO_BLOCK  # Which of them
+    seconds: float = 0.0  # Its length [s]
+    answer: float = 0.0  # Integral of the force by speed, gradient and w(v) [N/kN s]
+    traction: float = 0.0  # Integral of traction [N/kN s]
+    command: float = 0.0  # Integral of the brake command [m/s]
 
     def add(self, dt: float, answer: float, traction: float, command: float) -> None:
         """Add a sample: its length [s], the integral of the answer, means of traction [N/kN] and command [m/s^2]."""
@@ -76,50 +63,11 @@ class Block:
 
 @dataclass(slots=True)
 class PlausibilityState:
-    """State of the monitor.
+    """State of the monitor."""
 
-    Attributes:
-        mass: Check of the mass.
-        commands: Check for two publishers of the brake command.
-        command_spikes: Check for spikes of the brake command.
-        releases: Check for spikes of the brake command towards zero.
-        spikes: Check for spikes of the force.
-        gradient_spikes: Check for spikes of the gradient.
-        distance: Check of speed against position.
-        line: Check of the gradient.
-        shift: Check of the times of steps.
-        traction: Slope of traction.
-        brake: Slope of the brake.
-        effort: Slope of the reported force over the brake command, while the brake is applied.
-        recent: Acceleration over traction or brake in the last seconds.
-        balance: Check of the residual.
-        change: Check for changes that the balance does not explain.
-        brake_delay: Check of the dead time of the brake.
-        last: The last finding, empty if there never was one.
-        confirmed: True once the slope of traction was plausible.
-        moved_s: Time in motion with known forces [s].
-        found_s: Time in motion under findings since the checks began [s].
-        lasting_s: Time in motion under the present finding [s].
-        retried: True if the checks have begun anew under a finding: they must then hold for some time.
-        noise: Noise of the speed.
-        block: The block that is being filled.
-        held_s: Time since the brake was applied, or released [s].
-        slowest: Lowest speed since the brake has followed its command, the speed itself before that [m/s].
-        strongest: Strongest brake command since some time [m/s^2].
-        strongest_before: That over the same time before [m/s^2].
-        strongest_s: This time [s].
-        steady: Brake command when it last changed by more than a brake need follow [m/s^2].
-        steady_s: Time since then [s].
-        has_alternated: True if it was applied or released since the last finding about it.
-        driven: Distance driven [m].
-        stopped: The same at the last stop [m].
-        speed: Last speed [m/s], NaN before the first.
-        position: Last position [m].
-
-    """
-
-    mass: MassCheck = field(default_factory=MassCheck)
-    commands: CommandCheck = field(default_factory=CommandCheck)
+    mass: MassCheck = field(default_factory=MassCheck)  # Check of the mass
+    commands: CommandCheck = field(default_factory=CommandCheck)  # Check for two publishers of the brake command
+    # Check for spikes of the brake command
     command_spikes: ExcursionCheck = field(
         default_factory=lambda: ExcursionCheck(
             topic='ato/brake_command',
@@ -129,43 +77,46 @@ class PlausibilityState:
             direction=-1.0,
         )
     )
-    releases: ReleaseCheck = field(default_factory=ReleaseCheck)
-    spikes: SpikeCheck = field(default_factory=SpikeCheck)
+    releases: ReleaseCheck = field(default_factory=ReleaseCheck)  # Check for spikes of the brake command towards zero
+    spikes: SpikeCheck = field(default_factory=SpikeCheck)  # Check for spikes of the force
+    # Check for spikes of the gradient
     gradient_spikes: ExcursionCheck = field(
         default_factory=lambda: ExcursionCheck(
             topic='ato/gradient', height=_GRADIENT_SPIKE, longest_s=_GRADIENT_SPIKE_S
         )
     )
-    distance: DistanceCheck = field(default_factory=DistanceCheck)
-    line: LineCheck = field(default_factory=LineCheck)
-    shift: ShiftCheck = field(default_factory=ShiftCheck)
-    traction: Slope = field(default_factory=Slope)
-    brake: Slope = field(default_factory=Slope)
+    distance: DistanceCheck = field(default_factory=DistanceCheck)  # Check of speed against position
+    line: LineCheck = field(default_factory=LineCheck)  # Check of the gradient
+    shift: ShiftCheck = field(default_factory=ShiftCheck)  # Check of the times of steps
+    traction: Slope = field(default_factory=Slope)  # Slope of traction
+    brake: Slope = field(default_factory=Slope)  # Slope of the brake
+    # Slope of the reported force over the brake command, while the brake is applied
     effort: Effort = field(default_factory=Effort)
-    recent: Regression = field(default_factory=Regression)
-    balance: BalanceCheck = field(default_factory=BalanceCheck)
-    change: ChangeCheck = field(default_factory=ChangeCheck)
-    brake_delay: BrakeDelayCheck = field(default_factory=BrakeDelayCheck)
-    last: str = ''
-    confirmed: bool = False
-    moved_s: float = 0.0
-    found_s: float = 0.0
-    lasting_s: float = 0.0
-    retried: bool = False
+    recent: Regression = field(default_factory=Regression)  # Acceleration over traction or brake in the last seconds
+    balance: BalanceCheck = field(default_factory=BalanceCheck)  # Check of the residual
+    change: ChangeCheck = field(default_factory=ChangeCheck)  # Check for changes that the balance does not explain
+    brake_delay: BrakeDelayCheck = field(default_factory=BrakeDelayCheck)  # Check of the dead time of the brake
+    last: str = ''  # The last finding, empty if there never was one
+    confirmed: bool = False  # True once the slope of traction was plausible
+    moved_s: float = 0.0  # Time in motion with known forces [s]
+    found_s: float = 0.0  # Time in motion under findings since the checks began [s]
+    lasting_s: float = 0.0  # Time in motion under the present finding [s]
+    retried: bool = False  # True if the checks have begun anew under a finding: they must then hold for some time
+    # Noise of the speed
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
-    block: Block = field(default_factory=Block)
-    held_s: float = 0.0
-    slowest: float = 0.0
-    strongest: float = 0.0
-    strongest_before: float = 0.0
-    strongest_s: float = 0.0
-    steady: float = 0.0
-    steady_s: float = 0.0
-    has_alternated: bool = True
-    driven: float = 0.0
-    stopped: float = 0.0
-    speed: float = math.nan
-    position: float = math.nan
+    block: Block = field(default_factory=Block)  # The block that is being filled
+    held_s: float = 0.0  # Time since the brake was applied, or released [s]
+    slowest: float = 0.0  # Lowest speed since the brake has followed its command, the speed itself before that [m/s]
+    strongest: float = 0.0  # Strongest brake command since some time [m/s^2]
+    strongest_before: float = 0.0  # That over the same time before [m/s^2]
+    strongest_s: float = 0.0  # This time [s]
+    steady: float = 0.0  # Brake command when it last changed by more than a brake need follow [m/s^2]
+    steady_s: float = 0.0  # Time since then [s]
+    has_alternated: bool = True  # True if it was applied or released since the last finding about it
+    driven: float = 0.0  # Distance driven [m]
+    stopped: float = 0.0  # The same at the last stop [m]
+    speed: float = math.nan  # Last speed [m/s], NaN before the first
+    position: float = math.nan  # Last position [m]
 
     @property
     def is_valid(self) -> bool:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, TypeAlias
 
-from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.results import Rejection
-from trainid_ros.scalars import is_finite
-from trainid_ros.settings import check_settings
+from trainid_ros.interface.errors import check_settings
+from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.scalars import is_finite
 from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
-from trainid_ros.stream.brake_delay_check import BrakeDelayCheck
+from trainid_ros.stream.brake_checks import BrakeDelayCheck
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
@@ -27,7 +27,7 @@ from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stream_state import StreamState
 from trainid_ros.stream.stuck_speed import StuckSpeed
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
@@ -48,20 +48,13 @@ class TimeJumpPolicy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StreamConfig:
-    """What shapes a stream; streams of equal configurations give equal samples.
+    """What shapes a stream; streams of equal configurations give equal samples."""
 
-    Attributes:
-        train_file: The train file.
-        alignment: Settings of the alignment.
-        time_jump_policy: What to do when the stamps jump back.
-        rejects_faults: Whether samples are rejected whose speed is stuck, or whose inputs contradict each other, by the
-            forces of the train file.
-
-    """
-
-    train_file: TrainFile
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
+    train_file: TrainFile  # The train file
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)  # Settings of the alignment
+    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET  # What to do when the stamps jump back
+    # Whether samples are rejected whose speed is stuck, or whose inputs contradict each other, by the forces of the
+    # train file
     rejects_faults: bool = True
 
 
@@ -71,7 +64,6 @@ class SampleStream:
     Attributes:
         config: What shapes it.
         is_new: True until the first record.
-
     """
 
     def __init__(self, config: StreamConfig) -> None:
@@ -204,7 +196,7 @@ class SampleStream:
         return self.push_row(*record.row())
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
-        """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
+        """Take in one record as a row of numbers, see :data:`~trainid_ros.interface.records.Row`."""
         if self.is_new:
             self._begin(topic, stamp_ns, x, y)
         if self._correction.is_needed:

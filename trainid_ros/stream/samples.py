@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from trainid_ros.results import Rejection
-from trainid_ros.scalars import is_finite
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.train.forces import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5
@@ -18,22 +18,14 @@ STANDING: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """History of the drive, for effects that depend on it; by default run in, warm, and with a cold brake.
+    """History of the drive, for effects that depend on it; by default run in, warm, and with a cold brake."""
 
-    Attributes:
-        time_s: Time since the start [s].
-        distance_run: Distance run since the start [m].
-        since_release: Time since the brake was released [s]; 0 while applied, infinite while it has not been.
-        heat: Heat of the brake by the train file [J per kg of train].
-        brake: Acceleration target of the brake after the dead time and lag of the train file [m/s^2, <= 0].
-
-    """
-
-    time_s: float = math.inf
-    distance_run: float = math.inf
+    time_s: float = math.inf  # Time since the start [s]
+    distance_run: float = math.inf  # Distance run since the start [m]
+    # Time since the brake was released [s]; 0 while applied, infinite while it has not been
     since_release: float = math.inf
-    heat: float = 0.0
-    brake: float = 0.0
+    heat: float = 0.0  # Heat of the brake by the train file [J per kg of train]
+    brake: float = 0.0  # Acceleration target of the brake after the dead time and lag of the train file [m/s^2, <= 0]
 
 
 NO_HISTORY: Final = Motion()
@@ -41,55 +33,31 @@ NO_HISTORY: Final = Motion()
 
 @dataclass(slots=True)
 class Sample:
-    """All inputs brought to the stamp of one speed measurement.
+    """All inputs brought to the stamp of one speed measurement."""
 
-    Attributes:
-        stamp_ns: Stamp of the speed measurement.
-        dt: Time since the previous sample [s]; NaN for the first and after a gap.
-        speed: Measured speed [m/s].
-        position: Position along the line [m], NaN if unknown.
-        direction: +1 while positions rise (also while unknown), -1 while they fall.
-        force: Wheel-rim force at the stamp [N], NaN if unknown.
-        force_mean: Mean of the force since the previous sample [N], NaN if unknown.
-        gradient: Gradient at the stamp [per mille], NaN if unknown.
-        gradient_mean: Mean of the gradient since the previous sample [per mille].
-        curve_radius: Radius [m], 0 = straight.
-        tunnel: True inside a tunnel.
-        mass: Mass from load weighing [kg], NaN if not weighed.
-        brake_command: Commanded acceleration in force at the stamp [m/s^2, <= 0], NaN if unknown.
-        brake_changes: Commands that became valid since the previous sample, oldest first.
-        brake_gap: True if a change of the command may have been missed since the previous sample.
-        emergency: True under emergency braking.
-        motion: The drive so far, where effects of the train file depend on it.
-        curvature_mean: Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known.
-        force_interval: Time between the two reports of the force around the stamp [s], 0 if not known.
-        stood_since_weighing: True if the train has come to a stop since the mass was weighed.
-        rejection: Why it cannot be used (a stuck speed, inputs that contradict each other), None if it can.
-        extra: Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated.
-
-    """
-
-    stamp_ns: int
-    dt: float
-    speed: float
-    position: float
-    direction: int
-    force: float
-    force_mean: float
-    gradient: float
-    gradient_mean: float
-    curve_radius: float
-    tunnel: bool
-    mass: float
-    brake_command: float
-    brake_changes: tuple[BrakeCommandChange, ...]
-    brake_gap: bool
-    emergency: bool
-    motion: Motion = NO_HISTORY
-    curvature_mean: float = math.nan
-    force_interval: float = 0.0
-    stood_since_weighing: bool = False
+    stamp_ns: int  # Stamp of the speed measurement
+    dt: float  # Time since the previous sample [s]; NaN for the first and after a gap
+    speed: float  # Measured speed [m/s]
+    position: float  # Position along the line [m], NaN if unknown
+    direction: int  # +1 while positions rise (also while unknown), -1 while they fall
+    force: float  # Wheel-rim force at the stamp [N], NaN if unknown
+    force_mean: float  # Mean of the force since the previous sample [N], NaN if unknown
+    gradient: float  # Gradient at the stamp [per mille], NaN if unknown
+    gradient_mean: float  # Mean of the gradient since the previous sample [per mille]
+    curve_radius: float  # Radius [m], 0 = straight
+    tunnel: bool  # True inside a tunnel
+    mass: float  # Mass from load weighing [kg], NaN if not weighed
+    brake_command: float  # Commanded acceleration in force at the stamp [m/s^2, <= 0], NaN if unknown
+    brake_changes: tuple[BrakeCommandChange, ...]  # Commands that became valid since the previous sample, oldest first
+    brake_gap: bool  # True if a change of the command may have been missed since the previous sample
+    emergency: bool  # True under emergency braking
+    motion: Motion = NO_HISTORY  # The drive so far, where effects of the train file depend on it
+    curvature_mean: float = math.nan  # Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known
+    force_interval: float = 0.0  # Time between the two reports of the force around the stamp [s], 0 if not known
+    stood_since_weighing: bool = False  # True if the train has come to a stop since the mass was weighed
+    # Why it cannot be used (a stuck speed, inputs that contradict each other), None if it can
     rejection: Rejection | None = None
+    # Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated
     extra: float = field(default=math.nan, init=False, repr=False, compare=False)
 
     # The constructor that a dataclass writes for itself is not compiled, and a sample is made five times a second.

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.records import FORCE, NS_PER_S, SPEED
+from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ class SensorCorrection:
         skew_s: Delay of the stamps of the force [s].
         stop_position: Measured position of the last stop [m], NaN while unknown.
         is_needed: True if any record needs a correction.
-
     """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
@@ -43,7 +42,7 @@ class SensorCorrection:
         return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
     def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
-        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.records.Row`."""
+        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.interface.records.Row`."""
         if topic == SPEED and self._ratio != 1.0:
             speed, position = self._correct_speed(x, y)
             return stamp_ns, speed, position

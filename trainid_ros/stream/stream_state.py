@@ -11,15 +11,15 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.record_validation import find_fault
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.interface.records import INPUT_TOPICS
+from trainid_ros.interface.scalars import find_fault
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
 from trainid_ros.stream.left_time import LeftTime
 from trainid_ros.stream.plausibility_state import PlausibilityState
 from trainid_ros.stream.stuck_speed import StuckSpeedState
 from trainid_ros.stream.travel import Travel
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,7 @@ _KIND: Final = 'StreamState'
 
 @dataclass(frozen=True, slots=True)
 class RowsState:
-    """Rows of records as columns of equal length, see :data:`~trainid_ros.records.Row`."""
+    """Rows of records as columns of equal length, see :data:`~trainid_ros.interface.records.Row`."""
 
     topic: tuple[int, ...] = ()
     stamp_ns: tuple[int, ...] = ()
@@ -98,30 +98,18 @@ class AlignerState:
 
 @dataclass(frozen=True, slots=True)
 class StreamState:
-    """State of a stream.
+    """State of a stream."""
 
-    Attributes:
-        aligner: Records that no sample has been made of yet.
-        history: History of the drive.
-        stop_position: Position at which wheel corrections start [m], NaN while unknown.
-        stuck: State of the check for a stuck speed.
-        plausibility: State of the checks of inputs against each other.
-        is_skipping: Whether the stream rejected the last sample.
-        skipped: Changes of the brake command in the samples that it rejected since the last accepted one.
-        first_ns: First stamp since the start or a jump [ns].
-        behind_ns: How far the last required topic is behind the newest stamp [ns].
-
-    """
-
-    aligner: AlignerState
-    history: DriveHistoryState
-    stop_position: float
-    stuck: StuckSpeedState
-    plausibility: PlausibilityState
-    is_skipping: bool
+    aligner: AlignerState  # Records that no sample has been made of yet
+    history: DriveHistoryState  # History of the drive
+    stop_position: float  # Position at which wheel corrections start [m], NaN while unknown
+    stuck: StuckSpeedState  # State of the check for a stuck speed
+    plausibility: PlausibilityState  # State of the checks of inputs against each other
+    is_skipping: bool  # Whether the stream rejected the last sample
+    # Changes of the brake command in the samples that it rejected since the last accepted one
     skipped: tuple[BrakeCommandChange, ...]
-    first_ns: int
-    behind_ns: int
+    first_ns: int  # First stamp since the start or a jump [ns]
+    behind_ns: int  # How far the last required topic is behind the newest stamp [ns]
 
     def check(self) -> None:
         """Raise InputError unless this is a possible state."""

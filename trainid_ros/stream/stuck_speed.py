@@ -12,12 +12,11 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
-from trainid_ros.stream.speed_noise import SpeedNoise
-from trainid_ros.train.davis import davis
+from trainid_ros.train.forces import davis
 
 # A slower train may be at rest, where a constant speed is no fault [m/s].
 _MIN_SPEED: Final = 0.5
@@ -37,24 +36,14 @@ _SEEN: Final = 100
 
 @dataclass(slots=True)
 class StuckSpeedState:
-    """State of the check.
+    """State of the check."""
 
-    Attributes:
-        speed: Last measured speed [m/s], NaN before the first.
-        missing: Expected change of speed since the measured speed last changed [m/s].
-        repeats: Number of times that the last speed has come again.
-        most: Most repeats of a noisy speed, as known when it changed last; 0 if repeats say nothing.
-        changes: Number of changes in motion, up to those that show the noise.
-        braked_s: Time for which the brake has been applied [s].
-
-    """
-
-    speed: float = math.nan
-    missing: float = 0.0
-    repeats: int = 0
-    most: int = 0
-    changes: int = 0
-    braked_s: float = 0.0
+    speed: float = math.nan  # Last measured speed [m/s], NaN before the first
+    missing: float = 0.0  # Expected change of speed since the measured speed last changed [m/s]
+    repeats: int = 0  # Number of times that the last speed has come again
+    most: int = 0  # Most repeats of a noisy speed, as known when it changed last; 0 if repeats say nothing
+    changes: int = 0  # Number of changes in motion, up to those that show the noise
+    braked_s: float = 0.0  # Time for which the brake has been applied [s]
 
 
 class StuckSpeed:
@@ -62,7 +51,6 @@ class StuckSpeed:
 
     Attributes:
         state: State of the check.
-
     """
 
     def __init__(self, known: KnownForce) -> None:

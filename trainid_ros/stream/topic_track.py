@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.scalars import seconds
+from trainid_ros.interface.scalars import seconds
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
 from trainid_ros.stream.stream_state import RowsState, TrackState
 
@@ -14,7 +14,7 @@ _CAPACITY: Final = 4096
 
 
 class TopicRow:
-    """A record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
+    """A record as a row of numbers, see :data:`~trainid_ros.interface.records.Row`."""
 
     __slots__ = ('flag', 'stamp_ns', 'topic', 'x', 'y')
 
@@ -109,7 +109,6 @@ class TopicTrack:
             since_ns: First stamp.
             at_ns: Second stamp.
             settled_ns: Stamp up to which no row can come any more.
-
         """
         rows, room_ns = self.rows, self.interval.room_ns
         k = self.first_from(at_ns)
@@ -147,7 +146,6 @@ class TopicTrack:
             start_ns: Start of the interval.
             end_ns: Its end.
             last: The numbers at the end, see :meth:`value`.
-
         """
         if start_ns == end_ns:
             return last

@@ -15,20 +15,12 @@ _TURNING_DISTANCE: Final = 5.0
 
 @dataclass(slots=True)
 class Travel:
-    """What positions and speeds have shown so far.
+    """What positions and speeds have shown so far."""
 
-    Attributes:
-        direction: +1 or -1 as positions rise or fall, kept until the train has clearly moved.
-        turning_position: Position from which the next movement counts [m], NaN while unknown.
-        moving: Whether the train moved at the last sample.
-        stop_ns: When it last came to a stop [ns]; 0 if it has not, also where records begin at rest.
-
-    """
-
-    direction: int = 1
-    turning_position: float = math.nan
-    moving: bool = False
-    stop_ns: int = 0
+    direction: int = 1  # +1 or -1 as positions rise or fall, kept until the train has clearly moved
+    turning_position: float = math.nan  # Position from which the next movement counts [m], NaN while unknown
+    moving: bool = False  # Whether the train moved at the last sample
+    stop_ns: int = 0  # When it last came to a stop [ns]; 0 if it has not, also where records begin at rest
 
     def follow(self, stamp_ns: int, speed: float, position: float) -> None:
         """Take in stamp [ns], speed [m/s] and position [m] of a sample."""

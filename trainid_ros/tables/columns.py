@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.fields import did_you_mean, shown
 
 if TYPE_CHECKING:
@@ -33,34 +33,22 @@ _MOST_NS: Final = 2**61
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some rows of a table.
+    """Some rows of a table."""
 
-    Attributes:
-        columns: Columns by name, each of shape (n,).
-        share: Share of the file that was read for them [1].
-
-    """
-
-    columns: dict[str, Column]
-    share: float
+    columns: dict[str, Column]  # Columns by name, each of shape (n,)
+    share: float  # Share of the file that was read for them [1]
 
 
 class Table(Protocol):
-    """A file with columns.
+    """A file with columns."""
 
-    Attributes:
-        units: Units that the file states, by column; known once a block is read.
-
-    """
-
-    units: dict[str, str]
+    units: dict[str, str]  # Units that the file states, by column; known once a block is read
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield the columns of these names, rows in their order.
 
         Raises:
             InputError: The file cannot be read or a column is missing; the error names file, column and row.
-
         """
 
 
@@ -68,14 +56,12 @@ def check_columns(where: object, wanted: Iterable[str], known: Sequence[str]) ->
     """Raise InputError for the first wanted column that is not among the known ones, or is there twice."""
     for name in wanted:
         if known.count(name) > 1:
-            msg = f'{where}: column {shown(name)} is there {known.count(name)} times'
-            raise InputError(msg)
+            raise InputError(f'{where}: column {shown(name)} is there {known.count(name)} times')
         if name not in known:
             columns = ', '.join(map(shown, known[:20])) + (', ...' if len(known) > 20 else '')
             hint = did_you_mean(name, known) if known else ''
             hint = f'; {hint}' if hint.startswith('did') else ''
-            msg = f'{where}: no column {shown(name)}{hint} (columns: {columns or "none"})'
-            raise InputError(msg)
+            raise InputError(f'{where}: no column {shown(name)}{hint} (columns: {columns or "none"})')
 
 
 def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
@@ -89,7 +75,6 @@ class Clock:
 
     Attributes:
         start_ns: What numbers count from [ns]; None before the first one.
-
     """
 
     def __init__(self, time: TimeColumn) -> None:
@@ -110,7 +95,6 @@ class Clock:
 
         Raises:
             InputError: ROS cannot hold a time.
-
         """
         values = self._values(columns)
         known = np.isfinite(values)
@@ -122,11 +106,10 @@ class Clock:
         wrong = known & ((stamps <= 0) | (stamps >= _LAST_NS))
         if wrong.any():
             row = int(np.argmax(wrong))
-            msg = (
+            raise InputError(
                 f'{where}: row {rows_before + row + 1}: column {shown(", ".join(self._time.columns))} = {values[row]} '
                 'is no time between 1970 and 2038; time: {unit, start} in the mapping may be wrong'
             )
-            raise InputError(msg)
         return stamps, known
 
     def _values(self, columns: dict[str, Column]) -> Column:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.times import date_time_ns, time_of_day_ns
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Column, check_columns
 from trainid_ros.train.fields import shown
@@ -82,19 +82,17 @@ class CsvTable:
                     }
                     yield Block(columns, done())
             except csv.Error as error:
-                msg = f'{self.path}: line {reader.line_num}: {error}'
-                raise InputError(msg) from None
+                raise InputError(f'{self.path}: line {reader.line_num}: {error}') from None
 
     def _check_widths(self, rows: Sequence[tuple[int, list[str]]], layout: _Layout) -> None:
         """Raise InputError for a row with more cells than names: no one can say which cell belongs to which."""
         most = len(layout.names)
         for line, row in rows:
             if len(row) > most and _is_full(row[most:]):
-                msg = (
+                raise InputError(
                     f'{self.path}: line {line} has {len(row)} cells, {most} columns have names; a text with the '
                     f'separator {layout.separator!r} must be in quotes'
                 )
-                raise InputError(msg)
 
     @contextmanager
     def _opened(self, encoding: str) -> Iterator[tuple[io.TextIOWrapper, _Progress]]:
@@ -106,7 +104,6 @@ class CsvTable:
 
         Raises:
             InputError: A column is missing.
-
         """
         with self.path.open('rb') as file:
             head = file.read(_HEAD_BYTES)
@@ -121,8 +118,7 @@ class CsvTable:
         cells = [[row[i] if i < len(row) else '' for i in wanted] for row in below]
         named = int(not _is_comment(rows[place]))
         if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
-            msg = f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}')
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
             self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
@@ -134,15 +130,13 @@ class CsvTable:
 
         Raises:
             InputError: A comma may be the decimal sign or mark thousands.
-
         """
         cells = [cell.strip() for row in rows for cell in row if not _is_time(cell.strip())]
         if cell := _unclear(cells):
-            msg = (
+            raise InputError(
                 f'{self.path}: {shown(cell)} may be {_number(cell, ",")} or {_number(cell, ".")}: a comma before three '
                 'digits in every cell that has one; csv: {decimal: ","} or {decimal: "."} in the mapping says which'
             )
-            raise InputError(msg)
         return _decimal(cells)
 
     def _column(self, name: str, lines: list[int], cells: list[str], layout: _Layout) -> Column:
@@ -180,8 +174,7 @@ class CsvTable:
         return number
 
     def _fail(self, name: str, line: int, cell: str, problem: str) -> NoReturn:
-        msg = f'{self.path}: line {line}: column {shown(name)} = {shown(cell)} {problem}'
-        raise InputError(msg)
+        raise InputError(f'{self.path}: line {line}: column {shown(name)} = {shown(cell)} {problem}')
 
 
 _FOOTER: Final = 'lines of text below the numbers must go, or start with #'

@@ -11,10 +11,16 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
-from trainid_ros.errors import InputError
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, output_topic, output_values
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Reason, Status
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    BRAKE_RATE_TOPIC,
+    NS_PER_S,
+    RESISTANCE_TOPIC,
+    SPEED_MODEL_TOPIC,
+    output_topic,
+    output_values,
+)
+from trainid_ros.interface.results import Reason, Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -163,11 +169,9 @@ def estimate_table(path: Path) -> Iterator[EstimateTable]:
 
     Raises:
         InputError: The file exists already.
-
     """
     if path.exists() or path.is_symlink():
-        msg = f'{path}: exists already and is not overwritten'
-        raise InputError(msg)
+        raise InputError(f'{path}: exists already and is not overwritten')
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f'.{path.name}.{os.getpid()}')
     try:

@@ -8,7 +8,7 @@ from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Column, check_columns
 from trainid_ros.train.fields import shown
 
@@ -37,23 +37,20 @@ class NpzTable:
 
     def _columns(self, names: Sequence[str]) -> dict[str, Column]:
         if not is_zipfile(self.path):
-            msg = f'{self.path}: is not an npz file'
-            raise InputError(msg)
+            raise InputError(f'{self.path}: is not an npz file')
         try:
             with np.load(self.path, allow_pickle=False) as file:
                 check_columns(self.path, names, file.files)
                 columns = {name: file[name] for name in names}
         except (OSError, ValueError, BadZipFile, EOFError) as error:
-            msg = f'{self.path}: cannot be read ({" ".join(str(error).split())})'
-            raise InputError(msg) from None
+            raise InputError(f'{self.path}: cannot be read ({" ".join(str(error).split())})') from None
         first = columns[names[0]]
         for name, column in columns.items():
             if column.ndim != 1 or column.shape != first.shape or column.dtype.kind not in _KINDS:
-                msg = (
+                raise InputError(
                     f'{self.path}: column {shown(name)} of type {column.dtype} and shape {column.shape}; one number '
                     f'for each of {shown(names[0])} expected, which has shape {first.shape}'
                 )
-                raise InputError(msg)
         return {name: _plain(column) for name, column in columns.items()}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Column, check_columns
 from trainid_ros.train.fields import shown
 
@@ -38,8 +38,9 @@ class ParquetTable:
                     columns = {name: self._column(name, batch.column(name)) for name in names}
                     yield Block(columns, batch.num_rows / count)
         except (pa.ArrowException, OSError) as error:
-            msg = f'{self.path}: is not a Parquet file that can be read ({" ".join(str(error).split())})'
-            raise InputError(msg) from None
+            raise InputError(
+                f'{self.path}: is not a Parquet file that can be read ({" ".join(str(error).split())})'
+            ) from None
 
     def _column(self, name: str, cells: pa.Array) -> Column:
         if pa.types.is_dictionary(cells.type):
@@ -52,5 +53,4 @@ class ParquetTable:
                 return np.asarray(cells.cast(pa.int64()).to_numpy())
             return np.asarray(cells.cast(pa.float64()).to_numpy(zero_copy_only=False))
         except pa.ArrowException:
-            msg = f'{self.path}: column {shown(name)} of type {kind} holds no numbers'
-            raise InputError(msg) from None
+            raise InputError(f'{self.path}: column {shown(name)} of type {kind} holds no numbers') from None

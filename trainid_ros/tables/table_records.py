@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Signal
 from trainid_ros.mapping.mapping_file import QUANTITIES
 from trainid_ros.mapping.units import find_unit, spelled
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from trainid_ros.interface.records import Record
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.mapping.mapping import Mapping
-    from trainid_ros.records import Record
     from trainid_ros.tables.columns import Column, Table
 
 CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
@@ -51,11 +51,9 @@ def open_table(path: Path, mapping: Mapping) -> Table:
 
     Raises:
         InputError: There is no such file, or its suffix is not known.
-
     """
     if not path.is_file():
-        msg = f'{path}: is not a file' if path.exists() else f'{path}: no such file'
-        raise InputError(msg)
+        raise InputError(f'{path}: is not a file' if path.exists() else f'{path}: no such file')
     # Imported here because Parquet needs an optional package.
     if path.suffix.lower() in CSV_SUFFIXES:
         from trainid_ros.tables.csv_table import CsvTable  # noqa: PLC0415
@@ -69,8 +67,7 @@ def open_table(path: Path, mapping: Mapping) -> Table:
         from trainid_ros.tables.npz_table import NpzTable  # noqa: PLC0415
 
         return NpzTable(path)
-    msg = f'{path}: not a table: {", ".join((*CSV_SUFFIXES, *_PARQUET_SUFFIXES, ".npz"))} expected'
-    raise InputError(msg)
+    raise InputError(f'{path}: not a table: {", ".join((*CSV_SUFFIXES, *_PARQUET_SUFFIXES, ".npz"))} expected')
 
 
 class TableRecords:
@@ -83,7 +80,6 @@ class TableRecords:
         repeated: Number of speeds at the time of the one before.
         warnings: Where the file states another unit than the mapping.
         unlisted: Number of cells by column and number, where that is not in ``table`` of the mapping.
-
     """
 
     def __init__(self, path: Path, inputs: MappedInputs) -> None:
@@ -95,7 +91,6 @@ class TableRecords:
 
         Raises:
             InputError: The file cannot be used.
-
         """
         self.rows = self.steps_back = 0
         self.blank: Counter[str] = Counter()
@@ -105,8 +100,7 @@ class TableRecords:
         self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
         self._table = open_table(path, inputs.mapping)
         if self._mapping.time is None:
-            msg = f'{path}: the mapping does not say which column is the time'
-            raise InputError(msg)
+            raise InputError(f'{path}: the mapping does not say which column is the time')
         self._time = self._mapping.time
         self._clock = Clock(self._time)
         self._signals = {
@@ -123,7 +117,6 @@ class TableRecords:
 
         Raises:
             InputError: The file cannot be read, or does not fit the mapping.
-
         """
         functions = (self._time.function, *(signal.function for signal in self._signals.values()))
         sources = chain.from_iterable(signal.sources for signal in self._signals.values())
@@ -166,7 +159,6 @@ class TableRecords:
 
         Raises:
             InputError: That is the rule, so the times do not say when a speed was measured.
-
         """
         speeds = [feed.values for feed in feeds if feed.quantity == 'speed' and feed.place <= 0]
         known = rows[np.isfinite(speeds[0][rows])] if speeds else rows
@@ -179,12 +171,11 @@ class TableRecords:
         if repeats.size and not self._first_repeated:
             self._first_repeated = f'row {self._rows_before + int(repeats[0]) + 1}'
         if self.repeated > _MOST_REPEATED * self._speeds:
-            msg = (
+            raise InputError(
                 f'{self._path}: {self._first_repeated}: column {shown(", ".join(self._time.columns))} has the time of '
                 f'the row before, as {self.repeated} of {self._speeds} rows have: its resolution is too coarse for '
                 'their rate; take a finer column, or a function for the time'
             )
-            raise InputError(msg)
 
     def _records(
         self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]

@@ -1,17 +1,138 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strict reader for YAML documents: every error is one line with file, dotted field and value."""
+"""Strict YAML loader, separate from :mod:`fields` so that only code that reads a file loads PyYAML.
+
+Strict reader for YAML documents: every error is one line with file, dotted field and value.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISREG
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn, TypeVar
 
-from trainid_ros.errors import InputError
+import yaml
+
+from trainid_ros.interface.errors import InputError
+
+try:
+    from yaml import CSafeLoader as SafeLoader  # five times as fast
+except ImportError:
+    from yaml import SafeLoader  # type: ignore[assignment]
+
+ResultT = TypeVar('ResultT')
+
+_MOST_VALUES: Final = 100_000
+"""Most values in a file, those of an alias counted again; about 2 s and 100 MB."""
+_DEEPEST: Final = 100
+_NUMBERS: Final = {
+    'int': re.compile(r'[-+]?(0|[1-9][0-9_]{0,300})$'),
+    # Within a length: the time to find that something is no number grows with the square of its length.
+    'float': re.compile(
+        r'(?=.{1,300}$)(?:'
+        r'[-+]?([0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)[eE][-+]?[0-9]+$'
+        r'|[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*)$'
+        r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$)'
+    ),
+}
+
+
+class StrictLoader(SafeLoader):
+    """Safe loader that reads numbers as in YAML 1.2 and rejects duplicate keys.
+
+    In YAML 1.1, 1:30 is 90, 0777 is 511, and 1e5 is a string. Here the first two are strings, so that a field that must
+    be a number rejects them.
+    """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, object]:
+        """Build a mapping; PyYAML by itself would keep the last of two equal keys without an error."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in seen:
+                problem = f'key {key.value!r} is given twice'
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag.rpartition(':')[2] not in _NUMBERS]
+    for first, resolvers in SafeLoader.yaml_implicit_resolvers.items()
+}
+for _name, _pattern in _NUMBERS.items():
+    StrictLoader.add_implicit_resolver(f'tag:yaml.org,2002:{_name}', _pattern, list('-+.0123456789'))
+
+
+def load(text: str, source: str) -> object:
+    """Return the content of a YAML text; ``source`` is the file named in errors.
+
+    Raises:
+        InputError: The text is not YAML, a key is given twice, or the values are too many or too deeply nested.
+    """
+    return _checked(text, source, lambda: StrictLoader(text).get_single_data())
+
+
+def compose(text: str, source: str) -> yaml.Node | None:
+    """Return the nodes of a YAML text, None if it is empty; ``source`` is the file named in errors.
+
+    Raises:
+        InputError: As :func:`load`.
+    """
+    return _checked(text, source, lambda: yaml.compose(text, Loader=StrictLoader))
+
+
+def _checked(text: str, source: str, read: Callable[[], ResultT]) -> ResultT:
+    """Return the result of reading a text whose size was checked; InputError if it cannot be read."""
+    try:
+        _check_size(text)
+        return read()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f' line {mark.line + 1}, column {mark.column + 1}' if mark is not None else ''
+        raise InputError(f'{source}:{where} is not valid YAML: {_one_line(error.problem)}') from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(f'{source}: is not valid YAML: {_one_line(error)}') from error
+
+
+def _check_size(text: str) -> None:
+    """Raise a YAMLError if the values of a text are too many or too deeply nested, before they are built."""
+    sizes: dict[str, int] = {}
+    open_collections: list[tuple[str | None, int]] = []
+    count = 0
+    for event in yaml.parse(text, Loader=StrictLoader):
+        anchor = getattr(event, 'anchor', None)
+        if isinstance(event, yaml.AliasEvent):
+            if anchor not in sizes:
+                raise _error(event, f'alias {anchor!r} is not defined before')
+            count += sizes[anchor]
+        elif isinstance(event, yaml.CollectionStartEvent):
+            open_collections.append((anchor, count))
+            count += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_collections.pop()
+            sizes[anchor or ''] = count - before
+        elif isinstance(event, yaml.ScalarEvent):
+            sizes[anchor or ''] = 1
+            count += 1
+        if count > _MOST_VALUES:
+            raise _error(event, f'more than {_MOST_VALUES} values')
+        if len(open_collections) > _DEEPEST:
+            raise _error(event, f'nested more than {_DEEPEST} deep')
+
+
+def _error(event: Any, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+
+
+def _one_line(problem: object) -> str:
+    return ' '.join(str(problem).split())
+
 
 _LONGEST_VALUE: Final = 60
 _LARGEST_FILE: Final = 16 << 20
@@ -48,15 +169,13 @@ class Section:
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise InputError naming a field and its problem."""
-        msg = f'{self.source}: {self.name(key)} {problem}'
-        raise InputError(msg)
+        raise InputError(f'{self.source}: {self.name(key)} {problem}')
 
     def only(self, known: Iterable[str]) -> Section:
         """Return this section; reject unknown keys.
 
         Raises:
             InputError: A key is unknown.
-
         """
         allowed = set(known)
         for key in self.data:
@@ -87,7 +206,6 @@ class Section:
 
         Raises:
             InputError: The value is missing without a default, not a number, not finite or out of range.
-
         """
         if key not in self.data:
             if default is None:
@@ -140,7 +258,6 @@ class Section:
 
         Raises:
             InputError: The value is another one, or missing without a default.
-
         """
         value = self.text(key, default)
         if value not in known:
@@ -174,8 +291,7 @@ class Section:
         for i, item in enumerate(self.items(key)):
             name = f'{self.name(key)}[{i}]'
             if not isinstance(item, list) or len(item) != len(units):
-                msg = f'{self.source}: {name} = {shown(item)} must be [{", ".join(units)}]'
-                raise InputError(msg)
+                raise InputError(f'{self.source}: {name} = {shown(item)} must be [{", ".join(units)}]')
             cells = enumerate(zip(item, units, strict=True))
             out.append(tuple(finite_number(self.source, f'{name}[{j}]', x, unit) for j, (x, unit) in cells))
         return tuple(out)
@@ -186,18 +302,15 @@ def finite_number(source: str, name: str, value: object, unit: str) -> float:
 
     Raises:
         InputError: The value is not a number (a boolean does not count as one) or not finite.
-
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        msg = f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}'
-        raise InputError(msg)
+        raise InputError(f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}')
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        msg = f'{source}: {name} = {number:g} must be finite'
-        raise InputError(msg)
+        raise InputError(f'{source}: {name} = {number:g} must be finite')
     return number
 
 
@@ -206,19 +319,15 @@ def as_section(source: str, path: str, value: object) -> Section:
 
     Raises:
         InputError: The value is not a mapping with string keys.
-
     """
     where = f'{source}: {path}' if path else source
     if value is None:
-        msg = f'{where} is empty, but must be a mapping of fields'
-        raise InputError(msg)
+        raise InputError(f'{where} is empty, but must be a mapping of fields')
     if not isinstance(value, dict):
-        msg = f'{where} = {shown(value)} must be a mapping of fields'
-        raise InputError(msg)
+        raise InputError(f'{where} = {shown(value)} must be a mapping of fields')
     for key in value:
         if not isinstance(key, str):
-            msg = f'{where} has the key {shown(key)}, which is not a field name'
-            raise InputError(msg)
+            raise InputError(f'{where} has the key {shown(key)}, which is not a field name')
     return Section(source, path, value)
 
 
@@ -227,25 +336,20 @@ def read_text(path: str | Path) -> str:
 
     Raises:
         InputError: The file cannot be read.
-
     """
     try:
         file = Path(path)
         if not (S_ISREG(file.stat().st_mode) or file.is_dir()):  # a pipe or a device may have no end
-            msg = f'{path}: cannot be read: is not a file'
-            raise InputError(msg)
+            raise InputError(f'{path}: cannot be read: is not a file')
         with file.open('rb') as opened:
             content = opened.read(_LARGEST_FILE + 1)
         if len(content) > _LARGEST_FILE:
-            msg = f'{path}: cannot be read: is larger than {_LARGEST_FILE >> 20} MB'
-            raise InputError(msg)
+            raise InputError(f'{path}: cannot be read: is larger than {_LARGEST_FILE >> 20} MB')
         return content.decode('utf-8')
     except OSError as error:
-        msg = f'{path}: cannot be read: {error.strerror or error}'
-        raise InputError(msg) from error
+        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
     except UnicodeDecodeError as error:
-        msg = f'{path}: is not UTF-8 text (byte {error.start})'
-        raise InputError(msg) from error
+        raise InputError(f'{path}: is not UTF-8 text (byte {error.start})') from error
 
 
 def parse_yaml(text: str, source: str) -> Section:
@@ -253,10 +357,8 @@ def parse_yaml(text: str, source: str) -> Section:
 
     Raises:
         InputError: The text is not YAML, a key is given twice, or the top level is not a mapping.
-
     """
     # Imported here so that only code that reads a file loads PyYAML.
-    from trainid_ros.train.strict_yaml import load  # noqa: PLC0415
 
     return as_section(source, '', load(text, source))
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.train_file import Line, Pairs
 
 SAME_STOP_M = 5.0
@@ -30,7 +30,6 @@ class LineProfile:
         length: Length of the train [m].
         first: Where the line begins [m]: the lower one of first stop and first gradient, less the length of the train.
         last: Where it ends [m]. A line without stops has no ends.
-
     """
 
     def __init__(self, line: Line, train_length: float) -> None:
@@ -42,11 +41,9 @@ class LineProfile:
 
         Raises:
             InputError: The length is not positive.
-
         """
         if not train_length > 0.0:
-            msg = f'train length = {train_length:g} m must be > 0'
-            raise InputError(msg)
+            raise InputError(f'train length = {train_length:g} m must be > 0')
         self.line = line
         self.length = train_length
         self._gradient = _Steps(line.gradient)

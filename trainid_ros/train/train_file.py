@@ -33,30 +33,17 @@ _MOST_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
 
 @dataclass(frozen=True, slots=True)
 class Train:
-    """Parameters of the vehicle; only the mass has no default.
+    """Parameters of the vehicle; only the mass has no default."""
 
-    Attributes:
-        mass: Mass with the usual load [kg].
-        rotary_mass: Rotating mass as a share of the mass, gamma [1].
-        length: Length over couplers [m].
-        cars: Number of cars.
-        max_traction_force: Maximum tractive force at the wheel rim [N].
-        max_traction_power: Maximum tractive power at the wheel rim [W].
-        max_speed: Maximum speed of the train [m/s].
-        mass_std: Standard deviation of the relative error of the mass, weighed or not [1].
-        force_std: Standard deviation of the relative error of the reported force [1].
-
-    """
-
-    mass: float
-    rotary_mass: float = 0.08
-    length: float = 118.0
-    cars: int = 6
-    max_traction_force: float = 310e3
-    max_traction_power: float = 3.1e6
-    max_speed: float = 80.0 / 3.6
-    mass_std: float = 0.03
-    force_std: float = 0.02
+    mass: float  # Mass with the usual load [kg]
+    rotary_mass: float = 0.08  # Rotating mass as a share of the mass, gamma [1]
+    length: float = 118.0  # Length over couplers [m]
+    cars: int = 6  # Number of cars
+    max_traction_force: float = 310e3  # Maximum tractive force at the wheel rim [N]
+    max_traction_power: float = 3.1e6  # Maximum tractive power at the wheel rim [W]
+    max_speed: float = 80.0 / 3.6  # Maximum speed of the train [m/s]
+    mass_std: float = 0.03  # Standard deviation of the relative error of the mass, weighed or not [1]
+    force_std: float = 0.02  # Standard deviation of the relative error of the reported force [1]
 
     def traction_limit(self, speed: float) -> float:
         """Return the largest traction [N] at a speed [m/s]."""
@@ -65,38 +52,22 @@ class Train:
 
 @dataclass(frozen=True, slots=True)
 class Davis:
-    """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s.
+    """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s."""
 
-    Attributes:
-        a: Constant term [N/kN].
-        b: Linear term [N/kN/(m/s)].
-        c: Quadratic term [N/kN/(m/s)^2].
-
-    """
-
-    a: float
-    b: float
-    c: float
+    a: float  # Constant term [N/kN]
+    b: float  # Linear term [N/kN/(m/s)]
+    c: float  # Quadratic term [N/kN/(m/s)^2]
 
 
 @dataclass(frozen=True, slots=True)
 class Brake:
-    """Brake actuator: a gain (actual over commanded acceleration) with a dead time and a first-order lag.
+    """Brake actuator: a gain (actual over commanded acceleration) with a dead time and a first-order lag."""
 
-    Attributes:
-        rate: Brake rate (1 = nominal) [1]; with a table, the factor on it.
-        time_constant: Time constant of the lag [s].
-        delay: Dead time [s].
-        rate_table: Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed.
-        timing_std: Standard deviation of the relative error of dead time and lag [1].
-
-    """
-
-    rate: float = 1.0
-    time_constant: float = 0.4
-    delay: float = 0.6
-    rate_table: Pairs = ()
-    timing_std: float = 0.12
+    rate: float = 1.0  # Brake rate (1 = nominal) [1]; with a table, the factor on it
+    time_constant: float = 0.4  # Time constant of the lag [s]
+    delay: float = 0.6  # Dead time [s]
+    rate_table: Pairs = ()  # Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed
+    timing_std: float = 0.12  # Standard deviation of the relative error of dead time and lag [1]
 
     def shape_at(self, speed: float) -> float:
         """Return the table's value [1] at a speed [m/s]: linear between rows, constant beyond; 1 without a table."""
@@ -126,24 +97,14 @@ class Brake:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The line by position [m]; each pair applies from its position on, positions increase.
+    """The line by position [m]; each pair applies from its position on, positions increase."""
 
-    Attributes:
-        stops: Stopping points of the train's front [m], in increasing order.
-        gradient: Position [m] and gradient [per mille, + uphill in increasing position].
-        curve: Position [m] and radius [m], 0 = straight.
-        tunnel: Start and end of each tunnel [m].
-        speed_limit: Position [m] and limit [m/s].
-        gradient_std: Standard deviation of the error of the gradients [per mille].
-
-    """
-
-    stops: tuple[float, ...] = ()
-    gradient: Pairs = ()
-    curve: Pairs = ()
-    tunnel: Pairs = ()
-    speed_limit: Pairs = ()
-    gradient_std: float = 0.2
+    stops: tuple[float, ...] = ()  # Stopping points of the train's front [m], in increasing order
+    gradient: Pairs = ()  # Position [m] and gradient [per mille, + uphill in increasing position]
+    curve: Pairs = ()  # Position [m] and radius [m], 0 = straight
+    tunnel: Pairs = ()  # Start and end of each tunnel [m]
+    speed_limit: Pairs = ()  # Position [m] and limit [m/s]
+    gradient_std: float = 0.2  # Standard deviation of the error of the gradients [per mille]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +133,6 @@ def load_train_file(path: str | Path) -> TrainFile:
 
     Raises:
         InputError: The file cannot be read or a field is invalid; one line names both.
-
     """
     return parse_train_file(read_text(path), str(path))
 
@@ -182,7 +142,6 @@ def parse_train_file(text: str, source: str) -> TrainFile:
 
     Raises:
         InputError: A field is invalid.
-
     """
     top = parse_yaml(text, source).only(_names(TrainFile))
     return TrainFile(

@@ -8,8 +8,8 @@ from uuid import uuid4
 
 import numpy as np
 
-from trainid_ros.errors import InputError
-from trainid_ros.fleet.files import write_whole
+from trainid_ros.fleet.plan import write_whole
+from trainid_ros.interface.errors import InputError
 from trainid_ros.view.telemetry import switch_off
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ def write_recording(tracks: Tracks, title: str, path: Path) -> None:
 
     Raises:
         InputError: The file cannot be written.
-
     """
     switch_off()
     import rerun as rr  # noqa: PLC0415 - optional, and its telemetry must be off first
@@ -73,8 +72,7 @@ def write_recording(tracks: Tracks, title: str, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f'{path}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
     write_whole(path, lambda part: part.write_bytes(content))
 
 

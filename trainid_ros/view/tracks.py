@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.plausible_stamps import PlausibleStamps
-from trainid_ros.messages import output_topic
+from trainid_ros.interface.records import KM_H, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, output_topic
 from trainid_ros.monitor.shown_estimates import SHOWN
-from trainid_ros.records import KM_H, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import AnyOutput, Pipelines
     from trainid_ros.bag.reader import LoggedRecord
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
 
 _SHOWN: Final = {item.topic.name: item for item in SHOWN}
 _BY_NAME: Final = {item.name: item for item in SHOWN}
@@ -67,7 +66,6 @@ class Tracks:
         status: Status of each estimate by its name.
         rejected: Why the newest sample was not used, by the same name.
         events: Changes of status, and contradictions between the inputs.
-
     """
 
     def __init__(self, pipelines: Pipelines) -> None:

@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.train.brake import lag_response
-from trainid_ros.train.davis import acceleration, davis
+from trainid_ros.train.forces import acceleration, davis, lag_response
 
 if TYPE_CHECKING:
     from ato.knowledge import TrainValues

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 from ato.brake_prediction import BrakePredictor, Motion
 from ato.train_state import PositionModel, TrainState, stopping_curve
-from trainid_ros.records import GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.settings import check_settings, setting
-from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
-from trainid_ros.train.davis import acceleration, davis, required_force
+from trainid_ros.interface.errors import check_settings, setting
+from trainid_ros.interface.records import GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.sim.plant import TICK_S, Decision, StopEvent
+from trainid_ros.train.forces import acceleration, davis, required_force
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ato.knowledge import TrainKnowledge
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.sim.plant import Plant
     from trainid_ros.train.line import LineProfile
     from trainid_ros.train.train_file import TrainFile

@@ -18,20 +18,17 @@ from ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
 from ato.learning import LearnedRate, StopBias
 from ato.ride_score import RideScore
 from ato.train_state import PositionModel
-from trainid_ros.errors import InputError
-from trainid_ros.sim.realism import UNKNOWNS, make_case
+from trainid_ros.interface.errors import InputError
 from trainid_ros.sim.scenario import Change, simulate
-from trainid_ros.sim.worlds import find_world, usual_duration, world_train
+from trainid_ros.sim.worlds import UNKNOWNS, find_world, make_case, usual_duration, world_train
 from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 if TYPE_CHECKING:
     from trainid_ros.client import TrainModel
-    from trainid_ros.sim.driver import Decision, StopEvent
-    from trainid_ros.sim.plant import Plant
-    from trainid_ros.sim.realism import Case
-    from trainid_ros.sim.worlds import World
+    from trainid_ros.sim.plant import Decision, Plant, StopEvent
+    from trainid_ros.sim.worlds import Case, World
 
 CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'rate', 'rate_fast', 'live', 'truth')
 """Values of the train file; the same with stronger integral action; with that and a bias learned from the last stops;
@@ -191,8 +188,7 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
 
     """
     if isinstance(controller, str) and controller not in CONTROLLERS:
-        msg = f'controller {controller!r} is not known; {did_you_mean(controller, CONTROLLERS)}'
-        raise InputError(msg)
+        raise InputError(f'controller {controller!r} is not known; {did_you_mean(controller, CONTROLLERS)}')
     stated, true = plan.case.stated, plan.case.scenario.train_file
     scored: list[ScoredAto] = []
 

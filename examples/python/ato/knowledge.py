@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.client import TrainModel
 from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.records import NS_PER_S
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, Davis
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Record
-    from trainid_ros.results import Output
+    from trainid_ros.interface.records import Record
+    from trainid_ros.interface.results import Output
     from trainid_ros.sim.plant import Plant
     from trainid_ros.train.train_file import TrainFile
 

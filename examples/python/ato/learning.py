@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from ato.knowledge import TrainValues
-from trainid_ros.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
-from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, actuator_response
-from trainid_ros.train.davis import acceleration, davis
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, acceleration, actuator_response, davis
 
 if TYPE_CHECKING:
-    from trainid_ros.records import Record
+    from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import TrainFile
 
 # Share of the error of a stop that the next one corrects [1], and largest correction [m].

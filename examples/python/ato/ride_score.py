@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trainid_ros.sim.driver import TICK_S
+from trainid_ros.sim.plant import TICK_S
 
 if TYPE_CHECKING:
     from trainid_ros.sim.plant import Plant

@@ -7,13 +7,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.settings import check_settings, setting
+from trainid_ros.interface.errors import check_settings, setting
+from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from trainid_ros.records import GradientRecord, SpeedRecord
+    from trainid_ros.interface.records import GradientRecord, SpeedRecord
     from trainid_ros.train.line import LineProfile
 
 # Distances of balises before each stop, in both directions [m].

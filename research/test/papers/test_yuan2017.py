@@ -26,7 +26,7 @@ from research.papers.yuan_methods import (
 )
 from trainid_lab.speed_model import integral_rls, rls
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
-from trainid_ros.speed_model.method import Method
+from trainid_ros.speed_model.am_vff_rls import Method
 
 pytestmark = pytest.mark.slow
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
+from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]

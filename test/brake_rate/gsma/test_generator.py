@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.gsma import restore_generator
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 
 def test_a_restored_generator_continues() -> None:

@@ -14,13 +14,13 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import GsmaPosterior
-from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]

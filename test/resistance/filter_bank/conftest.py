@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import A, B, C
-from trainid_ros.results import ResistanceEstimate
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import B
-from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 Make = Callable[..., Sample]

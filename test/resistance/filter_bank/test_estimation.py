@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import predict
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import KAPPA_R
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile

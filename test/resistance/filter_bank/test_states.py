@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.errors import InputError
+from trainid_ros.estimators.settings import FilterBankConfig
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R
-from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.state import unpacked
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.resistance_settings import VMilsConfig
+from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile

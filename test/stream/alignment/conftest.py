@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from test.stream.alignment.events import START, at, of
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -20,7 +20,7 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent
 from trainid_ros.stream.samples import Sample
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Rejection
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Rejection
 from trainid_ros.stream.alignment import AlignmentEvent, TimeJump
 from trainid_ros.stream.samples import Sample
 

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import pytest
 
 from test.stream.alignment.events import START, at
-from trainid_ros.records import BRAKE, NS_PER_S, BrakeRecord, ForceRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BRAKE, NS_PER_S, BrakeRecord, ForceRecord, Record, SpeedRecord
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample

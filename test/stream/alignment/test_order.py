@@ -15,7 +15,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from test.stream.alignment.events import START, at, of
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -24,7 +24,7 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.samples import Sample
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from test.stream.alignment.events import START, at, of
-from trainid_ros.records import (
+from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -23,10 +23,10 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Reason
+from trainid_ros.interface.results import Reason
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import BrakeCommandChange
+from trainid_ros.train.forces import BrakeCommandChange
 
 CONFIG = AlignmentConfig()
 

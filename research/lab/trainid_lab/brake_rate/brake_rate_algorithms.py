@@ -10,7 +10,7 @@ from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_lab.brake_rate.printed import PrintedConfig, printed_gsma, sma
 from trainid_lab.brake_rate.rbpf import RbpfConfig, rao_blackwellised
 from trainid_ros.estimators.algorithm_registry import Algorithm
-from trainid_ros.results import BrakeRateEstimate
+from trainid_ros.interface.results import BrakeRateEstimate
 
 # Settings not offered for the printed algorithms: they start with all values of the grid, whatever the prior.
 _GRID: Final = frozenset({'prior_std'})

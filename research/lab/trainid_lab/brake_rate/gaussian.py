@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trainid_lab.brake_rate.particles import error_covariance, speed_step, started
-from trainid_ros.brake_rate.posterior import ERRORS, STATES, Errors, Start, Transition
+from trainid_ros.brake_rate.motion_model import ERRORS, STATES, Errors, Start, Transition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from trainid_lab.brake_rate.particles import Array
-    from trainid_ros.vectors import vec
+    from trainid_ros.interface.vectors import vec
 
 
 def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:

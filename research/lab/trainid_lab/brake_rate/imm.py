@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from trainid_lab.brake_rate import gaussian
 from trainid_lab.brake_rate.particles import Array, errors_of
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.brake_rate_settings import JumpConfig
-from trainid_ros.brake_rate.jumps import drifts, transition
-from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
+from trainid_ros.brake_rate.gsma import drifts, transition
+from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
+from trainid_ros.estimators.settings import JumpConfig
+from trainid_ros.interface.vectors import vec
 from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from trainid_lab.brake_rate import gaussian
 from trainid_lab.brake_rate.particles import errors_of
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
+from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
+from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.vectors import vec
 from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A step of :mod:`trainid_ros.brake_rate.group_cloud` for one stratum of any linear state, measured as y = H x."""
+"""A step of :mod:`trainid_ros.brake_rate.m_algorithm` for one stratum of any linear state, measured as y = H x."""
 
 from __future__ import annotations
 

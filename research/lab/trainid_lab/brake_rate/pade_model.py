@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trainid_lab.brake_rate.particles import LinearStep
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Array
@@ -65,8 +65,7 @@ def pade_model(dt: float, tau: float, lam: float) -> PadeModel:
 
     """
     if not (dt > 0.0 and tau > 0.0 and lam > 0.0 and lam * tau != 1.0):
-        msg = f'dt = {dt:g} s, tau = {tau:g} s and lam = {lam:g} 1/s must be > 0, and lam tau must not be 1'
-        raise InputError(msg)
+        raise InputError(f'dt = {dt:g} s, tau = {tau:g} s and lam = {lam:g} 1/s must be > 0, and lam tau must not be 1')
     # A mode exp(-r t), its integral and its double integral.
     lag, delay = _mode(1.0 / tau, dt), _mode(lam, dt)
     unit = (1.0, dt, 0.5 * dt * dt)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A linear state x with a parameter f that acts on a known input, x' = Phi x + f gamma + known, measured as y = H x.
 
-f affects only the mean of x, so all particles share one covariance, see :mod:`trainid_ros.brake_rate.covariance`.
+f affects only the mean of x, so all particles share one covariance, see :mod:`trainid_ros.brake_rate.gsma`.
 Arrays over N particles have the particles in the last axis.
 """
 
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.brake_rate.posterior import STATES, Errors
+from trainid_ros.brake_rate.motion_model import STATES, Errors
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.posterior import Start, Transition
+    from trainid_ros.brake_rate.motion_model import Start, Transition
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from trainid_lab.brake_rate.particles import SPEED
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud, rbpf
 from trainid_lab.brake_rate.theta_posterior import ThetaPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
-from trainid_ros.settings import check_settings, setting
+from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.errors import check_settings, setting
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Array, Correction, LinearStep

@@ -23,9 +23,9 @@ from trainid_lab.brake_rate.particles import (
 from trainid_lab.brake_rate.resampling import effective_number
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud
 from trainid_ros.brake_rate.gsma import restore_generator
-from trainid_ros.brake_rate.posterior import STATES, Errors, Start, Transition
+from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
+from trainid_ros.interface.vectors import vec
 from trainid_ros.state import MAX_NUMBER, check_restored, decode, encode, is_covariance_matrix
-from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Array, LinearStep

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_lab.resistance.recursive import Factors, Symmetric, Vector, covariance
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.interface.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -108,8 +108,7 @@ def _fit(Phi: Array, y: Array, weights: Array | None, penalty: Array, centre: Ar
     information = (Phi * w[:, None]).T @ Phi
     solved = solve(_packed(information + penalty), _vector((Phi * w[:, None]).T @ y + penalty @ centre))
     if solved is None:
-        msg = f'{len(y)} observations do not determine three parameters'
-        raise NoAnswerError(msg)
+        raise NoAnswerError(f'{len(y)} observations do not determine three parameters')
     theta, P = np.array(solved[0]), unpacked(covariance(solved[1]))
     residual = y - Phi @ theta
     variance = float(residual @ (w * residual)) / max(1, len(y) - 3)

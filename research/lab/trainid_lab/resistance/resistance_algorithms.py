@@ -10,7 +10,7 @@ from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_lab.resistance.windowed import WindowedConfig, WindowedRegression
 from trainid_ros.estimators.algorithm_registry import Algorithm
-from trainid_ros.results import ResistanceEstimate
+from trainid_ros.interface.results import ResistanceEstimate
 
 if TYPE_CHECKING:
     from trainid_lab.resistance.regressions import Step

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
-from trainid_ros.errors import InputError
-from trainid_ros.train.davis import specific_inertia
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train.forces import specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,8 +93,7 @@ class Windows:
     def __post_init__(self) -> None:
         """Raise InputError if the hop is not within [1, length]."""
         if not 1 <= self.hop <= self.length:
-            msg = f'hop = {self.hop} must lie in [1, window = {self.length}]'
-            raise InputError(msg)
+            raise InputError(f'hop = {self.hop} must lie in [1, window = {self.length}]')
 
     def ends(self, piece: Sequence[HasSpeed]) -> bool:
         """Return whether the piece has all its samples."""

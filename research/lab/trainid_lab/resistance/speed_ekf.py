@@ -18,18 +18,23 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.prior import PriorSettings, prior_variances
-from trainid_ros.resistance.davis_posterior import drift_rates, drifted, predict, resistance_estimate
-from trainid_ros.resistance.fitness import is_fit, representative_speeds
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.settings import check_settings, setting
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.estimators.settings import PriorSettings, prior_variances
+from trainid_ros.interface.errors import check_settings, setting
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.resistance.davis_posterior import (
+    drift_rates,
+    drifted,
+    is_fit,
+    predict,
+    representative_speeds,
+    resistance_estimate,
+)
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance
-from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

@@ -22,12 +22,11 @@ from trainid_lab.resistance.recursive import covariance, prediction_variance
 from trainid_lab.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.resistance.davis_posterior import largest_std
-from trainid_ros.resistance.fitness import is_fit, representative_speeds
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.interface.errors import check_settings, setting
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.resistance.davis_posterior import is_fit, largest_std, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
-from trainid_ros.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
 from trainid_ros.stream.known_force import KnownForce
 

@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_lab.speed_model.rls import MethodNumbers, output, regressor, times, updated
-from trainid_ros.settings import setting
-from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
+from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.interface.errors import setting
+from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 from trainid_ros.state import is_covariance
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 

@@ -18,11 +18,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
-from trainid_ros.settings import setting
-from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
+from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.interface.errors import setting
+from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

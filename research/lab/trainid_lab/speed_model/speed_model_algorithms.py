@@ -9,7 +9,7 @@ from trainid_lab.speed_model.integral_rls import IntegralRlsConfig, speed_integr
 from trainid_lab.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, RlsConfig, paper_rls
 from trainid_lab.speed_model.speed_model_ekf import EkfConfig, speed_ekf
 from trainid_ros.estimators.algorithm_registry import Algorithm
-from trainid_ros.results import SpeedModelEstimate
+from trainid_ros.interface.results import SpeedModelEstimate
 
 # Settings not offered for non-adaptive methods: no rejection, no force delay, no step of load or resistance.
 _NOT_ADAPTIVE: Final = frozenset({'readmit_after', 'force_skew', 'load_std', 'weighing_std', 'change_threshold'})

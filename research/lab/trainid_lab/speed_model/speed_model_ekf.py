@@ -11,14 +11,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trainid_ros.settings import setting
+from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.interface.errors import setting
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
-    from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
+    from trainid_ros.speed_model.am_vff_rls import Symmetric, Theta
     from trainid_ros.train.train_file import TrainFile
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Upper triangle of a covariance, as :mod:`trainid_ros.speed_model.physical_parameters` stores it."""
+"""Upper triangle of a covariance, as :mod:`trainid_ros.speed_model.am_vff_rls` stores it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from trainid_ros.speed_model.physical_parameters import Symmetric
+    from trainid_ros.speed_model.am_vff_rls import Symmetric
 
 UPPER: Final = tuple((i, j) for i in range(4) for j in range(i, 4))
 

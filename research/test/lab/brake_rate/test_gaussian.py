@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_lab.brake_rate.gaussian import anchored, drift, mixed, predict, recentred, update
-from trainid_ros.brake_rate.posterior import STATES, Start, Transition
+from trainid_ros.brake_rate.motion_model import STATES, Start, Transition
 
 Array = NDArray[np.float64]
 N, RATE = STATES + 1, STATES

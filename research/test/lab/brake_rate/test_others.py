@@ -15,8 +15,8 @@ import pytest
 from trainid_lab.brake_rate.imm import ImmConfig, ImmPosterior
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.posterior import Start, Transition
-from trainid_ros.errors import InputError
+from trainid_ros.brake_rate.motion_model import Start, Transition
+from trainid_ros.interface.errors import InputError
 from trainid_ros.state import is_covariance_matrix, packed
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from trainid_lab.brake_rate.pade_model import pade_model
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 
 @pytest.mark.parametrize(('dt', 'tau', 'lam'), [(1.0, 0.4, 1.6667), (0.2, 0.63, 2.9), (0.05, 1.5, 0.4)])

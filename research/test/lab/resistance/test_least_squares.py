@@ -17,7 +17,7 @@ from trainid_lab.resistance.least_squares import (
     unpacked,
 )
 from trainid_lab.resistance.recursive import covariance
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.interface.errors import NoAnswerError
 
 Array = NDArray[np.float64]
 TRUTH = np.array([2.0, 0.06, 1.8e-3])

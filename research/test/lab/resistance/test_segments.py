@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from research.papers import coasts as data
 from trainid_lab.resistance.segments import Cutter, Segments, Windows, bounds, cut, difference, observe
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 CLEAN = data.CoastPlan(noise_std=0.0, quantum=0.0)
 UNITS = {'period': 0.2, 'rotary_mass': data.GAMMA, 'speed_unit': data.KMH}

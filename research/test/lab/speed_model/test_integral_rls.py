@@ -17,9 +17,9 @@ from trainid_lab.speed_model.integral_rls import (
     regression,
     speed_integral_rls,
 )
-from trainid_ros.results import Rejection
-from trainid_ros.speed_model.physical_parameters import full, prior
-from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
+from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.interface.results import Rejection
+from trainid_ros.speed_model.am_vff_rls import full, prior
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

@@ -23,7 +23,7 @@ from trainid_lab.speed_model.rls import (
     learn,
     paper_rls,
 )
-from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

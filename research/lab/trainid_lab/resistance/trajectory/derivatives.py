@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
-from trainid_ros.resistance.trajectory import recur
+from trainid_ros.resistance.davis_fit import recur
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,8 +42,7 @@ class Cars:
     def of_lengths(cls, mass: NDArray[np.float64], length: NDArray[np.float64]) -> Cars:
         """Return consecutive cars of given masses [any common unit] and lengths [m], their centroids in the middle."""
         if len(mass) != len(length) or not np.all(mass > 0.0) or not np.all(length > 0.0):
-            msg = f'cars: {len(mass)} masses and {len(length)} lengths must be equal in number and > 0'
-            raise InputError(msg)
+            raise InputError(f'cars: {len(mass)} masses and {len(length)} lengths must be equal in number and > 0')
         return cls(mass, np.cumsum(length) - 0.5 * length)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.train.davis import G
+from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -26,15 +26,13 @@ from trainid_lab.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
-from trainid_ros.errors import InputError
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.prior import PriorSettings, prior_variances
+from trainid_ros.estimators.consistency import Admission
+from trainid_ros.estimators.settings import PriorSettings, prior_variances
+from trainid_ros.interface.errors import InputError, check_settings, setting
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import largest_std
-from trainid_ros.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_restored, decode, encode
-from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.speed_noise import SpeedNoise
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample
@@ -116,8 +114,7 @@ class TwoWindow:
     def __init__(self, train_file: TrainFile, config: TwoWindowConfig) -> None:
         check_settings(config)
         if config.short >= config.long:
-            msg = f'short = {config.short} must be less than long = {config.long}'
-            raise InputError(msg)
+            raise InputError(f'short = {config.short} must be less than long = {config.long}')
         self.config = config
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)

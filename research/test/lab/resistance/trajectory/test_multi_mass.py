@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_ros.errors import InputError
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.train_file import Line
 
 LINE = Line(gradient=((0.0, 0.0), (1000.0, 10.0), (2000.0, -4.0)), curve=((0.0, 0.0), (1500.0, 600.0)))

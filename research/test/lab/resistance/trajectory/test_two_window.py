@@ -20,8 +20,8 @@ from trainid_lab.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
-from trainid_ros.errors import InputError
-from trainid_ros.results import Reason, Rejection
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Functions of single numbers that are fast, and exact to the last bit, in compiled modules too.
+
+Check single records: finite, stamped, physically possible.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from trainid_ros.interface.records import GRADIENT, SPEED
+from trainid_ros.interface.results import Reason, Rejection
+
+_NS_PER_S: Final = 1_000_000_000
+# A float holds all integers up to here.
+_EXACT: Final = 2**53
+
+
+def is_finite(x: float) -> bool:
+    """Return whether a number is neither NaN nor infinite; a call of ``math.isfinite`` is not compiled."""
+    return not (math.isnan(x) or math.isinf(x))
+
+
+def seconds(ns: int) -> float:
+    """Return nanoseconds as seconds; compiled, a quotient of larger integers would be rounded twice."""
+    if -_EXACT < ns < _EXACT:
+        return ns / _NS_PER_S
+    return float(ns // _NS_PER_S) + float(ns % _NS_PER_S) / _NS_PER_S
+
+
+# Wider than any railway, so that only impossible values are rejected. Of the first number of a record, by topic.
+_LIMITS: tuple[tuple[float, float], ...] = (
+    (0.0, 200.0),  # speed [m/s]
+    (-1e8, 1e8),  # force [N]
+    (-200.0, 200.0),  # gradient [per mille]
+    (-10.0, 0.0),  # target acceleration [m/s^2]
+    (100.0, 1e9),  # mass [kg]
+)
+# Of positions, which may be NaN [m].
+_FARTHEST: Final = 1e9
+# Of curves only, straight track has radius 0 [m].
+_SHARPEST_CURVE: Final = 5.0
+_WIDEST_CURVE: Final = 1e9
+
+
+def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | None:
+    """Return why a record, as a row of numbers, must be rejected, or None if it can be used."""
+    if stamp_ns <= 0:
+        return Rejection(stamp_ns, Reason.ZERO_STAMP, stamp_ns * 1e-9, 0.0)
+    if topic == SPEED and abs(y) > _FARTHEST:
+        return _out_of_range(stamp_ns, y, -_FARTHEST, _FARTHEST)
+    low, high = _LIMITS[topic]
+    if not low <= x <= high:
+        return _out_of_range(stamp_ns, x, low, high)
+    if topic == GRADIENT and y != 0.0 and not _SHARPEST_CURVE <= y <= _WIDEST_CURVE:
+        return _out_of_range(stamp_ns, y, _SHARPEST_CURVE, _WIDEST_CURVE)
+    return None
+
+
+def _out_of_range(stamp_ns: int, value: float, low: float, high: float) -> Rejection:
+    if not is_finite(value):
+        return Rejection(stamp_ns, Reason.NOT_FINITE, value, math.nan)
+    return Rejection(stamp_ns, Reason.OUT_OF_RANGE, value, low if value < low else high)

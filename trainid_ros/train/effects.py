@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects beyond Davis resistance and gradient: name, equation, parameters, similar effects.
+
+Every effect is expressed as an *equivalent extra resistance* in the specific balance with the assumed mass,
+``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``, where T is the reported traction and B the braking
+force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
+
+A new effect is one EffectKind, in ``physical`` or ``sensor`` here, or one file that defines ``EFFECT`` in a folder
+listed in TRAINID_EFFECTS.
+
+Effects by name, built in and of users, and the effects of a train file: parsed, checked and bound for evaluation.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from operator import attrgetter
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Final
+
+from trainid_ros.interface.errors import InputError
+from trainid_ros.train import effect_terms as physical
+from trainid_ros.train import effect_terms as sensor
+from trainid_ros.train.effect_kinds import EffectKind, Parameter, Parameters, Resistance, Twin
+from trainid_ros.train.effect_point import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
+from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.train_file import Davis, Effect
+
+__all__ = [
+    'BRAKE_APPLIED',
+    'COOLING_S',
+    'EFFECTS',
+    'FOLDERS_VARIABLE',
+    'Davis',
+    'EffectKind',
+    'Parameter',
+    'Parameters',
+    'Resistance',
+    'Term',
+    'TrackPoint',
+    'Twin',
+    'check_effects',
+    'effect_value',
+    'heat_after',
+    'parse_effects',
+    'resistance_terms',
+    'share_inside',
+]
+
+
+FOLDERS_VARIABLE: Final = 'TRAINID_EFFECTS'
+"""Environment variable listing folders of user effects, separated as in PATH; each ``*.py`` defines ``EFFECT``."""
+
+
+class _Library(Mapping[str, EffectKind]):
+    """Load users' modules on first access, so that an invalid user file affects only code that uses effects."""
+
+    def __getitem__(self, name: str) -> EffectKind:
+        return _kinds(os.environ.get(FOLDERS_VARIABLE, ''))[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_kinds(os.environ.get(FOLDERS_VARIABLE, '')))
+
+    def __len__(self) -> int:
+        return len(_kinds(os.environ.get(FOLDERS_VARIABLE, '')))
+
+
+EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
+"""All effects by name. Any access raises InputError, naming the file, if a user's module is invalid."""
+
+
+@lru_cache(maxsize=8)
+def _kinds(folders: str) -> Mapping[str, EffectKind]:
+    built_in = (kind for module in (physical, sensor) for kind in vars(module).values() if isinstance(kind, EffectKind))
+    found = {kind.name: kind for kind in sorted(built_in, key=attrgetter('name'))}
+    for path in _user_files(folders):
+        kind = _user_kind(path)
+        if kind.name in found:
+            raise InputError(f'{path}: effect {kind.name} already exists')
+        found[kind.name] = kind
+    return MappingProxyType(found)
+
+
+def _user_files(folders: str) -> list[Path]:
+    files: list[Path] = []
+    for folder in filter(None, folders.split(os.pathsep)):
+        if not Path(folder).is_dir():
+            raise InputError(f'{FOLDERS_VARIABLE}: {folder} is not a folder')
+        files += sorted(path for path in Path(folder).glob('*.py') if not path.name.startswith('_'))
+    return files
+
+
+def _user_kind(path: Path) -> EffectKind:
+    kind = getattr(_load(path), 'EFFECT', None)
+    if not isinstance(kind, EffectKind):
+        raise InputError(f'{path}: must define EFFECT = EffectKind(...), see trainid_ros.train.effects')
+    return kind
+
+
+def _load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f'trainid_user_effect_{path.stem}', path)
+    if spec is None or spec.loader is None:
+        raise InputError(f'{path}: is not a Python module')
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        # Any exception raised by a user's file is reported as a file that cannot be loaded.
+        raise InputError(f'{path}: cannot be loaded: {type(error).__name__}: {error}') from error
+    return module
+
+
+Term = Callable[[Davis, TrackPoint], float]
+
+
+def check_effects(effects: Sequence[Effect]) -> None:
+    """Check that every effect is known, has exactly its parameters, each in range, and occurs once.
+
+    Effects with their own position or time may occur several times.
+
+    Raises:
+        InputError: A check fails; the message names the effect, or effect:key and the value.
+    """
+    for effect in effects:
+        kind = EFFECTS.get(effect.name)
+        if kind is None:
+            raise InputError(f'effect {effect.name} is not known; {did_you_mean(effect.name, EFFECTS)}')
+        values = dict(effect.parameters)
+        for key in values:
+            if key not in kind.parameters:
+                hint = did_you_mean(key, kind.parameters)
+                raise InputError(f'effect {effect.name}:{key} is not a parameter; {hint}')
+        for key, limits in kind.parameters.items():
+            _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
+        if 'start' in values and 'end' in values and not values['start'] < values['end']:
+            start, end = values['start'], values['end']
+            raise InputError(f'effect {effect.name}:end = {end:g} m must be greater than start = {start:g} m')
+        if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
+            raise InputError(f'effect {effect.name}: given more than once')
+
+
+def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
+    """Return one function for each effect that adds to the balance [N/kN]; parameters are checked once, here.
+
+    Effects that act on the records (``on_records``) are left out.
+
+    Raises:
+        InputError: As :func:`check_effects`.
+    """
+    check_effects(effects)
+    terms = []
+    for effect in effects:
+        kind = EFFECTS[effect.name]
+        if kind.resistance is not None and not kind.on_records:
+            terms.append(_bind(kind, kind.resistance, dict(effect.parameters)))
+    return tuple(terms)
+
+
+def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
+    """Return a parameter of the only effect of that name, or the default if there is none."""
+    for effect in effects:
+        if effect.name == name:
+            return dict(effect.parameters).get(key, default)
+    return default
+
+
+def _bind(kind: EffectKind, function: Resistance, parameters: Parameters) -> Term:
+    """Return the resistance of an effect with its parameters; InputError where it cannot be evaluated."""
+
+    def evaluate(davis: Davis, point: TrackPoint) -> float:
+        try:
+            value = float(function(parameters, davis, point))
+        except Exception as error:  # the effect may be a user's
+            raise InputError(
+                f'effect {kind.name}: its resistance cannot be evaluated: {type(error).__name__}: {error}'
+            ) from error
+        if not math.isfinite(value):
+            raise InputError(
+                f'effect {kind.name}: its resistance = {value:g} N/kN at {point.speed:g} m/s must be finite'
+            )
+        return value
+
+    return evaluate
+
+
+def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
+    if value is None:
+        raise InputError(f'{name} is missing')
+    if not (math.isfinite(value) and limits.low <= value <= limits.high):
+        unit = f' {limits.unit}' if limits.unit else ''
+        raise InputError(f'{name} = {value:g}{unit} is outside [{limits.low:g}, {limits.high:g}]')
+
+
+def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
+    """Parse and check effects.
+
+    Consecutive texts with the same name add parameters to one effect; a repeated key starts another one.
+
+    Raises:
+        InputError: A text has the wrong form, or an effect or parameter is unknown or out of range.
+    """
+    found: list[tuple[str, dict[str, float]]] = []
+    for text in texts:
+        name, colon, rest = text.partition(':')
+        if not (name and colon and rest):
+            raise InputError(f'effect {text!r} must have the form NAME:key=value')
+        for assignment in rest.split(','):
+            key, value = _assignment(text, assignment)
+            if not (found and found[-1][0] == name and key not in found[-1][1]):
+                found.append((name, {}))
+            found[-1][1][key] = value
+    effects = tuple(Effect(name, tuple(values.items()), (), 'command line') for name, values in found)
+    check_effects(effects)
+    return effects
+
+
+def _assignment(text: str, assignment: str) -> tuple[str, float]:
+    key, equals, value = assignment.partition('=')
+    if not (key and equals):
+        raise InputError(f'effect {text!r} must have the form NAME:key=value')
+    try:
+        return key.strip(), float(value)
+    except ValueError:
+        raise InputError(f'effect {text!r}: {key} = {value!r} is not a number') from None

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Longitudinal force balance of a train in specific form: newtons per kilonewton of its weight.
+
+``1000 F / (M g) = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g`` with the Davis resistance
+``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the
+rotating mass as a share of the mass [1].
+
+Brake actuator with exact dead time and exact first-order lag, used by simulator and estimators.
+
+The actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
+response over each piece is known in closed form: no Pade approximation and no step-size error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.state import several
+from trainid_ros.train.train_file import Davis
+
+G: Final = 9.80665
+"""Standard gravity [m/s^2] (CODATA), used throughout the project."""
+
+
+@overload
+def davis(resistance: Davis, v: float) -> float: ...
+@overload
+def davis(resistance: Davis, v: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def davis(resistance: Davis, v: Any) -> Any:
+    """Return the running resistance [N/kN] at a speed [m/s], or at each of an array of speeds."""
+    return resistance.a + v * (resistance.b + resistance.c * v)
+
+
+def specific_force(force: float, mass: float) -> float:
+    """Return ``1000 F / (M g)`` [N/kN] of a force [N] on a mass [kg]."""
+    return force * (1000.0 / (mass * G))
+
+
+def specific_inertia(acceleration: float, rotary_mass: float) -> float:
+    """Return ``1000 (1 + gamma) a / g`` [N/kN] of an acceleration [m/s^2]; ``rotary_mass`` is gamma [1]."""
+    return acceleration * (1000.0 * (1.0 + rotary_mass) / G)
+
+
+def acceleration(force: float, mass: float, rotary_mass: float, resistance: float) -> float:
+    """Return the acceleration [m/s^2] of a mass [kg] under a force [N] and the total resistance [N/kN].
+
+    ``resistance`` is the sum w(v) + i + w_extra, ``rotary_mass`` is gamma [1].
+    """
+    return (specific_force(force, mass) - resistance) * (G / (1000.0 * (1.0 + rotary_mass)))
+
+
+def required_force(acceleration: float, mass: float, rotary_mass: float, resistance: float) -> float:
+    """Return the force [N] that gives an acceleration [m/s^2]: the inverse of :func:`acceleration`."""
+    return (specific_inertia(acceleration, rotary_mass) + resistance) * (mass * G / 1000.0)
+
+
+MOST_CHANGES: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeCommandChange:
+    """A brake command that holds from ``stamp_ns`` on [m/s^2, <= 0]."""
+
+    stamp_ns: int
+    target_acceleration: float
+
+
+@dataclass
+class CommandHistory:
+    """Bounded history of the piecewise-constant brake command; changes oldest first.
+
+    At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
+    """
+
+    changes: tuple[BrakeCommandChange, ...] = several(BrakeCommandChange)
+
+    def push(self, change: BrakeCommandChange) -> None:
+        """Add a change; a repeat of the last value is dropped.
+
+        A change with the stamp of the last one replaces it.
+
+        Raises:
+            InputError: The change is older than the last one, or its value is not finite or is positive.
+        """
+        value = change.target_acceleration
+        if not (is_finite(value) and value <= 0.0):
+            raise InputError(f'target_acceleration = {value:g} m/s^2 must be finite and <= 0')
+        kept = self.changes
+        if kept and change.stamp_ns < kept[-1].stamp_ns:
+            raise InputError(
+                f'brake command stamp_ns = {change.stamp_ns} is earlier than the last one, {kept[-1].stamp_ns}'
+            )
+        if kept and change.stamp_ns == kept[-1].stamp_ns:
+            kept = kept[:-1]
+        if not kept or kept[-1].target_acceleration != value:
+            kept = (*kept, change)[-MOST_CHANGES:]
+        self.changes = kept
+
+    def follow(self, changes: tuple[BrakeCommandChange, ...]) -> None:
+        """Add the changes of a sample; those older than the last one, which arrived late, are dropped."""
+        for change in changes:
+            if not self.changes or change.stamp_ns >= self.changes[-1].stamp_ns:
+                self.push(change)
+
+    def prune(self, before_ns: int) -> None:
+        """Drop the changes that do not affect the command at or after a time [ns]."""
+        first = 0
+        while first + 1 < len(self.changes) and self.changes[first + 1].stamp_ns <= before_ns:
+            first += 1
+        if first:
+            self.changes = self.changes[first:]
+
+    def value(self, at_ns: int) -> float:
+        """Return the command in force at a time [ns] in m/s^2; 0.0 before the first change."""
+        count = self._count_until(at_ns)
+        return self.changes[count - 1].target_acceleration if count else 0.0
+
+    def segments(self, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
+        """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end] [ns].
+
+        Raises:
+            InputError: The end is before the start.
+        """
+        if end_ns < start_ns:
+            raise InputError(f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns')
+        pieces = []
+        while start_ns < end_ns:
+            count = self._count_until(start_ns)
+            until_ns = self.changes[count].stamp_ns if count < len(self.changes) else end_ns
+            until_ns = min(until_ns, end_ns)
+            value = self.changes[count - 1].target_acceleration if count else 0.0
+            pieces.append((seconds(until_ns - start_ns), value))
+            start_ns = until_ns
+        return pieces
+
+    def _count_until(self, at_ns: int) -> int:
+        """Return the number of changes until a time [ns], which as a rule is close to the newest."""
+        count = len(self.changes)
+        while count and self.changes[count - 1].stamp_ns > at_ns:
+            count -= 1
+        return count
+
+
+def actuator_response(
+    commands: CommandHistory, start_ns: int, end_ns: int, initial: float, *, delay_ns: int, time_constant: float
+) -> tuple[float, float]:
+    """Return the output [m/s^2] at the end of (start, end], and its integral over it [m/s].
+
+    Args:
+        commands: History of the command.
+        start_ns: Start of the interval [ns].
+        end_ns: Its end [ns].
+        initial: Output at the start [m/s^2].
+        delay_ns: Dead time [ns].
+        time_constant: Time constant of the lag [s].
+    """
+    output, integral = initial, 0.0
+    for duration, target in commands.segments(start_ns - delay_ns, end_ns - delay_ns):
+        integral += lag_integral(output, target, time_constant, duration)
+        output = lag_response(output, target, time_constant, duration)
+    return output, integral
+
+
+def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:
+    """Return the output of a first-order lag after a constant target has acted for a duration [s].
+
+    ``y(T) = target + (initial - target) exp(-T / tau)`` with the time constant tau [s], in the unit of the target;
+    with ``tau`` = 0 the output follows immediately.
+    """
+    if duration <= 0.0:
+        return initial
+    if time_constant <= 0.0:
+        return target
+    return target + (initial - target) * math.exp(-duration / time_constant)
+
+
+def lag_integral(initial: float, target: float, time_constant: float, duration: float) -> float:
+    """Return the exact integral of :func:`lag_response` over the duration [s].
+
+    ``target T + (initial - target) tau (1 - exp(-T / tau))``: for accelerations [m/s^2], the change of speed [m/s].
+    """
+    if duration <= 0.0:
+        return 0.0
+    if time_constant <= 0.0:
+        return target * duration
+    decay = -math.expm1(-duration / time_constant)
+    return target * duration + (initial - target) * time_constant * decay
