@@ -44,7 +44,7 @@ def nodes(graph: Graph, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
         process.terminate()
 
 
-class InStep(example.NodeValues):  # type: ignore[misc]
+class InStep(example.NodeValues):  # type: ignore[name-defined]
     """Waits at each tick until the nodes have taken in what was published, however busy the machine is."""
 
     def __init__(self, node: Any, *arguments: Any) -> None:

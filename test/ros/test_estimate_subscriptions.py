@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -96,26 +96,33 @@ def test_a_killed_node_is_replaced_by_the_train_file_within_a_second(
 ) -> None:
     now_s = 0.0  # goes on as the test wants, however busy the machine is
 
-    def go_on() -> None:
+    def go_on(time_s: float) -> None:
         nonlocal now_s
-        now_s += 0.05
+        now_s += time_s
+
+    def follow(condition: Callable[[], bool]) -> None:
+        def is_met() -> bool:
+            go_on(0.02)
+            return condition()
+
+        graph.until(is_met)
 
     model = TrainModel(member(graph, 'train_7'), train_file, clock=lambda: now_s)
-    graph.until(lambda: go_on() or model.brake_rate().value < 0.97)
-    assert model.brake_rate().live
+    follow(lambda: model.brake_rate().live and model.brake_rate().value < 0.97)
     publisher.kill()
-    for _ in range(20):
-        go_on()
+    go_on(0.8)
+    assert not model.brake_rate().live
+    go_on(0.2)
     assert (model.brake_rate().live, model.brake_rate().value) == (False, 1.0)
     assert model.resistance(10.0).live is False
     assert model.stopping_distance(20.0).reason == 'train file: no new estimate for more than 0.75 s'
     # Its lease has ended.
-    graph.until(lambda: go_on() or model.brake_rate().reason == 'train file: its node is gone')
+    follow(lambda: model.brake_rate().reason == 'train file: its node is gone')
     # Another node takes over: no jump.
     estimates, rates = Estimates(member(graph, 'train_7')), [1.0]
-    graph.until(lambda: estimates.publish() or model.brake_rate().live)
+    graph.until(lambda: all(publisher.get_subscription_count() for publisher in estimates.live))
     while len(rates) < 30:
-        go_on()
+        go_on(0.05)
         estimates.publish()
         graph.until(lambda: model.brake_rate().live)
         rates.append(model.brake_rate().value)

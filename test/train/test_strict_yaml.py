@@ -46,12 +46,12 @@ def aliases(levels: int) -> str:
 def test_files_that_would_grow_are_rejected_at_little_cost(
     text: str, reason: str, read: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    events = []
+    events: list[yaml.Event] = []
     parse = yaml.parse
 
     def note(*arguments: Any, **options: Any) -> Iterator[yaml.Event]:
         for event in parse(*arguments, **options):
-            events.append(event.start_mark.index)
+            events.append(event)
             yield event
 
     monkeypatch.setattr(yaml, 'parse', note)
