@@ -128,7 +128,7 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
     from trainid_ros.sim.worlds import (  # noqa: PLC0415
         REALISMS,
         UNKNOWNS,
-        WORLDS,  # noqa: PLC0415
+        WORLDS,
     )
 
     parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')

@@ -14,7 +14,6 @@ from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import (
     check_output,
     print_json,
-    printable,
     progress,
     show,
     table,
@@ -22,7 +21,7 @@ from trainid_ros.cli.output import (
     warn,
 )
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import pluralise, printable
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
 from trainid_ros.train.train_file import dump_train_file, load_train_file

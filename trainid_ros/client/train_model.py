@@ -19,7 +19,6 @@ from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.client import train_model as arguments
 from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel, Normal
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, LEAST_SCALE, FileValues
 from trainid_ros.client.stopping import MOST_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
@@ -191,7 +190,7 @@ class TrainModel:
         prior: PriorSettings = _PRIOR,
         brake: BrakeRateConfig = _BRAKE,
     ) -> None:
-        max_age = arguments.MAX_AGE.checked(max_age)
+        max_age = MAX_AGE.checked(max_age)
         check_settings(prior)
         check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
@@ -218,7 +217,7 @@ class TrainModel:
 
         """
         now = 0.0
-        model = cls(None, train_file, max_age=arguments.MAX_AGE.high, clock=lambda: now)
+        model = cls(None, train_file, max_age=MAX_AGE.high, clock=lambda: now)
         for estimator in (result.resistance, result.brake_rate):
             model.take(estimator.output)
         now = 1e9  # all moves are done
@@ -264,7 +263,7 @@ class TrainModel:
             InputError: An argument is not a finite number or out of range.
 
         """
-        v, direction = arguments.SPEED.checked(speed), checked_direction(direction)
+        v, direction = SPEED.checked(speed), checked_direction(direction)
         with self._lock:
             self._go_on()
             return self._resistance_at(v, direction)
@@ -276,7 +275,7 @@ class TrainModel:
             InputError: The speed is not a finite number or out of range.
 
         """
-        v = None if speed is None else arguments.SPEED.checked(speed)
+        v = None if speed is None else SPEED.checked(speed)
         with self._lock:
             self._go_on()
             return self._brake_rate_at(v)
@@ -304,7 +303,7 @@ class TrainModel:
         """
         v, i, wanted = _motion(speed, gradient, acceleration)
         direction, train = checked_direction(direction), self._file.train_file.train
-        M = train.mass if mass is None else arguments.MASS.checked(mass)
+        M = train.mass if mass is None else MASS.checked(mass)
         with self._lock:
             self._go_on()
             w = self._resistance_at(v, direction)
@@ -375,7 +374,7 @@ class TrainModel:
             NoAnswerError: The train may not stop at all.
 
         """
-        v = arguments.SPEED.checked(speed)
+        v = SPEED.checked(speed)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
         found = bounds.at(v)
         if math.isinf(found.distance):
@@ -409,7 +408,7 @@ class TrainModel:
             NoAnswerError: The train may not stop from any speed.
 
         """
-        away = arguments.DISTANCE.checked(distance)
+        away = DISTANCE.checked(distance)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
         return Value(*bounds.speed(away), live, reason)
 
@@ -433,7 +432,7 @@ class TrainModel:
             NoAnswerError: The train may not stop from any speed.
 
         """
-        end, direction = arguments.STOP.checked(stop), checked_direction(direction)
+        end, direction = STOP.checked(stop), checked_direction(direction)
         distances = [distance_to(end, position, direction) for position in positions]
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
@@ -441,8 +440,8 @@ class TrainModel:
     def _bounds(
         self, gradient: float, command: float, confidence: float, applied: float, direction: int
     ) -> tuple[StoppingBounds, bool, str]:
-        i, u1 = arguments.GRADIENT.checked(gradient), -arguments.COMMAND.checked(command)
-        u0, P = -arguments.APPLIED.checked(applied), arguments.CONFIDENCE.checked(confidence)
+        i, u1 = GRADIENT.checked(gradient), -COMMAND.checked(command)
+        u0, P = -APPLIED.checked(applied), CONFIDENCE.checked(confidence)
         shape = self._file.stop_shape(checked_direction(direction))
         with self._lock:
             self._go_on()
@@ -482,8 +481,8 @@ class TrainModel:
 
 def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:
     """Return speed [m/s], gradient [per mille] and acceleration [m/s^2], checked."""
-    wanted = arguments.ACCELERATION.checked(acceleration)
-    return arguments.SPEED.checked(speed), arguments.GRADIENT.checked(gradient), wanted
+    wanted = ACCELERATION.checked(acceleration)
+    return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
 
 
 def _state(channel: Channel) -> tuple[bool, str]:

@@ -192,7 +192,7 @@ class ConsistencyMonitor:
         """Take in the innovation that an estimate reports for its last update.
 
         Args:
-            innovation: Measured minus predicted, see :attr:`~trainid_ros.estimators.algorithm_registry.Estimator.innovation`.
+            innovation: Measured minus predicted, see ``Estimator.innovation``.
             variance: Its variance as stated before the measurement, in squared units; not above 0 if none is stated.
             used: False if the sample was rejected: outliers beyond a gate are not noise.
         """

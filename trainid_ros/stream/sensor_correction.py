@@ -42,7 +42,7 @@ class SensorCorrection:
         return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
     def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
-        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.interface.records.Row`."""
+        """Return stamp and numbers of a record, corrected where needed; see ``Row`` of the records."""
         if topic == SPEED and self._ratio != 1.0:
             speed, position = self._correct_speed(x, y)
             return stamp_ns, speed, position
