@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import signal
 from collections.abc import Callable
@@ -28,7 +27,6 @@ from trainid_ros.explain.result import (
 )
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.state import packed, unpacked
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
@@ -198,39 +196,3 @@ def journey(sample: Callable[..., Sample]) -> Callable[..., list[Sample]]:
         return samples
 
     return drive
-
-
-@pytest.fixture(scope='session')
-def changed_state() -> Callable[[str, tuple[Any, ...], object], str]:
-    """Return a function that changes one number of a saved state; the path of keys and indices must exist.
-
-    It may lead through arrays, which are nested lists then, and through states saved as text.
-    """
-    return lambda text, path, value: str(_changed(text, ('state', *path), value))
-
-
-class _Array(list[Any]):
-    """The numbers of a saved array."""
-
-
-def _changed(part: Any, path: tuple[Any, ...], value: object) -> Any:
-    if not path:
-        return _Array(value) if isinstance(part, _Array) and isinstance(value, list) else value
-    if isinstance(part, str):
-        return json.dumps(_as_saved(_changed(json.loads(part, object_hook=_as_lists), path, value)))
-    key, *rest = path
-    assert key in part if isinstance(part, dict) else key < len(part)
-    part[key] = _changed(part[key], tuple(rest), value)
-    return part
-
-
-def _as_lists(data: dict[str, Any]) -> Any:
-    return _Array(unpacked(data).tolist()) if 'float64' in data else data
-
-
-def _as_saved(part: Any) -> Any:
-    if isinstance(part, _Array):
-        return packed(np.array(part))
-    if isinstance(part, dict):
-        return {key: _as_saved(value) for key, value in part.items()}
-    return [_as_saved(value) for value in part] if isinstance(part, list) else part

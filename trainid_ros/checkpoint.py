@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Values: TypeAlias = 'dict[str, int | float | str]'
 
 SUFFIX: Final = '.json'
-_FORMAT: Final = 4
+_FORMAT: Final = 5
 _PACKAGE: Final = '"package": "trainid_ros"'
 _END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
 _STATE: Final = '"state": '

@@ -1,141 +1,369 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States of estimators: saved and restored as JSON text, exact to the bit, and validated.
+"""The state of an object is what its class declares: one codec saves it as JSON text and restores it, to the bit.
 
-States are frozen dataclasses of numbers, text, tuples, arrays and other dataclasses. Floats are written so that they
-read back equal; arrays are written as their bytes, which takes a tenth of the time. A file that can be read may still
-hold invalid values, so numbers are checked after reading.
+A class declares its state in a class attribute::
+
+    STATE: ClassVar[State] = declare('count', covariance('P'), several('ticks', Tick))
+
+Such an object is restored in place, so that what refers to it still does; its present values state the type, and the
+size of vectors and arrays. The state of another dataclass is all its fields; it is made anew. A part with ``save`` and
+``restore`` of its own is saved as its text. Vectors and arrays are written as their bytes, which takes a tenth of the
+time. Every number must be finite unless its field says otherwise. A state that does not fit changes nothing.
 """
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import math
-import types
 import typing
-from dataclasses import field, fields, is_dataclass
+from collections import Counter, deque
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
+from trainid_ros.compiled import uses_sources
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.vectors import vec
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable
 
-    from _typeshed import DataclassInstance
     from numpy.typing import NDArray
 
 T = TypeVar('T')
-# Far above any stamp or count; larger integers may overflow on conversion to float.
-_MAX_INT: Final = 2**100
+# Far above any stamp [ns] or count; compiled modules keep some of them in 64 bits.
+_MAX_INT: Final = 2**62
 _MAX_SHOWN: Final = 60
 # Numbers of arrays as bytes: eight of each, little-endian, on every machine.
 _BYTES: Final = '<f8'
+_DECLARED: Final = 'STATE'
+# Vectors are lists where the modules are not compiled.
+_VECTOR: Final[Any] = list if uses_sources() else vec[float]
 
 
-_ITEMS: Final = 'items'
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A part of a state."""
+
+    name: str = ''  # Name of the attribute
+    # What the items of a collection are, or the keys of a counter, or what is not always there: a dataclass, an
+    # enumeration, or a function that makes an item to be restored in place
+    kind: Callable[..., Any] | None = None
+    may_be_nan: bool = False  # Whether its numbers are not finite while unknown
+    is_covariance: bool = False  # Whether it is a covariance: a matrix row by row, or its upper triangle
 
 
-def several(kind: type[object]) -> Any:
-    """Declare a field that is a tuple of dataclasses, empty by default; compiled classes keep no type of its items."""
-    return field(default=(), metadata={_ITEMS: kind})
+State: TypeAlias = tuple[Field, ...]
 
 
-def encode(state: DataclassInstance) -> str:
-    """Return a dataclass as JSON text with its class name."""
-    return json.dumps({'type': type(state).__name__, 'state': state}, default=_as_json)
+def declare(*names: str | Field) -> State:
+    """Return the state of a class, by the names of its attributes where nothing else is to be said of them."""
+    return tuple(Field(name) if isinstance(name, str) else name for name in names)
+
+
+def several(name: str, kind: Callable[..., Any]) -> Field:
+    """Declare a collection, or what is not always there; see :class:`Field` for the kind."""
+    return Field(name, kind)
+
+
+def unknown(name: str) -> Field:
+    """Declare numbers that are not finite while unknown."""
+    return Field(name, may_be_nan=True)
+
+
+def covariance(name: str) -> Field:
+    """Declare a covariance."""
+    return Field(name, is_covariance=True)
+
+
+def stored(default: Any = MISSING, *, kind: Callable[..., Any] | None = None, may_be_nan: bool = False) -> Any:
+    """Declare a field of a dataclass of which more is to be said: compiled classes keep no type of items."""
+    return field(default=default, metadata={_DECLARED: Field(kind=kind, may_be_nan=may_be_nan)})
+
+
+@cache
+def _state_of(kind: Any) -> State | None:
+    """Return what a class declares, None if nothing."""
+    found: State | None = getattr(kind, _DECLARED, None)
+    if found is None and is_dataclass(kind):
+        return tuple(_field_of(item) for item in fields(kind))
+    return found
+
+
+def _declared(value: object) -> State | None:
+    kind: Any = type(value)
+    return _state_of(kind)
+
+
+def _field_of(item: dataclasses.Field[Any]) -> Field:
+    """Return what is said of a field of a dataclass; one that begins as NaN or infinite may stay so."""
+    stated: Field = item.metadata.get(_DECLARED, Field())
+    begins_unknown = isinstance(item.default, float) and not math.isfinite(item.default)
+    return replace(stated, name=item.name, may_be_nan=stated.may_be_nan or begins_unknown)
+
+
+# Save
+
+
+def encode(state: object) -> str:
+    """Return the state of an object as JSON text with the name of its class."""
+    return json.dumps({'type': type(state).__name__, 'state': _parts(state)}, default=_as_json)
+
+
+def _parts(value: Any) -> dict[str, Any]:
+    return {item.name: _shortened(getattr(value, item.name)) for item in _declared(value) or ()}
 
 
 def _as_json(value: Any) -> Any:
-    """Return an array as its shape and bytes and a dataclass as a dictionary, without copying what is in it."""
-    if isinstance(value, np.ndarray):
-        return packed(value)
-    return {name: getattr(value, name) for name in value.__dataclass_fields__}
+    if hasattr(value, 'save'):
+        return value.save()
+    if _declared(value) is not None:
+        return _parts(value)
+    if isinstance(value, np.random.Generator):
+        return value.bit_generator.state
+    if isinstance(value, set):
+        return sorted(value)
+    if isinstance(value, deque):
+        return list(value)
+    return packed(value)
 
 
-def packed(array: NDArray[np.float64]) -> dict[str, Any]:
-    """Return an array as it is written to JSON: its shape, and its numbers row by row as bytes in base64."""
-    numbers = np.asarray(array, dtype=_BYTES)
-    return {'shape': list(numbers.shape), 'float64': base64.b64encode(numbers.tobytes()).decode('ascii')}
+def _shortened(value: Any) -> Any:
+    """Return a list of floats as a vector is written, which it is where the modules are not compiled."""
+    return packed(value) if type(value) is list and value and all(type(x) is float for x in value) else value
 
 
-def unpacked(data: dict[str, Any]) -> NDArray[np.float64]:
-    """Return an array that :func:`packed` has written; ValueError or KeyError if it is anything else."""
+def packed(numbers: Any) -> dict[str, Any]:
+    """Return an array or a vector as it is written: its shape, and its numbers row by row as bytes in base64."""
+    array = np.asarray(numbers, dtype=_BYTES)
+    return {'shape': list(array.shape), 'float64': base64.b64encode(array.tobytes()).decode('ascii')}
+
+
+def unpacked(data: Any) -> NDArray[np.float64]:
+    """Return an array that :func:`packed` has written; ValueError, KeyError or TypeError if it is anything else."""
     numbers = np.frombuffer(base64.b64decode(data['float64'], validate=True), dtype=_BYTES)
     return numbers.astype(np.float64).reshape(data['shape'])
 
 
-def decode(text: str, kind: type[T]) -> T:
-    """Restore a dataclass from the text written by :func:`encode`.
+# Restore
+
+
+def restore(state: object, text: str) -> None:
+    """Restore an object whose class declares its state, from the text that :func:`encode` has made of another.
 
     Raises:
-        InputError: The text is not JSON, holds another class, or a field is missing or has the wrong type.
+        InputError: The text does not fit; the message names the field, and the object is as it was before.
     """
-    try:
-        data = json.loads(text)
-        if data['type'] != kind.__name__:
-            raise InputError(f'saved state is a {data["type"]}, not a {kind.__name__}')
-        restored: T = _build(data['state'], kind, kind.__name__)
-    # Integers too large for a float overflow; deeply nested lists exhaust the stack.
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise InputError(f'saved {kind.__name__} cannot be read: {error}') from None
+    restoring = _Restoring()
+    restoring.read(text, type(state).__name__, lambda data, name: restoring.fill(state, data, name))
+    restoring.finish()
+
+
+def decode(text: str, kind: type[T]) -> T:
+    """Return a dataclass of which :func:`encode` has made a text; InputError, naming the field, if it does not fit."""
+    restoring = _Restoring()
+    restored: T = restoring.read(text, kind.__name__, lambda data, name: restoring.make(kind, data, name))
+    restoring.finish()
     return restored
 
 
-def check_restored(valid: bool, kind: str, what: str) -> None:
-    """Raise InputError unless the part ``what`` of a restored state is valid."""
-    if not valid:
-        raise InputError(f'saved {kind}: {what} is not finite, has the wrong size or is out of bounds')
+class _Restoring:
+    """Reads a state. What it changes in objects that are restored in place is changed when all of it has been read."""
+
+    def __init__(self) -> None:
+        self._texts: list[tuple[Any, str]] = []
+        self._generators: list[tuple[np.random.Generator, Any]] = []
+        self._values: list[tuple[object, str, Any]] = []
+
+    def read(self, text: str, kind: str, build: Callable[[Any, str], Any]) -> Any:
+        try:
+            data = json.loads(text)
+            if data['type'] != kind:
+                _refuse(f'{kind}', f'is a {data["type"]}')
+            return build(data['state'], kind)
+        # Integers too large for a float overflow; deeply nested lists exhaust the stack.
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise _unfit(kind, f'cannot be read: {error}') from None
+
+    def finish(self) -> None:
+        """Change the objects."""
+        for saved, text in self._texts:
+            saved.restore(text)
+        for generator, state in self._generators:
+            generator.bit_generator.state = state
+        for owner, name, value in self._values:
+            setattr(owner, name, value)
+
+    def fill(self, owner: Any, data: Any, name: str) -> None:
+        """Read the state of an object that is restored in place."""
+        state = _declared(owner) or ()
+        _check_names(state, data, name)
+        for item in state:
+            like, at = getattr(owner, item.name), f'{name}.{item.name}'
+            value = self.value(item, like, data[item.name], at)
+            if value is not like:
+                self._values.append((owner, item.name, value))
+
+    def make(self, kind: Any, data: Any, name: str) -> Any:
+        """Return a new dataclass."""
+        state = _state_of(kind) or ()
+        _check_names(state, data, name)
+        hints = _hints(kind)
+        values = {
+            item.name: self._typed(item, hints[item.name], data[item.name], f'{name}.{item.name}') for item in state
+        }
+        return kind(**values)
+
+    def _typed(self, item: Field, hint: Any, data: Any, name: str) -> Any:
+        """Return the value of a field of a dataclass, whose type is known by its annotation."""
+        kind = typing.get_origin(hint) or hint
+        if item.kind is not None:
+            return self._several(item, () if kind is tuple else None, data, name)
+        if is_dataclass(kind):
+            return self.make(kind, data, name)
+        if kind is np.ndarray:
+            return _array(item, None, data, name)
+        if kind is tuple:
+            return _plain_items(item, data, name)
+        return _scalar(item, kind, data, name)
+
+    def value(self, item: Field, like: Any, data: Any, name: str) -> Any:
+        """Return what takes the place of a value, which may be the same, restored in place."""
+        if item.kind is not None:
+            return self._several(item, like, data, name)
+        if self._is_restored_in_place(like, data, name):
+            return like
+        return self.make(type(like), data, name) if is_dataclass(like) else _plain(item, like, data, name)
+
+    def _is_restored_in_place(self, like: Any, data: Any, name: str) -> bool:
+        if hasattr(like, 'restore'):
+            _check_is(data, str, name)
+            self._texts.append((like, data))
+        elif hasattr(like, _DECLARED):
+            self.fill(like, data, name)
+        elif isinstance(like, np.random.Generator):
+            self._generators.append((like, _generator_state(like, data, name)))
+        else:
+            return False
+        return True
+
+    def _several(self, item: Field, like: Any, data: Any, name: str) -> Any:
+        if isinstance(like, list | tuple | set | deque):
+            _check_is(data, list, name)
+            return _collected(like, [self._one(item, part, f'{name}[{k}]') for k, part in enumerate(data)])
+        if isinstance(like, Counter):
+            _check_is(data, dict, name)
+            count = Field()
+            return Counter({self._one(item, int(key), name): _scalar(count, int, data[key], name) for key in data})
+        return None if data is None else self._one(item, data, name)
+
+    def _one(self, item: Field, data: Any, name: str) -> Any:
+        """Return one item."""
+        kind: Any = item.kind
+        if isinstance(kind, type) and issubclass(kind, Enum):
+            return _scalar(item, kind, data, name)
+        if is_dataclass(kind) and not hasattr(kind, _DECLARED):
+            return self.make(kind, data, name)
+        return self.value(replace(item, kind=None), kind(), data, name)
 
 
-def _build(data: Any, kind: Any, name: str) -> Any:
-    if is_dataclass(kind):
-        return _build_dataclass(data, kind, name)
-    origin = typing.get_origin(kind)
-    if origin in (typing.Union, types.UnionType):
-        return None if data is None else _build(data, typing.get_args(kind)[0], name)
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return kind(data)
-    if np.ndarray in (origin, kind):
-        return _build_array(data, name)
-    if tuple in (origin, kind):
-        # Compiled classes do not keep the types of the items; those of a bare tuple are numbers.
-        return _build_tuple(data, typing.get_args(kind) or (float, ...), name)
-    if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
-        raise InputError(f'{name} = {_shown(data)} is not a {kind.__name__}')
-    if kind is int and abs(data) > _MAX_INT:
-        raise InputError(f'{name} is an integer out of range')
-    return float(data) if kind is float else data
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
 
 
-def _build_array(data: Any, name: str) -> NDArray[np.float64]:
+def _collected(like: Any, items: Any) -> Any:
+    """Return items in a collection like another."""
+    return deque(items, like.maxlen) if isinstance(like, deque) else type(like)(items)
+
+
+def _plain(item: Field, like: Any, data: Any, name: str) -> Any:
+    """Return numbers, or another plain value, of the type of another one."""
+    if isinstance(like, np.ndarray):
+        return _array(item, like.shape, data, name)
+    if isinstance(like, _VECTOR):
+        return _vector(item, like, data, name)
+    if isinstance(like, list | tuple | set | deque):
+        return _collected(like, _plain_items(item, data, name))
+    return _scalar(item, type(like), data, name)
+
+
+def _plain_items(item: Field, data: Any, name: str) -> Any:
+    """Return a list of plain values; what is a list in it becomes a tuple."""
+    if isinstance(data, dict):
+        return _array(item, None, data, name).tolist()
+    _check_is(data, list, name)
+    return tuple(
+        _plain_items(item, part, name) if isinstance(part, list) else _scalar(item, type(part), part, name)
+        for part in data
+    )
+
+
+def _vector(item: Field, like: Any, data: Any, name: str) -> Any:
+    """Return a vector, or a list in its place; one that is not empty keeps its size."""
+    if isinstance(data, list):  # an empty one, or a list of something else where modules are not compiled
+        items = _plain_items(item, data, name)
+        return list(items) if isinstance(like, list) else vec[float](items)
+    numbers = _array(item, None, data, name)
+    is_sized = bool(like) and type(like[0]) is float
+    if numbers.ndim != 1 or (is_sized and numbers.size != len(like)):
+        _refuse(name, f'has the shape {numbers.shape}, not ({len(like)},)')
+    return vec[float](numbers.tolist())
+
+
+def _array(item: Field, shape: tuple[int, ...] | None, data: Any, name: str) -> NDArray[np.float64]:
     try:
-        return unpacked(data)
+        numbers = unpacked(data)
     except (ValueError, KeyError, TypeError):
-        raise InputError(f'{name} = {_shown(data)} is not an array with its shape and its bytes') from None
+        raise _unfit(name, f'= {_shown(data)} is not an array with its shape and its bytes') from None
+    if shape is not None and numbers.shape != shape:
+        _refuse(name, f'has the shape {numbers.shape}, not {shape}')
+    if not (item.may_be_nan or bool(np.isfinite(numbers).all())):
+        _refuse(name, 'is not finite')
+    if item.is_covariance and not is_covariance(numbers):
+        _refuse(name, 'is not a covariance')
+    return numbers
 
 
-def _build_dataclass(data: Any, kind: Any, name: str) -> Any:
-    if not isinstance(data, dict):
-        raise InputError(f'{name} = {_shown(data)} is not a {kind}')
-    hints = typing.get_type_hints(kind)
-    for item in fields(kind):
-        if _ITEMS in item.metadata:
-            hints[item.name] = types.GenericAlias(tuple, (item.metadata[_ITEMS], ...))
-    if set(data) != {item.name for item in fields(kind)}:
-        raise InputError(f'{name}: fields do not match this version: {sorted(data)}')
-    return kind(**{key: _build(value, hints[key], f'{name}.{key}') for key, value in data.items()})
+def _scalar(item: Field, kind: Any, data: Any, name: str) -> Any:
+    """Return a number, a text, None or the member of an enumeration."""
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        try:
+            return kind(data)
+        except ValueError:
+            raise _unfit(name, f'= {_shown(data)} is no {kind.__name__}') from None
+    _check_is(data, kind, name)
+    if isinstance(data, int) and abs(data) > _MAX_INT:
+        _refuse(name, 'is an integer out of range')
+    value = float(data) if kind is float else data
+    if isinstance(value, float) and not (item.may_be_nan or math.isfinite(value)):
+        _refuse(name, f'= {value} is not finite')
+    return value
 
 
-def _build_tuple(data: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
-    if not isinstance(data, list):
-        raise InputError(f'{name} = {_shown(data)} is not a list')
-    first, *rest = kinds
-    if rest != [...] and len(data) != len(kinds):
-        raise InputError(f'{name} has {len(data)} entries, not {len(kinds)}')
-    return tuple(_build(item, first, name) for item in data)
+def _generator_state(like: np.random.Generator, data: Any, name: str) -> Any:
+    """Return the state of a random generator; it is tried on another one first."""
+    try:
+        type(like.bit_generator)().state = data
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise _unfit(name, f'is not a state of a random generator: {error}') from None
+    return data
+
+
+def _check_names(state: State, data: Any, name: str) -> None:
+    _check_is(data, dict, name)
+    if set(data) != {item.name for item in state}:
+        _refuse(name, f'has other fields than in this version: {sorted(data)}')
+
+
+def _check_is(data: Any, kind: Any, name: str) -> None:
+    if not isinstance(data, int | float) if kind is float else type(data) is not kind:
+        _refuse(name, f'= {_shown(data)} must be of type {kind.__name__}')
 
 
 def _shown(data: Any) -> str:
@@ -143,62 +371,34 @@ def _shown(data: Any) -> str:
     return text if len(text) <= _MAX_SHOWN else f'{text[:_MAX_SHOWN]}...'
 
 
-MAX_NUMBER: Final = 1e40
-"""Upper bound of all numbers in a state: no quantity of a train, nor the inverse of a variance, comes near it."""
+def _unfit(name: str, reason: str) -> InputError:
+    return InputError(f'saved {name} {reason}')
+
+
+def _refuse(name: str, reason: str) -> typing.NoReturn:
+    raise _unfit(name, reason)
+
+
 # Rounding errors make a correlation exceed one by less than this.
 _ROUNDING: Final = 1e-6
 # Variances below the square of this count as zero.
 _UNDERFLOW: Final = 1e-140
 
 
-def check_numbers(state: DataclassInstance, *, may_be_nan: Collection[str] = ()) -> None:
-    """Check all numbers of a state, including those in its arrays, tuples and nested dataclasses.
+def is_covariance(numbers: Any) -> bool:
+    """Return True if finite numbers are a covariance: symmetric, positive semidefinite.
 
     Args:
-        state: The state.
-        may_be_nan: Names of fields that are NaN while unknown.
-
-    Raises:
-        InputError: A number is not finite or too large; the message names its field.
+        numbers: A matrix of shape (n, n), its n^2 numbers row by row, or the n (n + 1) / 2 of its upper triangle.
     """
-    for name, values in _numbers(state, ''):
-        unknown = np.isnan(values) if name.rpartition('.')[2] in may_be_nan else False
-        if not bool(np.all((np.abs(values) < MAX_NUMBER) | unknown)):
-            raise InputError(f'saved {type(state).__name__}: {name} is not finite or too large')
-
-
-def _numbers(value: Any, name: str) -> Iterator[tuple[str, Any]]:
-    if is_dataclass(value):
-        for item in fields(value):
-            yield from _numbers(getattr(value, item.name), f'{name}.{item.name}' if name else item.name)
-    elif isinstance(value, tuple):
-        for item in value:
-            yield from _numbers(item, name)
-    elif isinstance(value, np.ndarray | int | float):
-        yield name, value
-
-
-def check_not_negative(kind: str, **numbers: float) -> None:
-    """Raise InputError, naming the first invalid number of a saved ``kind`` of state, unless all are >= 0."""
-    for name, value in numbers.items():
-        if not value >= 0.0:
-            raise InputError(f'saved {kind}: {name} = {value:g} must be >= 0')
-
-
-def is_covariance(upper: Sequence[float]) -> bool:
-    """Return True if the upper triangle of a matrix, row by row, is that of a covariance: positive semidefinite.
-
-    Args:
-        upper: n (n + 1) / 2 finite numbers.
-    """
-    n = (math.isqrt(8 * len(upper) + 1) - 1) // 2
-    P = np.zeros((n, n))
-    P[np.triu_indices(n)] = upper
-    return is_covariance_matrix(P + np.triu(P, 1).T)
-
-
-def is_covariance_matrix(P: NDArray[np.float64]) -> bool:
-    """Return True if a matrix of finite numbers, shape (n, n), is a covariance: symmetric, positive semidefinite."""
+    P = np.asarray(numbers)
+    if P.ndim == 1 and math.isqrt(P.size) ** 2 == P.size:
+        P = P.reshape(math.isqrt(P.size), -1)
+    elif P.ndim == 1:
+        n = (math.isqrt(8 * P.size + 1) - 1) // 2
+        upper, P = P, np.zeros((n, n))
+        P[np.triu_indices(n)] = upper
+        P += np.triu(P, 1).T
     variances = np.diag(P)
     # Zero variance implies zero covariance; but a decaying variance underflows before its covariances, which decay
     # half as fast.

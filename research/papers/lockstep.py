@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.speed_model import integral_rls, rls
+from trainid_ros.state import encode, restore
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,19 +81,19 @@ def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool =
     """Run one line with a kernel of the product, from its start; shapes as in :class:`Track` without the lines."""
     method.start(variance)
     method.anchor(float(y[0]), variance)
-    rows: list[tuple[float, ...]] = [(*method.numbers()[:5], float(y[0]), math.nan, math.nan, 1.0)]
+    rows: list[tuple[float, ...]] = [(method.speed(), *method.theta(), float(y[0]), math.nan, math.nan, 1.0)]
     S = [method.covariance(variance)]
     slow = rejected = 0
     for now, force in zip(y[1:].tolist(), u[:-1].tolist(), strict=True):
         nis, factor = math.nan, 1.0
         if math.isnan(now) or (freeze and now < MIN_SPEED):
-            before = method.numbers()
+            before = encode(method)
             method.coast(force, 1.0)
             predicted = method.speed()
             if not math.isnan(now):
                 slow, rejected = slow + 1, 0
                 if slow >= STANDING:  # theta and its covariance stay constant
-                    method.restore(before)
+                    restore(method, before)
                     method.anchor(now, variance)
                 if slow == STANDING:
                     method.widen_load(1.0)
@@ -105,7 +106,7 @@ def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool =
             if rejected >= READMIT:
                 method.anchor(now, variance)
                 rejected = 0
-        rows.append((*method.numbers()[:5], predicted, now - predicted, nis, factor))
+        rows.append((method.speed(), *method.theta(), predicted, now - predicted, nis, factor))
         if len(rows) % 10 == 1:
             S.append(method.covariance(variance))
     table = np.array(rows)

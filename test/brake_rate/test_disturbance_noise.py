@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from benchmarks.brake_runs import metro_train, walk_run
 from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_ros.brake_rate.brake_rate_estimator import Candidate, DisturbanceNoise
 from trainid_ros.brake_rate.motion_model import Transition
-from trainid_ros.interface.errors import InputError
-from trainid_ros.state import decode, encode
 
 DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2
 RHO = math.exp(-SPEED * DT / LENGTH)
@@ -96,18 +93,3 @@ def test_estimators_update_it_between_brakings_and_save_it() -> None:
     assert 0.01 < first.state.disturbance.std < 0.035
     second.restore(first.save())
     assert second.state.disturbance == first.state.disturbance
-
-
-def test_an_invalid_saved_state_is_rejected() -> None:
-    estimator = kalman(metro_train(), KalmanConfig(), np.random.default_rng(1))
-    noise = DisturbanceNoise.declared(0.006)
-    assert decode(encode(noise), DisturbanceNoise) == noise
-    for invalid in (
-        replace(noise, candidates=noise.candidates[1:]),
-        replace(noise, variance=math.nan),
-        replace(noise, candidates=(replace(noise.candidates[0], vv=-1.0), *noise.candidates[1:])),
-    ):
-        assert not invalid.is_valid
-        estimator.state.disturbance = invalid
-        with pytest.raises(InputError, match='disturbance'):
-            kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)).restore(estimator.save())

@@ -60,21 +60,6 @@ def test_moments_of_a_day_lose_no_digits() -> None:
     assert found == pytest.approx(tuple(np.mean(speeds**k) for k in (1, 2, 3, 4)), rel=1e-11)
 
 
-@pytest.mark.parametrize(
-    ('found', 'valid'),
-    [
-        (DrivenSpeeds(), True),
-        (driven(2.0, 4.0), True),
-        (DrivenSpeeds(-1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0), False),
-        (DrivenSpeeds(1, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0), False),
-        (DrivenSpeeds(1, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0), False),
-        (DrivenSpeeds(1, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0), False),
-    ],
-)
-def test_impossible_moments_are_invalid(found: DrivenSpeeds, valid: bool) -> None:
-    assert found.is_valid() is valid
-
-
 Array = NDArray[np.float64]
 THETA = (1.0, 0.1, 0.01)
 

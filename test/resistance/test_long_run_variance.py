@@ -38,12 +38,6 @@ def test_the_contribution_of_one_batch_is_limited() -> None:
     for _ in range(40):
         item.add(1e6, 1.0, 1.2)
     assert item.factor == pytest.approx(2.0)
-    assert item.is_valid()
-
-
-@pytest.mark.parametrize('wrong', [Inflation(ratio=0.0), Inflation(variance=-1.0), Inflation(length=48.0)])
-def test_an_invalid_state_is_detected(wrong: Inflation) -> None:
-    assert not wrong.is_valid()
 
 
 @pytest.mark.parametrize(('rho', 'expected'), [(0.0, 1.0), (0.6, 4.0), (-0.5, 1.0 / 3.0)])

@@ -156,11 +156,13 @@ def test_a_checkpoint_with_a_value_out_of_range_is_named_with_its_file(
     file = CheckpointFile(path)
     held = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
     state = json.loads(held.state)
-    state['state']['used'] = -5
+    state['state']['used'] = 0.5
     file.write(replace(held, state=json.dumps(state)))
     second = graph.active(train_file, checkpoint_file=str(path))
     assert second.pipeline.samples == 0
-    expected = f'{path}: checkpoint is invalid: saved PipelineState: used = -5 must be >= 0; starting from the prior'
+    expected = (
+        f'{path}: checkpoint is invalid: saved EstimatorPipeline.used = 0.5 is not a int; starting from the prior'
+    )
     assert expected in capfd.readouterr().err
 
 

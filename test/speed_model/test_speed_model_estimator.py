@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.estimators.settings import AmVffRlsConfig
-from trainid_ros.speed_model.am_vff_rls import Learned
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Learned
 from trainid_ros.speed_model.nuisance_parameters import ForceDelay, RecentSamples
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
@@ -52,24 +52,28 @@ def test_a_stop_adds_the_error_of_weighing_or_of_the_load(
     assert estimator.method.covariance(0.0)[B1] - before == pytest.approx(added, rel=1e-6, abs=0.0)
 
 
+def numbers_of(model: AuxiliaryModel) -> list[float]:
+    return [*model.z, *model.P, model.mean_error]
+
+
 def test_window_errors_of_one_sign_cause_forgetting_of_the_resistance_only(
     train_file: TrainFile, powered: list[Sample]
 ) -> None:
     estimator = learned(train_file, powered)
     model, disturbance = estimator._auxiliary, estimator.state.disturbance
     assert model is not None
-    numbers, before, density = model.numbers(), model.covariance(0.0), disturbance.density
+    numbers, before, density = numbers_of(model), model.covariance(0.0), disturbance.density
     disturbance.density, disturbance.mean_error = 2e-3, 1.0
     share = 1.1 * math.sqrt(CONFIG.change_threshold / disturbance.chi2)
     disturbance.mean_error = 0.8 * share
     estimator._detect_change(model, density)
-    assert (model.numbers(), disturbance.mean_error) == (numbers, 0.8 * share)
+    assert (numbers_of(model), disturbance.mean_error) == (numbers, 0.8 * share)
     disturbance.mean_error = share
     estimator._detect_change(model, density)
     after = model.covariance(0.0)
     assert min(after[A2] / before[A2], after[D0] / before[D0]) > 1.01
     assert after[B1] == pytest.approx(before[B1], rel=1e-9)
-    assert model.numbers()[:5] == numbers[:5]
+    assert numbers_of(model)[:5] == numbers[:5]
     # The effect of the change on the windows does not count as gusts.
     assert (disturbance.mean_error, disturbance.density) == (0.0, density)
 
@@ -83,11 +87,11 @@ def test_x_moves_with_a_change_of_the_delay(train_file: TrainFile, powered: list
         estimator._recent.add(math.nan if k == 0 else 0.2, 10.0 + 0.8 * 0.2 * k, 0.0, 0.0)
     noise, variance, sensitivity, error = estimator.state.noise.variance, 4e-3, 0.5, -0.05
     estimator.state.force_delay = late = ForceDelay(0.3, 0.02, sensitivity)
-    numbers = model.numbers()
+    numbers = numbers_of(model)
     estimator._learn_delay(model, Learned(11.0, error, 1.0, 1.0, variance))
     longer = 0.02 * sensitivity / variance * error
     assert late.delay - 0.3 == pytest.approx(longer)
     assert abs(longer) > 0.05
-    after = model.numbers()
+    after = numbers_of(model)
     assert after[0] - numbers[0] == pytest.approx((sensitivity * noise / variance - 0.8) * longer)
     assert after[1:] == numbers[1:]

@@ -16,7 +16,6 @@ def test_stamps_return_within_a_minute() -> None:
     left = LeftTime()
     assert not left.is_return(B, A, S)
     assert left.leave(A, B)
-    assert left.is_valid
     assert left.is_return(B + S, A + S, S)
     assert left.is_return(B + RETURN_NS, A + RETURN_NS, S)
     assert not left.is_return(B + RETURN_NS + 1, A + S, S)

@@ -21,8 +21,8 @@ Based on Zheng et al. 2015, section 2, with these corrections:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import (
     BLEND_SHAPE,
@@ -40,7 +40,7 @@ from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance, several
+from trainid_ros.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import SpeedNoise
 from trainid_ros.train.forces import CommandHistory
 
@@ -104,12 +104,6 @@ class Candidate:
         self.vv, self.vb, self.bb = (S - r) * kept, vb * kept, bb - vb * vb / S
         return -0.5 * (nu * k + math.log(S))
 
-    @property
-    def is_valid(self) -> bool:
-        """Whether a restored state is finite and its covariance possible."""
-        numbers = (self.factor, self.prior, self.evidence, self.v, self.b)
-        return all(map(math.isfinite, numbers)) and is_covariance((self.vv, self.vb, self.bb))
-
 
 @dataclass
 class DisturbanceNoise:
@@ -117,7 +111,7 @@ class DisturbanceNoise:
 
     declared_std: float  # Configured standard deviation [m/s^2]; 0: no estimation
     variance: float  # Mean variance of b [(m/s^2)^2]
-    candidates: tuple[Candidate, ...] = several(Candidate)  # The possible standard deviations
+    candidates: tuple[Candidate, ...] = stored((), kind=Candidate)  # The possible standard deviations
     running: bool = False  # Whether their filters run; not while the brake acts or the train stands
 
     @classmethod
@@ -136,12 +130,6 @@ class DisturbanceNoise:
     def std(self) -> float:
         """Standard deviation of b [m/s^2]."""
         return math.sqrt(self.variance)
-
-    @property
-    def is_valid(self) -> bool:
-        """Whether a restored state is finite, of the right size and without negative variances."""
-        valid = len(self.candidates) == _LEVELS and all(item.is_valid for item in self.candidates)
-        return valid and 0.0 <= self.variance < math.inf and 0.0 <= self.declared_std < math.inf
 
     def pause(self) -> None:
         """Stop the filters, for a train that brakes or stands."""
@@ -227,11 +215,12 @@ class DriveState:
     test_ratio: float = 0.0  # Square of the innovation over the limit of the gate [1]
     observable: bool = False  # Whether the last sample updated f
     converged: bool = False  # Whether the brake rate is valid
-    posterior: str = ''  # State of the posterior as JSON text, set only when saved
 
 
 class BrakeRateEstimator:
     """Estimate the brake rate f [1], actual over expected braking, from aligned samples."""
+
+    STATE: ClassVar[State] = declare('state', 'posterior')
 
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig, posterior: Posterior) -> None:
         check_settings(config)
@@ -261,25 +250,11 @@ class BrakeRateEstimator:
 
     def save(self) -> str:
         """Return the complete state as JSON text, including that of a random generator."""
-        return encode(replace(self.state, posterior=self.posterior.save()))
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, DriveState)
-        check_numbers(state, may_be_nan=('dt', 'position'))
-        check_not_negative('DriveState', unbraked_s=state.unbraked_s, rate_variance=state.rate_variance)
-        check_not_negative('DriveState', innovation_variance=state.innovation_variance)
-        check_not_negative('DriveState', blending=state.blending, rejected_in_a_row=state.rejected_in_a_row)
-        check_restored(state.noise.is_valid(), 'DriveState', 'noise')
-        targets = (state.filtered_target, *(change.target_acceleration for change in state.commands.changes))
-        check_restored(max(targets) <= 0.0, 'DriveState', 'commands')
-        check_restored(state.disturbance.is_valid, 'DriveState', 'disturbance')
-        check_restored(state.timing.is_valid(), 'DriveState', 'timing')
-        check_restored(state.gain >= LEAST_RATE, 'DriveState', 'gain')
-        check_restored(1.0 <= state.excess <= _MOST_EXCESS, 'DriveState', 'excess')
-        self.posterior.restore(state.posterior)
-        state.posterior = ''
-        self.state = state
+        restore(self, text)
 
     @property
     def converged(self) -> bool:

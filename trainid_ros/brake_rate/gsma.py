@@ -22,20 +22,19 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.brake_rate.brake_rate_estimator import LARGEST_RATE, BrakeRateEstimator
-from trainid_ros.brake_rate.m_algorithm import WIDTH, GroupCloud, MAlgorithm, zeros
+from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
-from trainid_ros.interface.errors import InputError, check_settings
+from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.state import State, covariance, declare
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
@@ -52,6 +51,8 @@ class Covariance:
         P: Its rows, one after another, shape (n, n).
         K: Gain of the last measured speed, eq. (20), shape (n,).
     """
+
+    STATE: ClassVar[State] = declare(covariance('P'))
 
     def __init__(self) -> None:
         self.P, self.K = vec[float]([0.0] * (STATES * STATES)), vec[float]([0.0] * STATES)
@@ -155,25 +156,10 @@ LEAST_PAUSE: Final = 1e-6
 """Shorter times without braking are rounding [s]."""
 
 
-@dataclass(frozen=True)
-class GsmaState:
-    """Posterior of GSMA; arrays as in :class:`GroupCloud`."""
-
-    f: NDArray[np.float64]
-    x: NDArray[np.float64]
-    A: NDArray[np.float64]
-    x_mean: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    P: NDArray[np.float64]  # Covariance of x = [v, a, b, e], shared by all particles, shape (n, n)
-    effective: float  # Effective number of children in the last step that updated f [1]
-    random: str  # State of the generator as JSON text
-
-
 class GsmaPosterior:
     """Particles in a quiet and a jumping stratum, with one covariance for all."""
+
+    STATE: ClassVar[State] = declare('cloud', '_covariance', '_effective', '_rng')
 
     def __init__(self, config: GsmaConfig, expected: float, rng: np.random.Generator) -> None:
         self._drift, self._jump_rate, self._jump_time = config.drift, config.jump_rate, config.jump_time
@@ -203,7 +189,7 @@ class GsmaPosterior:
     @property
     def P(self) -> NDArray[np.float64]:
         """Covariance of x given f, shape (n, n)."""
-        return _array(self._covariance.P, STATES)
+        return np.array(list(self._covariance.P)).reshape(STATES, STATES)
 
     def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1]: from the particles, plus the variance of e given f."""
@@ -302,57 +288,6 @@ class GsmaPosterior:
             interval, self._walk, speed, self._covariance.K, S, self._largest, self._chain, uniforms
         )
         return True
-
-    def save(self) -> str:
-        """Return the complete state, including the random generator, as JSON text."""
-        c, random = self.cloud, json.dumps(self._rng.bit_generator.state)
-        x, A, slope = _array(c.x, STATES), _array(c.A, STATES), _array(c.slope, STATES)
-        moments = _array(c.weight), _array(c.mean), _array(c.variance)
-        return encode(GsmaState(_array(c.f), x, A, _array(c.x_mean), *moments, slope, self.P, self._effective, random))
-
-    def restore(self, text: str) -> None:
-        """Restore a saved state."""
-        state = decode(text, GsmaState)
-        N, M = sum(self._sizes), len(self._sizes)
-        if len(state.f) != N:
-            raise InputError(f'saved GsmaState has {len(state.f)} particles, not {N}')
-        shapes = {
-            'f': (N,), 'x': (STATES, N), 'A': (STATES, WIDTH), 'x_mean': (STATES,), 'weight': (M,), 'mean': (M,),
-            'variance': (M,), 'slope': (STATES, M), 'P': (STATES, STATES),
-        }  # fmt: skip
-        sized = all(getattr(state, name).shape == shape for name, shape in shapes.items())
-        check_numbers(state)
-        check_restored(sized and is_covariance_matrix(state.P), 'GsmaState', 'an array')
-        check_restored(abs(float(state.weight.sum()) - 1.0) < _ROUNDING, 'GsmaState', 'weight')
-        least = min(float(state.weight.min()), float(state.variance.min()), state.effective)
-        check_not_negative('GsmaState', least_weight_or_variance=least)
-        restore_generator(self._rng, state.random, 'GsmaState')
-        c = self.cloud
-        c.f, c.x, c.A, c.x_mean = _vec(state.f), _vec(state.x), _vec(state.A), _vec(state.x_mean)
-        c.weight, c.mean, c.variance, c.slope = (
-            _vec(state.weight), _vec(state.mean), _vec(state.variance), _vec(state.slope)
-        )  # fmt: skip
-        c.average()
-        self._covariance.P, self._effective = _vec(state.P), state.effective
-
-
-def _array(values: vec[float], rows: int = 0) -> NDArray[np.float64]:
-    """Return numbers as an array, or as a matrix with a number of rows."""
-    array = np.array(list(values))
-    return array.reshape(rows, -1) if rows else array
-
-
-def _vec(values: NDArray[np.float64]) -> vec[float]:
-    """Return the numbers of an array, row by row."""
-    return vec[float](values.ravel().tolist())
-
-
-def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:
-    """Restore a generator from JSON text; raise InputError, naming the ``kind`` of state, if it is invalid."""
-    try:
-        rng.bit_generator.state = json.loads(text)
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise InputError(f'saved {kind}: random cannot be read: {error}') from None
 
 
 class Gsma(BrakeRateEstimator):

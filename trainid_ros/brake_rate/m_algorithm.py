@@ -24,10 +24,11 @@ Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these correctio
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import ERRORS, STATES
 from trainid_ros.interface.vectors import i64, vec
+from trainid_ros.state import State, declare
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Start, Transition
@@ -66,6 +67,10 @@ class GroupCloud:
         rate_variance: Variance of f [1].
         v: Predicted speeds [m/s], shape (N,).
     """
+
+    STATE: ClassVar[State] = declare(
+        'f', 'x', 'A', 'x_mean', 'weight', 'mean', 'variance', 'slope', 'rate', 'rate_variance'
+    )
 
     def __init__(self, sizes: list[int]) -> None:
         N, M, n = sum(sizes), len(sizes), STATES

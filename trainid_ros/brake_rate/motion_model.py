@@ -198,12 +198,6 @@ class Posterior(Protocol):
             False if a number is no longer finite; the posterior is then unchanged.
         """
 
-    def save(self) -> str:
-        """Return the complete state as JSON text."""
-
-    def restore(self, text: str) -> None:
-        """Restore a saved state; raise InputError and leave the state unchanged if it is invalid."""
-
 
 # Smallest step of a difference quotient; below it rounding dominates [s].
 _LEAST_SPREAD: Final = 0.02
@@ -233,11 +227,6 @@ class Timing:
     slower: float = 0.0  # The same with tau + h
     faster: float = 0.0  # The same with tau - h
     has_acted: bool = False  # Whether the brake has acted since the last update
-
-    def is_valid(self) -> bool:
-        """Return whether restored times and targets are physically possible."""
-        times = (self.delay, self.lag, self.delay_std, self.lag_std)
-        return min(times) >= 0.0 and max(self.later, self.sooner, self.slower, self.faster) <= 0.0
 
     def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
         """Return whether no command acts, acted recently, or is still pending for any possible dead time."""

@@ -17,11 +17,12 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from statistics import NormalDist
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.vectors import vec
+from trainid_ros.state import State, declare, unknown
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
@@ -37,6 +38,8 @@ class Admission:
         min_speed: Slowest speed admitted [m/s].
         braked_ns: Last stamp at which braking was requested [ns], 0 if never.
     """
+
+    STATE: ClassVar[State] = declare('braked_ns')
 
     def __init__(self, known: KnownForce, min_speed: float) -> None:
         self.known = known
@@ -130,29 +133,13 @@ class Consistency:
         return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
 
 
-@dataclass(frozen=True, slots=True)
-class ConsistencyState:
-    """State of the monitor; ``z`` is the ring of normalised innovations, see there for the rest."""
-
-    z: tuple[float, ...] = ()
-    updates: int = 0
-    newest: int = 0
-    squares: float = 0.0
-    products: float = 0.0
-    innovation: float = 0.0
-    variance: float = 0.0
-    consecutive: int = 0
-
-    @property
-    def is_valid(self) -> bool:
-        """Whether a monitor can be in this state."""
-        bounded = all(abs(z) <= _MAX_Z for z in self.z) and abs(self.squares) + abs(self.products) < math.inf
-        within = 0 <= self.updates <= WINDOW and 0 <= self.newest < WINDOW and self.consecutive >= 0
-        return bounded and within and len(self.z) == WINDOW
-
-
 class ConsistencyMonitor:
     """Checks the last :data:`WINDOW` updates."""
+
+    STATE: ClassVar[State] = declare(
+        '_z', '_updates', '_newest', '_squares', '_products', unknown('_innovation'), unknown('_variance'),
+        '_consecutive',
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._z = vec[float]([0.0] * WINDOW)
@@ -166,27 +153,6 @@ class ConsistencyMonitor:
         self._products = 0.0
         self._innovation, self._variance = 0.0, 0.0
         self._consecutive = 0
-
-    @property
-    def state(self) -> ConsistencyState:
-        """The state to save."""
-        return ConsistencyState(
-            z=tuple(self._z),
-            updates=self._updates,
-            newest=self._newest,
-            squares=self._squares,
-            products=self._products,
-            innovation=self._innovation,
-            variance=self._variance,
-            consecutive=self._consecutive,
-        )
-
-    def restore(self, state: ConsistencyState) -> None:
-        """Continue from a saved, valid state."""
-        self._z = vec[float](state.z)
-        self._updates, self._newest, self._consecutive = state.updates, state.newest, state.consecutive
-        self._squares, self._products = state.squares, state.products
-        self._innovation, self._variance = state.innovation, state.variance
 
     def add(self, innovation: float, variance: float, *, used: bool) -> None:
         """Take in the innovation that an estimate reports for its last update.

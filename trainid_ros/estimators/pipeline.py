@@ -10,25 +10,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic
+from typing import ClassVar, Final, Generic
 
 from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.pipeline_state import (
-    SNAPSHOT_S,
-    SUSPECTED_S,
-    PipelineState,
-    Snapshot,
-    Snapshots,
-    reason_counts,
-)
 from trainid_ros.interface.errors import InputError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
-from trainid_ros.state import decode, encode
+from trainid_ros.state import State, declare, encode, restore, several, stored
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
+
+# Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
+_SNAPSHOT_S: Final = 120.0
+# Time in motion within which a change of the inputs is suspected [s].
+_SUSPECTED_S: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +38,47 @@ class PipelineConfig:
     time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
 
 
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What an estimator had learned, and whether its uncertainty was true."""
+
+    estimator: str  # State of the estimator as text
+    consistency: str  # Innovations of the updates before, as text
+
+
+@dataclass(slots=True)
+class Snapshots:
+    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong.
+
+    Attributes:
+        before: The state to go back to; it is older than it takes to find a contradiction.
+        newest: The newest state.
+        moved_s: Time in motion since then [s].
+        left: The state where the stamps left their time base, None if they never did.
+    """
+
+    before: Snapshot
+    newest: Snapshot
+    moved_s: float = 0.0
+    left: Snapshot | None = stored(None, kind=Snapshot)  # noqa: RUF009 - makes a field
+
+    def add(self, state: Snapshot) -> None:
+        """Add the present state."""
+        self.before, self.newest, self.moved_s = self.newest, state, 0.0
+
+
 class EstimatorPipeline(Generic[EstimateT]):
     """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true.
 
     Pipelines may share a stream, see `pipeline_group`. A pipeline whose records are to be forgotten continues
     with a stream of its own, which leaves those of the others alone.
     """
+
+    STATE: ClassVar[State] = declare(
+        'estimator', 'stream', '_snapshots', '_consistency', '_status', 'used', 'samples', 'resets',
+        several('rejections', Reason), '_rejected', several('last_rejection', Rejection), '_speed', '_sample_ns',
+        '_contradicted', '_changed',
+    )  # fmt: skip
 
     def __init__(self, estimator: Estimator[EstimateT], stream: SampleStream, config: PipelineConfig) -> None:
         check_settings(config)
@@ -94,7 +126,7 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def interrupt(self) -> None:
         """Expect that the next record may be of any time, as after a restore; the drive continues."""
-        self.stream = self.stream.successor(self.stream.state)
+        self.stream = self.stream.successor(continues=True)
 
     @property
     def status(self) -> Status:
@@ -184,22 +216,7 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def save(self) -> str:
         """Return the whole state as JSON text."""
-        return encode(
-            PipelineState(
-                estimator=self.estimator.save(),
-                snapshots=replace(self._snapshots),
-                stream=self.stream.state,
-                consistency=self._consistency.state,
-                status=Status.UNINITIALIZED if self._status is Status.FAULT else self._status,
-                used=self.used,
-                samples=self.samples,
-                resets=self.resets,
-                rejections=reason_counts(self.rejections),
-                last_rejection=self.last_rejection,
-                speed=self._speed,
-                sample_ns=self._sample_ns,
-            )
-        )
+        return encode(self)
 
     def restore(self, text: str, age_s: float = 0.0) -> None:
         """Continue from a saved state, possibly on another drive; InputError if it does not fit.
@@ -210,31 +227,21 @@ class EstimatorPipeline(Generic[EstimateT]):
         The estimate until the next sample covers what may have changed in ``age_s`` [s], the time since the state was
         saved; from then on the estimators take that time from the stamps.
         """
-        state = decode(text, PipelineState)
-        state.check()
-        now = self.estimator.save()
+        shared, self.stream = self.stream, self.stream.successor()
         try:
-            saved = state.snapshots
-            for each in (saved.left or saved.before, saved.before, saved.newest):  # all must fit
-                self.estimator.restore(each.estimator)
-            self.estimator.restore(state.estimator)
+            restore(self, text)
         except InputError:
-            self.estimator.restore(now)
+            self.stream = shared
             raise
-        self.stream = self.stream.successor(state.stream)
-        self._consistency.restore(state.consistency)
-        self.used, self.samples, self.resets = state.used, state.samples, state.resets
-        self.rejections, self.last_rejection = state.counted(), state.last_rejection
-        self._rejected = self.rejections.total()
-        self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
-        self._snapshots = replace(state.snapshots)
-        self._contradicted, self._changed = self.stream.is_contradicted, self.stream.has_changed
+        if self._status is Status.FAULT:
+            self._status = Status.UNINITIALIZED
         self._estimate = None
-        if age_s > 0.0 and state.samples:
+        if age_s > 0.0 and self.samples:
+            now = self.estimator.save()
             self.estimator.idle(age_s)
             self._published = self._estimate = self.estimator.estimate(self._speed)
-            self._status = aged_status(state.status, converged=self.estimator.converged)
-            self.estimator.restore(state.estimator)
+            self._status = aged_status(self._status, converged=self.estimator.converged)
+            self.estimator.restore(now)
 
     def current(self) -> Output[EstimateT]:
         """Return the output at the newest sample."""
@@ -273,23 +280,23 @@ class EstimatorPipeline(Generic[EstimateT]):
         contradicted, changed = stream.is_contradicted, stream.has_changed
         if sample.dt > 0.0 and sample.speed > 0.0:
             snapshots.moved_s += sample.dt
-        if changed and not self._changed and snapshots.moved_s < SUSPECTED_S:
+        if changed and not self._changed and snapshots.moved_s < _SUSPECTED_S:
             snapshots.newest = snapshots.before  # the newest may hold what was wrong already
         if contradicted and not self._contradicted:
             snapshots.newest = snapshots.before
             self._go_back()
         elif self._changed and not changed and stream.has_returned and not stream.finding:
             self._go_back()
-        elif not contradicted and snapshots.moved_s >= SNAPSHOT_S and stream.is_trusted:
+        elif not contradicted and snapshots.moved_s >= _SNAPSHOT_S and stream.is_trusted:
             snapshots.add(self._snapshot())
         self._contradicted, self._changed = contradicted, changed
 
     def _snapshot(self) -> Snapshot:
-        return Snapshot(self.estimator.save(), self._consistency.state)
+        return Snapshot(self.estimator.save(), encode(self._consistency))
 
     def _go_back(self) -> None:
         self.estimator.restore(self._snapshots.newest.estimator)
-        self._consistency.restore(self._snapshots.newest.consistency)
+        restore(self._consistency, self._snapshots.newest.consistency)
 
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:

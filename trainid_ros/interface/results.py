@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, TypeVar
 
+from trainid_ros.state import stored
+
 
 class Status(IntEnum):
     """Status of an estimate; the same numbers as in the messages."""
@@ -63,8 +65,8 @@ class Rejection:
 
     stamp_ns: int
     reason: Reason
-    value: float
-    limit: float
+    value: float = stored(may_be_nan=True)
+    limit: float = stored(may_be_nan=True)
 
     def __init__(self, stamp_ns: int, reason: Reason, value: float, limit: float) -> None:
         self.stamp_ns = stamp_ns

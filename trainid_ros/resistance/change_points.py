@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -41,12 +41,14 @@ from trainid_ros.resistance.normal import (
     widened,
 )
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
-from trainid_ros.resistance.saved_states import MAX_EVIDENCE, ChangePointState, RunLengthState
+from trainid_ros.state import State, declare, several
 
 # Log odds against the long memory at which it is replaced.
 _REPLACED: Final = math.log(1e3)
 # Mean weight of the observations below which the long memory is locked out.
 _LOCKED_OUT: Final = 0.4
+# Limit of the log Bayes factor, far beyond any decision threshold.
+_MAX_EVIDENCE: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +71,20 @@ class ChangePointConfig:
 class RunLengthHypothesis:
     """The parameters if they stepped ``age`` observations ago, and the log Bayes factor against the long memory."""
 
+    STATE: ClassVar[State] = declare('normal', 'evidence', 'age')
+
     normal: Normal
     evidence: float = 0.0
     age: int = 0
+
+
+def _blank() -> RunLengthHypothesis:
+    """Return a hypothesis to be restored."""
+    return RunLengthHypothesis(Normal(vec[float](), vec[float]()))
+
+
+def _no_numbers() -> vec[float]:
+    return vec[float]()
 
 
 class Tracker:
@@ -83,6 +96,11 @@ class Tracker:
         change_probability: Probability of a step since the long memory began [1], below 0.001 when settled.
     """
 
+    STATE: ClassVar[State] = declare(
+        '_memory', several('_parts', _no_numbers), several('_hypotheses', _blank), '_rows', '_mean_weight', '_count',
+        'steps_found',
+    )  # fmt: skip
+
     def __init__(self, prior: Normal, plan: ChangePointConfig) -> None:
         self.plan = plan
         self.prior = prior
@@ -92,28 +110,16 @@ class Tracker:
 
     def reset(self) -> None:
         """Return to the prior."""
-        self.restore(ChangePointState(tuple(information_of(self.prior)), (), (), (), 1.0, 0, 0))
+        self._memory = information_of(self.prior)
+        self._parts: list[vec[float]] = []
+        self._hypotheses: list[RunLengthHypothesis] = []
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=self.plan.lockout)
+        self._mean_weight, self._count, self.steps_found = 1.0, 0, 0
+        self.refresh()
 
-    def state(self) -> ChangePointState:
-        """Return the state to save."""
-        return ChangePointState(
-            memory=tuple(self._memory),
-            parts=tuple(tuple(part) for part in self._parts),
-            hypotheses=tuple(map(_hypothesis_state, self._hypotheses)),
-            rows=tuple(self._rows),
-            mean_weight=self._mean_weight,
-            count=self._count,
-            steps_found=self.steps_found,
-        )
-
-    def restore(self, state: ChangePointState) -> None:
-        """Restore a saved state."""
-        self._set_memory(vec[float](state.memory))
-        self._parts = [vec[float](part) for part in state.parts]
-        self._hypotheses = [_hypothesis(item) for item in state.hypotheses]
-        self._rows = deque(state.rows, maxlen=self.plan.lockout)
-        self._mean_weight = state.mean_weight
-        self._count, self.steps_found = state.count, state.steps_found
+    def refresh(self) -> None:
+        """Calculate what follows from the state."""
+        self._set_memory(self._memory)
         self._mix()
 
     def begin(self, normal: Normal) -> None:
@@ -180,7 +186,7 @@ class Tracker:
         for i, item in enumerate(self._hypotheses):
             normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
             # Observations with correlated noise carry repeated evidence.
-            evidence = min(item.evidence + (found - score) / max(slow, 1.0), MAX_EVIDENCE)
+            evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MAX_EVIDENCE)
             self._hypotheses[i] = RunLengthHypothesis(normal, evidence, item.age + 1)
             if item.age >= self.plan.min_age and evidence > most:
                 best, most = self._hypotheses[i], evidence
@@ -219,11 +225,3 @@ class Tracker:
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)
         self.estimate = mixed(normals, odds) if len(normals) > 1 else self._long
-
-
-def _hypothesis_state(item: RunLengthHypothesis) -> RunLengthState:
-    return RunLengthState(tuple(item.normal.mean), tuple(item.normal.covariance), item.evidence, item.age)
-
-
-def _hypothesis(state: RunLengthState) -> RunLengthHypothesis:
-    return RunLengthHypothesis(Normal(vec[float](state.theta), vec[float](state.P)), state.evidence, state.age)

@@ -249,12 +249,6 @@ class DrivenSpeeds:
         self.m3 += share * (square * v - self.m3)
         self.m4 += share * (square * square - self.m4)
 
-    def is_valid(self) -> bool:
-        """Return whether the numbers are possible moments of speeds."""
-        return (
-            self.count >= 0 and 0.0 <= self.slowest <= self.fastest and min(self.m1, self.m2, self.m3, self.m4) >= 0.0
-        )
-
 
 def is_fit_where_driven(
     posterior: DavisPosterior, driven: DrivenSpeeds, valid_std: float, valid_share: float, *, was_fit: bool

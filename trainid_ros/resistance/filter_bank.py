@@ -12,7 +12,7 @@ The filters run two steps (0.4 s or two samples) late, since a delayed force nee
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -37,9 +37,8 @@ from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covaria
 from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, Mixture
 from trainid_ros.resistance.normal import Inflation
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.saved_states import MAX_STRIDE, FilterBankState
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
-from trainid_ros.state import decode, encode
+from trainid_ros.state import State, declare, encode, restore, several
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import STANDING
 
@@ -59,6 +58,8 @@ _MAP_SIZES: Final = (0.25, 1.25)
 # Step of the traction interpolation [s], at least one sample; two later steps must be available.
 _SPACING_S: Final = 0.2
 _STEPS_AHEAD: Final = 2
+# Maximum number of samples in such a step.
+_MAX_STRIDE: Final = 50
 # Innovations beyond this many standard deviations have a weight below 0.001.
 _GATE: Final = 5.5
 # Duration of consecutive rejections after which the filters restart from the measured speed [s].
@@ -94,6 +95,11 @@ class FilterBank:
         config: Settings.
         bank: The hypotheses.
     """
+
+    STATE: ClassVar[State] = declare(
+        'bank', '_tachometer', '_inflation', several('_ticks', Tick), '_driven', '_running', '_stopped', '_stride',
+        '_rejected_s', '_admission', '_advanced_ns', '_innovation', '_innovation_variance', '_test_ratio', '_converged',
+    )  # fmt: skip
 
     def __init__(self, train_file: TrainFile, config: FilterBankConfig, plan: BankPlan | None = None) -> None:
         """Prepare; ``plan`` replaces that of the train file and the settings."""
@@ -139,7 +145,7 @@ class FilterBank:
         if len(self._ticks) == 1 and self._converged:  # the speed may be far from where the last drive ended
             self._judge()
         if len(self._ticks) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
-            self._stride = max(1, min(round(_SPACING_S / sample.dt), MAX_STRIDE))
+            self._stride = max(1, min(round(_SPACING_S / sample.dt), _MAX_STRIDE))
         while len(self._ticks) > (_STEPS_AHEAD + 1) * self._stride + 1:
             del self._ticks[0]
         if len(self._ticks) > _STEPS_AHEAD * self._stride:
@@ -308,39 +314,11 @@ class FilterBank:
 
     def save(self) -> str:
         """Return the state as JSON text."""
-        return encode(
-            FilterBankState(
-                bank=self.bank.state(),
-                tachometer=self._tachometer,
-                inflation=self._inflation,
-                ticks=tuple(self._ticks),
-                driven=self._driven,
-                running=self._running,
-                stopped=self._stopped,
-                stride=self._stride,
-                rejected_s=self._rejected_s,
-                braked_ns=self._admission.braked_ns,
-                advanced_ns=self._advanced_ns,
-                innovation=self._innovation,
-                innovation_variance=self._innovation_variance,
-                test_ratio=self._test_ratio,
-                converged=self._converged,
-            )
-        )
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, FilterBankState)
-        state.check(len(self.bank.plan.gust_stds) * len(self.bank.plan.map_stds))
-        self.bank.restore(state.bank)
-        self._tachometer, self._driven = state.tachometer, state.driven
-        self._inflation = state.inflation
-        self._ticks = list(state.ticks)
-        self._running, self._stopped, self._rejected_s = state.running, state.stopped, state.rejected_s
-        self._stride = state.stride
-        self._admission.braked_ns, self._advanced_ns = state.braked_ns, state.advanced_ns
-        self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
-        self._test_ratio, self._converged = state.test_ratio, state.converged
+        restore(self, text)
         self._published = None
 
 

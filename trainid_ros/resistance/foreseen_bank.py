@@ -11,6 +11,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.speed_states import Interval
+from trainid_ros.state import encode, restore
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -46,7 +47,7 @@ def foreseen_mixtures(
             at a stop [1].
     """
     bank, (speed_variance, scale_variance) = Bank(now.plan), variances
-    bank.restore(now.state())
+    restore(bank, encode(now))
     for row in deviations.tolist():
         bank.widen_force_scale(scale_variance)
         bank.restart(run.steps[first - 1].speed, speed_variance)

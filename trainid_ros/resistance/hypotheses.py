@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.vectors import append, i64, vec
 from trainid_ros.resistance.davis_posterior import DavisPosterior
-from trainid_ros.resistance.saved_states import BankState
 from trainid_ros.resistance.speed_states import (
     DELTA,
     KAPPA,
+    STATES,
     A,
     B,
     C,
@@ -41,6 +41,7 @@ from trainid_ros.resistance.speed_states import (
     entry,
     speed_filter,
 )
+from trainid_ros.state import State, declare, several
 
 Array = NDArray[np.float64]
 
@@ -89,9 +90,16 @@ class BankPlan:
 class Hypothesis:
     """A filter with the logarithm of its weight, its age [s], and the index of its sizes of gusts and map errors."""
 
+    STATE: ClassVar[State] = declare('filter', 'log_weight', 'age', 'size')
+
     def __init__(self, estimate: SpeedFilter, log_weight: float, age: float, size: int) -> None:
         self.filter = estimate
         self.log_weight, self.age, self.size = log_weight, age, size
+
+
+def _blank() -> Hypothesis:
+    """Return a hypothesis to be restored."""
+    return Hypothesis(speed_filter(np.zeros(STATES), np.zeros((STATES, STATES)), 0.0, 0.0), 0.0, 0.0, 0)
 
 
 class Mixture:
@@ -129,6 +137,8 @@ class Bank:
         branchings: Number of branchings.
     """
 
+    STATE: ClassVar[State] = declare(several('hypotheses', _blank), 'since_s', 'branchings')
+
     def __init__(self, plan: BankPlan) -> None:
         self.plan = plan
         # Variances of gust and map error by the index of their sizes.
@@ -160,25 +170,6 @@ class Bank:
     def _new(self, mean: Array, covariance: Array, log_weight: float, age: float, size: int) -> Hypothesis:
         gust_var, map_var = self._sizes[size]
         return Hypothesis(speed_filter(mean, covariance, gust_var, map_var), log_weight, age, size)
-
-    def state(self) -> BankState:
-        """Return the state to save, as copies."""
-        items = self.hypotheses
-        return BankState(
-            x=np.array([item.filter.mean() for item in items]),
-            P=np.array([item.filter.covariance() for item in items]),
-            log_weight=np.array([item.log_weight for item in items]),
-            age=np.array([item.age for item in items]),
-            size=np.array([float(item.size) for item in items]),
-            since_s=self.since_s,
-            branchings=self.branchings,
-        )
-
-    def restore(self, state: BankState) -> None:
-        """Restore a saved state."""
-        rows = zip(state.x, state.P, state.log_weight.tolist(), state.age.tolist(), state.size.tolist(), strict=True)
-        self.hypotheses = [self._new(x, P, log_weight, age, int(size)) for x, P, log_weight, age, size in rows]
-        self.since_s, self.branchings = state.since_s, state.branchings
 
     def restart(self, speed: float, variance: float) -> None:
         """Restart all hypotheses from one measured speed [m/s] and its variance [(m/s)^2]; keep the parameters."""

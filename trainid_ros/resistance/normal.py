@@ -20,12 +20,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.vectors import append, i64, vec
+from trainid_ros.state import State, covariance, declare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +67,8 @@ class Normal:
         mean: theta, n numbers.
         covariance: P, n^2 numbers, row by row.
     """
+
+    STATE: ClassVar[State] = declare('mean', covariance('covariance'))
 
     def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
         self.mean, self.covariance = mean, covariance
@@ -286,10 +289,6 @@ class Inflation:
         above = 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
         return 1.0 + excess * above + math.sqrt(variance / (2.0 * math.pi)) * math.exp(-0.5 * z * z)
 
-    def is_valid(self) -> bool:
-        """Return whether the ratio is positive and no variance is negative."""
-        return self.ratio > 0.0 and self.variance >= 0.0 and 0.0 <= self.length < _BATCH_S
-
     def add(self, nu: float, variance: float, dt: float) -> None:
         """Add one innovation times its outlier weight, its variance in the mean of many, and its driving time [s]."""
         self.total += nu
@@ -312,10 +311,6 @@ class SlowNoise:
     known: float = 0.0
     count: int = 0
     memory: float = _FIRST_SLOW_MEMORY
-
-    def is_valid(self) -> bool:
-        """Return whether no variance is negative and factor and memory are positive."""
-        return self.factor > 0.0 and self.memory > 0.0 and self.known >= 0.0 and self.variance >= 0.0
 
     def add(self, nu: float, prediction: float, variance: float, bounds: tuple[float, float]) -> None:
         """Add one innovation.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -20,10 +20,9 @@ from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.vectors import append, vec
 from trainid_ros.resistance.normal import dot
+from trainid_ros.state import State, declare, several
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
 _OUTLIER_SIGMAS: Final = 5.0
@@ -84,6 +83,8 @@ class SlidingWindow:
     At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
     """
 
+    STATE: ClassVar[State] = declare(several('ticks', WindowTick), 'fresh_s')
+
     def __init__(self, length: float, hop: float) -> None:
         self._length, self._hop = length, hop
         self.clear()
@@ -92,10 +93,6 @@ class SlidingWindow:
         """Remove all samples."""
         self.ticks: list[WindowTick] = []
         self.fresh_s = 0.0
-
-    def restore(self, ticks: Iterable[WindowTick], fresh_s: float) -> None:
-        """Restore samples and the time since the last window [s]."""
-        self.ticks, self.fresh_s = list(ticks), fresh_s
 
     def push(self, tick: WindowTick) -> Cut | None:
         """Add one sample; return a window if the sample completes one that is due."""

@@ -19,7 +19,7 @@ see :mod:`force_errors`. After Liu et al. 2018 (sections 3 and 4.2), with these 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -41,10 +41,9 @@ from trainid_ros.resistance.davis_posterior import (
 )
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.saved_states import VMilsState
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
-from trainid_ros.state import decode, encode
+from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
@@ -73,6 +72,10 @@ _KAPPA, _DELTA = 3, 4
 
 class VMils:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
+
+    STATE: ClassVar[State] = declare(
+        'learner', '_stamp_ns', '_drifted_ns', '_judged_ns', '_admission', '_standing', '_converged'
+    )
 
     def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
         check_settings(config)
@@ -103,31 +106,14 @@ class VMils:
         self.learner.reset()
         self._clear()
 
-    @property
-    def state(self) -> VMilsState:
-        """The state to save."""
-        return VMilsState(
-            learner=self.learner.state(),
-            stamp_ns=self._stamp_ns,
-            drifted_ns=self._drifted_ns,
-            judged_ns=self._judged_ns,
-            braked_ns=self._admission.braked_ns,
-            standing=self._standing,
-            converged=self._converged,
-        )
-
     def save(self) -> str:
         """Return the state as JSON text."""
-        return encode(self.state)
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, VMilsState)
-        state.check(len(self.learner.tracker.prior.mean))
-        self.learner.restore(state.learner)
-        self._stamp_ns, self._drifted_ns, self._judged_ns = state.stamp_ns, state.drifted_ns, state.judged_ns
-        self._admission.braked_ns = state.braked_ns
-        self._standing, self._converged = state.standing, state.converged
+        restore(self, text)
+        self.learner.tracker.refresh()
 
     @property
     def converged(self) -> bool:

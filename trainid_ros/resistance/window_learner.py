@@ -14,8 +14,8 @@ around the declared values.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.davis_posterior import DrivenSpeeds
 from trainid_ros.resistance.normal import Inflation, SlowNoise, gate
-from trainid_ros.resistance.saved_states import LearnerState
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
@@ -33,6 +32,7 @@ from trainid_ros.resistance.speed_window import (
     observe_resistance,
     overlap_factor,
 )
+from trainid_ros.state import State, declare
 from trainid_ros.stream.known_force import SpeedNoise
 
 if TYPE_CHECKING:
@@ -86,6 +86,11 @@ class WindowLearner:
         driven: Speeds of the windows used.
     """
 
+    STATE: ClassVar[State] = declare(
+        'tracker', '_tachometer', '_slow', 'inflation', '_windows', '_disturbance', 'innovation',
+        'innovation_variance', 'test_ratio', 'driven',
+    )  # fmt: skip
+
     def __init__(self, tracker: Tracker, plan: WindowPlan) -> None:
         self.tracker = tracker
         self._plan = plan
@@ -106,33 +111,6 @@ class WindowLearner:
         """Return to the prior."""
         self.tracker.reset()
         self._clear()
-
-    def state(self) -> LearnerState:
-        """Return the state to save."""
-        return LearnerState(
-            tracker=self.tracker.state(),
-            tachometer=replace(self._tachometer),
-            slow=replace(self._slow),
-            inflation=replace(self.inflation),
-            ticks=tuple(self._windows.ticks),
-            fresh_s=self._windows.fresh_s,
-            disturbance_variance=self._disturbance,
-            innovation=self.innovation,
-            innovation_variance=self.innovation_variance,
-            test_ratio=self.test_ratio,
-            driven=replace(self.driven),
-        )
-
-    def restore(self, state: LearnerState) -> None:
-        """Restore a saved state."""
-        self.tracker.restore(state.tracker)
-        self._tachometer, self._slow = replace(state.tachometer), replace(state.slow)
-        self.inflation = replace(state.inflation)
-        self._windows.restore(state.ticks, state.fresh_s)
-        self._disturbance = state.disturbance_variance
-        self.innovation, self.innovation_variance = state.innovation, state.innovation_variance
-        self.test_ratio = state.test_ratio
-        self.driven = replace(state.driven)
 
     def interrupt(self, speed: float) -> None:
         """Start a new window after a tick that cannot be used; speed in m/s."""

@@ -41,11 +41,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol, TypeAlias
 
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.vectors import i64, vec
-from trainid_ros.state import is_covariance
+from trainid_ros.state import State, covariance, declare
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
@@ -139,12 +139,6 @@ class Method(Protocol):
     def start(self, variance: float) -> None:
         """Go to the state before the first measurement; ``variance`` is that of measured speed [(m/s)^2]."""
 
-    def numbers(self) -> Numbers:
-        """Return the state."""
-
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from a saved state; return False if it has the wrong length or a variance is negative."""
-
     def is_usable(self) -> bool:
         """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
 
@@ -181,7 +175,6 @@ _B1: Final = 3
 _D0: Final = 4
 _SIZE: Final = 5
 _RESISTANCE: Final = (_A1, _A2, _D0)
-_SAVED: Final = 21
 # Limit of one error in the running mean, in standard deviations.
 _MOST: Final = 3.0
 _TINY: Final = 1e-300
@@ -212,6 +205,8 @@ class AuxiliaryModel:
         mean_error: Running mean of the errors, in standard deviations [1].
     """
 
+    STATE: ClassVar[State] = declare('z', covariance('P'), 'mean_error')
+
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
         self.tuning = tuning
         self._theta0, self._P0, self._prior = theta0, P0, prior_variances_given_b1(P0)
@@ -238,20 +233,6 @@ class AuxiliaryModel:
             for j in range(1, n):
                 if i > 0:
                     self.P[n * i + j] = columns[4 * (i - 1) + j - 1]
-
-    def numbers(self) -> Numbers:
-        """Return x, theta, variance of x, its covariances with theta, covariance of theta, mean error."""
-        z, P = tuple(self.z), tuple(self.P)
-        return (*z, *P[:_SIZE], *self.covariance(0.0), self.mean_error)
-
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from saved numbers; return False if they are no state with a valid covariance."""
-        if len(numbers) != _SAVED or not all(map(math.isfinite, numbers)) or not is_covariance(numbers[5:20]):
-            return False
-        s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = numbers[10:20]
-        self._set(numbers[:5], numbers[5:10], (s11, s12, s13, s14, s22, s23, s24, s33, s34, s44))
-        self.mean_error = numbers[20]
-        return True
 
     def speed(self) -> float:
         """Return x [m/s]."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.vectors import i64, vec
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Numbers, Theta
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Theta
+from trainid_ros.state import State, declare
 
 # Measurements kept: more than a second at the sample period, longer than any delay of the force.
 _KEPT: Final = 6
@@ -40,6 +41,8 @@ _MOST_STD: Final = 0.05
 
 class RecentSamples:
     """Last samples, to look up the values at the time to which a delayed force belongs."""
+
+    STATE: ClassVar[State] = declare('_dt', '_speeds', '_tracks', '_curves', '_newest', '_count')
 
     def __init__(self) -> None:
         # A ring: each value is followed by a newer one, the newest by the oldest.
@@ -95,25 +98,6 @@ class RecentSamples:
             remaining -= dt
             newer = older
         return values[newer]
-
-    def numbers(self) -> Numbers:
-        """Return the values of all samples in the order of :meth:`add`, oldest sample first."""
-        found: list[float] = []
-        for place in range(self._newest + 1 - self._count, self._newest + 1):
-            k = place % _KEPT
-            found += (self._dt[k], self._speeds[k], self._tracks[k], self._curves[k])
-        return tuple(found)
-
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from saved numbers; return False if their number is wrong or a time is negative."""
-        samples, rest = divmod(len(numbers), _FIELDS)
-        if rest or samples > _KEPT or min(numbers[::_FIELDS], default=0.0) < 0.0:
-            return False
-        self._count = 0
-        for k in range(0, len(numbers), _FIELDS):
-            dt, speed, track, curve = numbers[k : k + _FIELDS]
-            self.add(dt, speed, track, curve)
-        return True
 
 
 @dataclass
@@ -178,11 +162,6 @@ class CurveError:
     a2: float = 0.0  # See ``x``
     b1: float = 0.0  # See ``x``
     d0: float = 0.0  # See ``x``
-
-    def is_valid(self, variances: tuple[float, float, float, float, float]) -> bool:
-        """Return whether a restored state is consistent with these variances of x, a1, a2, b1, d0."""
-        most, own = _MOST_CORRELATED * self.variance, (self.x, self.a1, self.a2, self.b1, self.d0)
-        return most >= 0.0 and all(c * c <= most * v for c, v in zip(own, variances, strict=True))
 
     def predict(self, model: AuxiliaryModel, change: float, u: float, scale: float) -> None:
         """Apply the error to a step, before the step of the model.
@@ -307,11 +286,6 @@ class Disturbance:
         self.density = min(max(density, _LEAST_STD * _LEAST_STD), _MOST_STD * _MOST_STD)
         z = min(max(deviation / math.sqrt(expected), -_MOST_ERROR), _MOST_ERROR)
         self.mean_error += _SHARE * (z - self.mean_error)
-
-    def is_valid(self) -> bool:
-        """Return whether a restored window can be continued."""
-        bounded = self.density > 0.0 and 0.5 * _LEAST_STD < math.sqrt(self.density) < 2.0 * _MOST_STD
-        return bounded and 0.0 < self.windows <= _MEMORY and min(self.elapsed, self.theta_variance) >= 0.0
 
     @property
     def chi2(self) -> float:

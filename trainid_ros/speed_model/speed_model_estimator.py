@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings
@@ -26,7 +25,7 @@ from trainid_ros.speed_model.am_vff_rls import (
 )
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
 from trainid_ros.speed_model.speed_model_state import SpeedModelState
-from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
@@ -89,6 +88,8 @@ class SpeedModelEstimator:
         method: Makes the algorithm from theta(0) and its covariance.
     """
 
+    STATE: ClassVar[State] = declare('state', 'method', '_recent', '_admission')
+
     def __init__(
         self, train_file: TrainFile, config: SpeedModelConfig, method: Callable[[Theta, Symmetric], Method]
     ) -> None:
@@ -126,27 +127,12 @@ class SpeedModelEstimator:
 
     def save(self) -> str:
         """Return the complete state as JSON text."""
-        numbers, recent = self.method.numbers(), self._recent.numbers()
-        return encode(replace(self.state, numbers=numbers, recent=recent, braked_ns=self._admission.braked_ns))
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        kind, state = 'SpeedModelState', decode(text, SpeedModelState)
-        method, recent = self._make_method(), RecentSamples()
-        state.check()
-        fits = all(map(math.isfinite, state.numbers)) and method.restore(state.numbers)
-        check_restored(fits and method.is_usable(), kind, 'numbers')
-        S = method.covariance(state.noise.variance)
-        of_x = method.P[0] if isinstance(method, AuxiliaryModel) else 0.0
-        check_restored(state.curve.is_valid((of_x, S[0], S[4], S[7], S[9])), kind, 'curve')
-        check_restored(recent.restore(state.recent), kind, 'recent')
-        try:
-            self._update_validity(state, S)
-        except ValueError:  # the variance of the resistance is negative at a speed driven
-            check_restored(False, kind, 'numbers')
-        self._admission.braked_ns = state.braked_ns
-        self.state, self._recent = replace(state, numbers=(), recent=()), recent
-        self._use(method)
+        restore(self, text)
+        self._update_validity(self.state, self._covariance())
 
     def idle(self, seconds: float) -> None:
         """Add the drift over a time without samples [s], and a change of load if the train may have stopped."""

@@ -20,19 +20,19 @@ with ``command_hold`` set, the last one holds that long, and samples wait ``max_
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final, TypeAlias
+from dataclasses import dataclass
+from typing import ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import setting
 from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import find_fault, seconds
+from trainid_ros.state import State, declare, several
 from trainid_ros.stream.brake_commands import BrakeCommands
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
 from trainid_ros.stream.left_time import LeftTime
 from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
-from trainid_ros.stream.stream_state import AlignerState
-from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row, restored_rows, rows_state
+from trainid_ros.stream.topic_track import TopicRow, TopicTrack, blank_row, insert_row
 from trainid_ros.stream.travel import Travel
 
 # Records in a row by which one topic shows a step of the stamps, and another number among which one topic has as many.
@@ -78,6 +78,12 @@ AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
 
 class Aligner:
     """Turn records, in any order of topics, into samples in stamp order."""
+
+    STATE: ClassVar[State] = declare(
+        '_force', '_gradient', '_brake', '_mass', '_speed_interval', several('_pending', blank_row), 'newest_ns',
+        '_speed_ns', '_agreeing', '_released_ns', '_sample_ns', '_due_ns', '_commands', '_travel',
+        several('_suspects', blank_row), '_left',
+    )  # fmt: skip
 
     def __init__(self, config: AlignmentConfig, *, reject_jump_back: bool = False) -> None:
         self.config = config
@@ -126,42 +132,6 @@ class Aligner:
         # Records whose stamps do not fit those before.
         self._suspects: list[TopicRow] = []
         self._left = LeftTime()
-
-    @property
-    def state(self) -> AlignerState:
-        """The state to save."""
-        return AlignerState(
-            force=self._force.state,
-            gradient=self._gradient.state,
-            brake=self._brake.state,
-            mass=self._mass.state,
-            speeds_seen=self._speed_interval.stamps,
-            pending=rows_state(self._pending),
-            newest_ns=self.newest_ns,
-            speed_ns=self._speed_ns,
-            agreeing=tuple(sorted(self._agreeing)),
-            released_ns=self._released_ns,
-            sample_ns=self._sample_ns,
-            due_ns=self._due_ns,
-            command=rows_state([] if self._commands.latest is None else [self._commands.latest]),
-            travel=replace(self._travel),
-            suspects=rows_state(self._suspects),
-            left=replace(self._left),
-        )
-
-    def restore(self, state: AlignerState) -> None:
-        """Continue from a saved, valid state."""
-        self._force.restore(state.force)
-        self._gradient.restore(state.gradient)
-        self._brake.restore(state.brake)
-        self._mass.restore(state.mass)
-        self._speed_interval.restore(state.speeds_seen)
-        self._pending, self._suspects = restored_rows(state.pending), restored_rows(state.suspects)
-        self.newest_ns, self._speed_ns, self._agreeing = state.newest_ns, state.speed_ns, set(state.agreeing)
-        self._released_ns, self._sample_ns, self._due_ns = state.released_ns, state.sample_ns, state.due_ns
-        commands = restored_rows(state.command)
-        self._commands.latest = commands[0] if commands else None
-        self._travel, self._left = replace(state.travel), replace(state.left)
 
     def is_before(self, topic: int, stamp_ns: int, x: float, y: float) -> bool:
         """Return whether a valid record lies farther back than its topic alone can step."""

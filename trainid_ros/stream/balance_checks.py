@@ -80,11 +80,6 @@ class ChangeCheck:
     blocks: float = 0.0  # Number of blocks since then
 
     @property
-    def is_valid(self) -> bool:
-        """True if the covariance is positive semidefinite, but for rounding."""
-        return self.covariance * self.covariance <= (1.0 + 1e-9) * self.offset_variance * self.gain_variance
-
-    @property
     def has_returned(self) -> bool:
         """True if the last suspicion ended because all was as before, not because it lasted."""
         return self.suspected_s <= _LONGEST_S
@@ -408,11 +403,6 @@ class ShiftCheck:
     # Sums of products of both, the acceleration -6 to 6 blocks later [(N/kN)^2]
     products: tuple[float, ...] = (0.0,) * _SHIFTS
     recent: tuple[float, ...] = ()  # Acceleration and traction of the last blocks, in turn, oldest first [N/kN]
-
-    @property
-    def is_valid(self) -> bool:
-        """True if products and blocks have possible numbers."""
-        return len(self.products) == _SHIFTS and len(self.recent) % 2 == 0 and len(self.recent) <= 2 * (_MAX_SHIFT + 2)
 
     @property
     def is_suspected(self) -> bool:

@@ -36,7 +36,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.state import several
+from trainid_ros.state import stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.forces import lag_integral, lag_response
@@ -127,11 +127,6 @@ class ShapeSums:
     moments: tuple[float, ...] = (0.0,) * 6  # Sums of x^2 times 1, p, q, p^2, p q and q^2 [(N/kN)^2]
     slowest: float = 0.5  # Least p
     fastest: float = -0.5  # Largest p
-
-    @property
-    def is_valid(self) -> bool:
-        """True if the sums have possible lengths."""
-        return len(self.products) == 3 and len(self.moments) == 6
 
     def add(self, y: float, x: float, p: float) -> None:
         """Add a block with force and nominal force [N/kN]."""
@@ -359,12 +354,6 @@ class Braking:
         """True if the impulses are large enough to compare; they hardly depend on dead time and lag."""
         return self.by_command < -_LEAST_IMPULSE
 
-    @property
-    def is_valid(self) -> bool:
-        """True if the sums have possible lengths."""
-        sums = len(self.yx) == len(self.xx) == _SHIFTS and self.shape.is_valid
-        return sums and len(self.began) in (0, _SHIFTS)
-
     def add(self, block: BrakeBlock, lag: LaggedCommand, delay: float) -> None:
         """Add a block; ``delay`` is the dead time [s]."""
         if not self.began:
@@ -424,7 +413,7 @@ class BrakeDelayCheck:
     lag: LaggedCommand = field(default_factory=LaggedCommand)  # The brake command after the lag
     block: BrakeBlock = field(default_factory=BrakeBlock)  # The block that is being filled
     # Blocks to be compared once the command is known for all shifts, oldest first
-    waiting: tuple[BrakeBlock, ...] = several(BrakeBlock)
+    waiting: tuple[BrakeBlock, ...] = stored((), kind=BrakeBlock)
     braking: Braking = field(default_factory=Braking)  # The braking that is observed
     is_observing: bool = False  # Whether one is
     weight: float = 0.0  # Sum of the weights of the brakings [1/s^2]
@@ -438,12 +427,6 @@ class BrakeDelayCheck:
     is_near: bool = False  # Whether it certainly does not
     shape: BrakeShapeCheck = field(default_factory=BrakeShapeCheck)  # Check of the rate over speed
     max_speed: float = 0.0  # Maximum speed of the train [m/s]
-
-    @property
-    def is_valid(self) -> bool:
-        """True if sums and history have possible lengths."""
-        history = len(self.lag.history)
-        return self.braking.is_valid and history % 2 == 0 and (history > 0 or not self.is_observing)
 
     @property
     def is_trusted(self) -> bool:

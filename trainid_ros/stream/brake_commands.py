@@ -7,11 +7,12 @@ Commands come all the time, or only when they change: then the last one holds fo
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.state import State, declare, several
 from trainid_ros.stream.intervals import NONE_LOST, ONE_LOST
-from trainid_ros.stream.topic_track import TopicRow, TopicTrack
+from trainid_ros.stream.topic_track import TopicRow, TopicTrack, blank_row
 from trainid_ros.train.forces import BrakeCommandChange
 
 # What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
@@ -31,6 +32,8 @@ class BrakeCommands:
         hold_ns: How long a command published only on change holds; 0 if commands come all the time [ns].
         lag_ns: How far a topic may lag behind the others [ns].
     """
+
+    STATE: ClassVar[State] = declare(several('latest', blank_row))
 
     def __init__(self, track: TopicTrack, timeout_ns: int, gap_ns: int, hold_ns: int, lag_ns: int) -> None:
         self._track = track

@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import seconds
+from trainid_ros.state import State, declare
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-from trainid_ros.train.forces import MOST_CHANGES, CommandHistory, actuator_response
+from trainid_ros.train.forces import CommandHistory, actuator_response
 from trainid_ros.train.train_file import TrainFile
 
 # During a longer gap the train may have stood still.
@@ -28,23 +27,11 @@ class DriveHistoryState:
     motion: Motion = field(default_factory=lambda: Motion(time_s=0.0, distance_run=0.0))
     commands: CommandHistory = field(default_factory=CommandHistory)
 
-    def copy(self) -> DriveHistoryState:
-        """Return a copy whose commands can change on their own."""
-        return DriveHistoryState(self.stamp_ns, self.speed, self.motion, CommandHistory(self.commands.changes))
-
-    @property
-    def is_valid(self) -> bool:
-        """True if all numbers are possible in a drive (finite, of the right sign) and the commands are in order."""
-        motion, changes = self.motion, self.commands.changes
-        amounts = (self.speed, motion.time_s, motion.distance_run, motion.heat, -motion.brake, float(self.stamp_ns))
-        targets = [change.target_acceleration for change in changes]
-        in_order = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(changes)) and len(changes) <= MOST_CHANGES
-        in_range = all(0.0 <= amount < math.inf for amount in amounts) and motion.since_release >= 0.0
-        return in_range and in_order and all(-math.inf < target <= 0.0 for target in targets)
-
 
 class DriveHistoryTracker:
     """Tracks a drive sample by sample, with the brake of the train file."""
+
+    STATE: ClassVar[State] = declare('state')
 
     def __init__(self, train_file: TrainFile) -> None:
         self._brake = train_file.brake

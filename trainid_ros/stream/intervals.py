@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.state import State, declare
 
 _WINDOW: Final = 16
 _FEWEST: Final = 4
@@ -34,6 +35,7 @@ class LearnedInterval:
     """
 
     __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'room_ns')
+    STATE: ClassVar[State] = declare('_stamps', '_interval_ns', '_shortest_ns', 'room_ns', '_outdated')
 
     def __init__(self, longest_ns: int) -> None:
         self._longest_ns = longest_ns
@@ -48,19 +50,6 @@ class LearnedInterval:
         self.room_ns = 0
         """Time between two records in which a third may be missing [ns]; 0, so that any may, while it is not known."""
         self._outdated = False
-
-    @property
-    def stamps(self) -> tuple[int, ...]:
-        """The stamps that the interval is learned from, to be saved."""
-        return tuple(self._stamps)
-
-    def restore(self, stamps: tuple[int, ...]) -> None:
-        """Continue from saved stamps."""
-        self.clear()
-        self._stamps = list(stamps)
-        if len(stamps) > _FEWEST:
-            self._find_shortest()
-        self._outdated = True
 
     def see(self, stamp_ns: int) -> None:
         """Take in the stamp of a record, each once."""

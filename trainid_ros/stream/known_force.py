@@ -20,6 +20,7 @@ from typing import Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.state import stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G, specific_force, specific_inertia
@@ -60,7 +61,7 @@ class SpeedNoise:
     robust: bool = False
     last: float = 0.0  # Last speed [m/s]
     before: float = 0.0  # Speed before the last [m/s]
-    dt: float = 0.0  # Time between the two [s]
+    dt: float = stored(0.0, may_be_nan=True)  # Time between the two [s]
     count: int = 0  # Number of speeds since the last gap
     quantum: float = 0.0  # Step in which the speed is measured [m/s]
     changed: float = 1.0  # Share of samples in which the speed changed [1]
@@ -92,11 +93,6 @@ class SpeedNoise:
         if self.changed == 1.0:  # no speed was repeated: the steps are those of an accelerating train
             return 0.0
         return self.quantum * self.quantum / 12.0 / max(self.changed, _LEAST_CHANGED)
-
-    def is_valid(self) -> bool:
-        """Return True if the values are possible; those of a restored state may not be."""
-        positive = min(self.declared_std, self.learned) > 0.0 and self.count >= 0
-        return positive and self.quantum >= 0.0 and 0.0 <= self.changed <= 1.0
 
     def add(self, speed: float, dt: float) -> None:
         """Add one more speed [m/s], measured ``dt`` [s] after the last one; NaN after a gap."""

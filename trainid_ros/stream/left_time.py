@@ -22,11 +22,6 @@ class LeftTime:
     newest_ns: int = 0  # Its newest stamp [ns]; 0 if none was left
     until_ns: int = 0  # Stamp of the present time base up to which the stamps may return [ns]
 
-    @property
-    def is_valid(self) -> bool:
-        """Whether this is a possible state."""
-        return 0 <= self.newest_ns <= self.until_ns
-
     def leave(self, newest_ns: int, stamp_ns: int) -> bool:
         """Follow a step forward; return whether a time base is left that was right until then."""
         is_first = not self._may_return(newest_ns)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.state import stored
 from trainid_ros.train.forces import BrakeCommandChange
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
@@ -249,13 +250,13 @@ class SpikeCheck(SpikeCount):
     before: float = 0.0  # The one before
     earlier: float = 0.0  # The one before that
     first: float = 0.0  # The one before that
-    area: float = 0.0  # Integral of the force over the last interval [N/kN s]
-    area_before: float = 0.0  # That over the one before
+    area: float = stored(0.0, may_be_nan=True)  # Integral of the force over the last interval [N/kN s]
+    area_before: float = stored(0.0, may_be_nan=True)  # That over the one before
     # Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known
     answer: float = math.nan
     answer_before: float = math.nan  # That over the one before
-    dt: float = 0.0  # Length of the last interval [s]
-    dt_before: float = 0.0  # That of the one before
+    dt: float = stored(0.0, may_be_nan=True)  # Length of the last interval [s]
+    dt_before: float = stored(0.0, may_be_nan=True)  # That of the one before
     passed: int = 0  # Number of samples since the last spike, up to those that may still hold it
     evidence: float = 0.0  # Log-likelihood of spikes against cuts of traction, with forgetting
 

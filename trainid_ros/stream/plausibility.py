@@ -17,11 +17,11 @@ is rejected at once. While a change is only suspected, samples are used, but no 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
-from trainid_ros.state import decode, encode
+from trainid_ros.state import State, declare
 from trainid_ros.stream.balance_checks import SUDDEN_MEMORY, LineCheck, ShiftCheck
 from trainid_ros.stream.brake_checks import BrakeDelayCheck, BrakeTiming
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
@@ -86,6 +86,8 @@ _LENIENT_S: Final = 90.0
 class PlausibilityMonitor:
     """Check the inputs sample by sample."""
 
+    STATE: ClassVar[State] = declare('state')
+
     def __init__(self, known: KnownForce) -> None:
         train_file = known.train_file
         brake, line = train_file.brake, train_file.line
@@ -95,10 +97,6 @@ class PlausibilityMonitor:
         self._map_std = line.gradient_std
         self._timing = BrakeTiming(train_file)
         self.state = PlausibilityState()
-
-    def restore(self, state: PlausibilityState) -> None:
-        """Continue from a copy of a saved, valid state."""
-        self.state = decode(encode(state), PlausibilityState)
 
     @property
     def noise(self) -> SpeedNoise:

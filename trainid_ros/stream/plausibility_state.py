@@ -119,12 +119,6 @@ class PlausibilityState:
     position: float = math.nan  # Last position [m]
 
     @property
-    def is_valid(self) -> bool:
-        """True if all collections have a possible length."""
-        slopes = self.traction.is_valid and self.brake.is_valid
-        return slopes and self.shift.is_valid and self.change.is_valid and self.brake_delay.is_valid
-
-    @property
     def finding(self) -> str:
         """What contradicts what, empty if nothing does."""
         return (

@@ -9,15 +9,15 @@ Estimators with the same train file and settings can share one stream.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import Final, TypeAlias
+from typing import ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.interface.results import Rejection
 from trainid_ros.interface.scalars import is_finite
-from trainid_ros.state import encode
+from trainid_ros.state import State, declare, encode, restore, several
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.brake_checks import BrakeDelayCheck
 from trainid_ros.stream.drive_history import DriveHistoryTracker
@@ -25,7 +25,6 @@ from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
-from trainid_ros.stream.stream_state import StreamState
 from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
@@ -66,6 +65,11 @@ class SampleStream:
         is_new: True until the first record.
     """
 
+    STATE: ClassVar[State] = declare(
+        '_aligner', '_history', '_correction', '_stuck', '_plausibility', '_is_skipping',
+        several('_skipped', BrakeCommandChange), '_first_ns', '_behind_ns',
+    )  # fmt: skip
+
     def __init__(self, config: StreamConfig) -> None:
         """Prepare; InputError, naming the field, if a setting is out of range."""
         check_settings(config.alignment)
@@ -102,17 +106,17 @@ class SampleStream:
         """Return whether both have taken in nothing yet and would make the same samples of the same records."""
         same = self.is_new and other.is_new and self.config == other.config
         # As text, since positions may be NaN.
-        return same and encode(self.state) == encode(other.state)
+        return same and encode(self) == encode(other)
 
-    def successor(self, state: StreamState | None = None) -> SampleStream:
-        """Return a new stream with the same configuration, which continues a saved, valid state.
+    def successor(self, *, continues: bool = False) -> SampleStream:
+        """Return a new stream with the same configuration, which continues this one if asked to.
 
-        Records that lie before those of the saved state are another drive: its records are then forgotten, and only
+        Records that lie before those of a restored state are another drive: its records are then forgotten, and only
         time and distance continue, for effects that depend on them.
         """
         stream = SampleStream(self.config)
-        if state is not None:
-            stream._restore(state)
+        if continues:
+            restore(stream, encode(self))
         return stream
 
     @property
@@ -149,30 +153,6 @@ class SampleStream:
     def is_trusted(self) -> bool:
         """True if an estimate from these inputs may be valid: they agree, or cannot be compared."""
         return self._plausibility.is_trusted
-
-    @property
-    def state(self) -> StreamState:
-        """The state to save."""
-        return StreamState(
-            aligner=self._aligner.state,
-            history=self._history.state.copy(),
-            stop_position=self._correction.stop_position,
-            stuck=replace(self._stuck.state),
-            plausibility=self._plausibility.state,
-            is_skipping=self._is_skipping,
-            skipped=tuple(self._skipped),
-            first_ns=self._first_ns,
-            behind_ns=self._behind_ns,
-        )
-
-    def _restore(self, state: StreamState) -> None:
-        self._aligner.restore(state.aligner)
-        self._history.state = state.history.copy()
-        self._correction.stop_position = state.stop_position
-        self._stuck.state = replace(state.stuck)
-        self._plausibility.restore(state.plausibility)
-        self._is_skipping, self._skipped = state.is_skipping, list(state.skipped)
-        self._first_ns, self._behind_ns = state.first_ns, state.behind_ns
 
     @property
     def newest_ns(self) -> int:

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED
+from trainid_ros.state import State, declare, unknown
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ class SensorCorrection:
         stop_position: Measured position of the last stop [m], NaN while unknown.
         is_needed: True if any record needs a correction.
     """
+
+    STATE: ClassVar[State] = declare(unknown('stop_position'))
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self.skew_s = effect_value(effects, 'stamp_skew', 'delay', 0.0)

@@ -103,11 +103,6 @@ class Slope(Regression):
     # By how much y is outside the limits of the slope, in root mean square [N/kN]; 0 while it is not known
     excess: float = 0.0
 
-    @property
-    def is_valid(self) -> bool:
-        """True if the blocks that are held are a possible number."""
-        return len(self.held) == (2 * self.off if self.off < _HELD else 0) and self.off >= 0
-
     def take(self, y: float, x: float, limit: float) -> None:
         """Add the means of one block [N/kN], one with a residual above a limit only with others like it in a row."""
         if abs(y - x) <= limit:

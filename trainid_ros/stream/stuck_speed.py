@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.state import State, declare
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import davis
@@ -52,6 +53,8 @@ class StuckSpeed:
     Attributes:
         state: State of the check.
     """
+
+    STATE: ClassVar[State] = declare('state')
 
     def __init__(self, known: KnownForce) -> None:
         self._known = known

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.scalars import seconds
+from trainid_ros.state import State, declare, several, unknown
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
-from trainid_ros.stream.stream_state import RowsState, TrackState
 
 _CAPACITY: Final = 4096
 
@@ -17,6 +17,7 @@ class TopicRow:
     """A record as a row of numbers, see :data:`~trainid_ros.interface.records.Row`."""
 
     __slots__ = ('flag', 'stamp_ns', 'topic', 'x', 'y')
+    STATE: ClassVar[State] = declare('topic', 'stamp_ns', 'x', unknown('y'), 'flag')
 
     def __init__(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> None:
         self.topic = topic
@@ -37,27 +38,16 @@ def insert_row(rows: list[TopicRow], row: TopicRow) -> bool:
     return True
 
 
-def rows_state(rows: list[TopicRow]) -> RowsState:
-    """Return rows to save."""
-    return RowsState(
-        topic=tuple([row.topic for row in rows]),
-        stamp_ns=tuple([row.stamp_ns for row in rows]),
-        x=tuple([row.x for row in rows]),
-        y=tuple([row.y for row in rows]),
-        flag=tuple([row.flag for row in rows]),
-    )
-
-
-def restored_rows(state: RowsState) -> list[TopicRow]:
-    """Return saved, valid rows."""
-    columns = zip(state.topic, state.stamp_ns, state.x, state.y, state.flag, strict=True)
-    return [TopicRow(topic, stamp_ns, x, y, flag) for topic, stamp_ns, x, y, flag in columns]
+def blank_row() -> TopicRow:
+    """Return a row to be restored."""
+    return TopicRow(0, 0, 0.0, 0.0, False)
 
 
 class TopicTrack:
     """Rows of one topic in stamp order, bounded, and the interval between them."""
 
     __slots__ = ('interval', 'last_ns', 'max_gap_ns', 'rows')
+    STATE: ClassVar[State] = declare(several('rows', blank_row), 'last_ns', 'interval')
 
     def __init__(self, max_gap_ns: int, longest_interval_ns: int) -> None:
         self.max_gap_ns = max_gap_ns
@@ -70,16 +60,6 @@ class TopicTrack:
         self.last_ns = 0
         """Newest stamp; 0 without rows."""
         self.interval.clear()
-
-    @property
-    def state(self) -> TrackState:
-        """The state to save."""
-        return TrackState(rows_state(self.rows), self.last_ns, self.interval.stamps)
-
-    def restore(self, state: TrackState) -> None:
-        """Continue from a saved, valid state."""
-        self.rows, self.last_ns = restored_rows(state.rows), state.last_ns
-        self.interval.restore(state.seen)
 
     def insert(self, row: TopicRow) -> bool:
         """Insert by stamp, also a late row (it improves later interpolation); False if the stamp is taken."""

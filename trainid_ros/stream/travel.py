@@ -33,8 +33,3 @@ class Travel:
         if self.moving and speed < STANDING:
             self.stop_ns = stamp_ns
         self.moving = speed >= STANDING
-
-    @property
-    def is_valid(self) -> bool:
-        """Whether this is a possible state."""
-        return self.direction in (-1, 1) and not math.isinf(self.turning_position) and self.stop_ns >= 0

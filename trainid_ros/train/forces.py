@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.state import several
+from trainid_ros.state import stored
 from trainid_ros.train.train_file import Davis
 
 G: Final = 9.80665
@@ -79,7 +79,7 @@ class CommandHistory:
     At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
     """
 
-    changes: tuple[BrakeCommandChange, ...] = several(BrakeCommandChange)
+    changes: tuple[BrakeCommandChange, ...] = stored((), kind=BrakeCommandChange)
 
     def push(self, change: BrakeCommandChange) -> None:
         """Add a change; a repeat of the last value is dropped.

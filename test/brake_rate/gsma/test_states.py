@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from benchmarks.stepping import step_and_estimate
 from trainid_ros.brake_rate.gsma import GsmaPosterior
 from trainid_ros.estimators.settings import GsmaConfig
-from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
@@ -213,39 +212,3 @@ def test_a_reset_estimator_equals_a_new_one(
     assert [repr(step_and_estimate(used, item)) for item in samples] == [
         repr(step_and_estimate(new, item)) for item in samples
     ]
-
-
-@pytest.mark.parametrize(
-    ('key', 'value'),
-    [
-        ('f', [1.0, 2.0]),
-        ('f', [math.nan] * CONFIG.particles),
-        ('weight', [0.0]),
-        ('x', [[1.0, 2.0]]),
-        ('P', [[1.0]]),
-        ('effective', math.inf),
-        ('weight', [-1.0, 2.0]),
-        ('weight', [0.2, 0.2]),
-        ('variance', [-1.0, 1.0]),
-        ('P', [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-        ('effective', -1.0),
-        ('random', ''),
-        ('random', '{}'),
-    ],
-)
-def test_an_invalid_saved_posterior_is_rejected(
-    train_file: TrainFile,
-    journey: Journey,
-    key: str,
-    value: object,
-    gsma: Any,
-    braking: Any,
-    changed_state: Callable[[str, tuple[Any, ...], object], str],
-) -> None:
-    estimator = gsma(train_file)
-    for item in journey(20.0, brake=braking, speed=20.0):
-        estimator.step(item)
-    before = estimator.save()
-    with pytest.raises(InputError):
-        estimator.restore(changed_state(before, ('posterior', 'state', key), value))
-    assert estimator.save() == before

@@ -114,7 +114,7 @@ def test_a_force_above_the_weight_of_the_train_changes_no_estimate(
 
 
 def test_states_saved_during_a_lasting_impossible_force_can_be_restored(
-    learned: str, minutes: list[Sample], check_finite: Any, restored: Any, after: Any
+    learned: str, minutes: list[Sample], check_finite: Any, restored: Any, after: Any, rows: Any
 ) -> None:
     bank = restored(learned)
     item, force = minutes[-1], 0.99 * G * FILE.train.mass
@@ -125,7 +125,7 @@ def test_states_saved_during_a_lasting_impossible_force_can_be_restored(
         check_finite(bank.estimate(12.0))
         text = bank.save()
         assert restored(text).save() == text
-        fastest = max(fastest, float(bank.bank.state().x[:, 0].max()))
+        fastest = max(fastest, float(rows.of(bank.bank).x[:, 0].max()))
     assert fastest > 40.0
 
 

@@ -101,12 +101,12 @@ def test_with_a_delay_outside_the_estimable_range_the_estimate_is_not_fit_to_use
 
 @pytest.mark.slow
 def test_a_curve_resistance_error_of_a_fifth_does_not_affect_the_resistance_on_straight_track(
-    World: Any, drive: Any, run: Any
+    World: Any, drive: Any, run: Any, rows: Any
 ) -> None:
     file = replace(FILE, effects=(Effect('curve_resistance', (('coefficient', 600.0),)),))
     bank = run(drive(200.0, World(curve=720.0), seed=6), file)
     check_resistance(bank, TRUTH, at_most=0.4)
-    state = bank.bank.state()
+    state = rows.of(bank.bank)
     x, P, best = state.x, state.P, int(np.argmax(state.log_weight))
     # 720 instead of 600 N/kN m are 0.2 N/kN more at 600 m.
     assert x[best, KAPPA_R] == pytest.approx(0.2, abs=3.0 * math.sqrt(P[best, KAPPA_R, KAPPA_R]))

@@ -19,7 +19,6 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R
-from trainid_ros.state import unpacked
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
@@ -257,78 +256,6 @@ def test_reset_equals_new(minutes: list[Sample], run: Any) -> None:
     used.reset()
     assert used.save() == new.save()
     assert [repr(used.step(s)) for s in minutes[:120]] == [repr(new.step(s)) for s in minutes[:120]]
-
-
-@pytest.mark.parametrize('key', ['bank', 'tachometer', 'driven', 'ticks', 'running', 'rejected_s'])
-def test_a_saved_part_of_the_wrong_type_is_rejected_by_name(learned: str, key: str) -> None:
-    data = json.loads(learned)
-    data['state'][key] = 'seven'
-    with pytest.raises(InputError, match=key):
-        FilterBank(FILE, SMALL).restore(json.dumps(data))
-
-
-@pytest.mark.parametrize(
-    ('path', 'wrong', 'part'),
-    [
-        (('bank', 'x', 0, 1), math.nan, 'bank.x'),
-        (('bank', 'x', 0, 0), 1e6, 'bank'),
-        (('bank', 'x'), [[0.0] * 8], 'bank'),
-        (('bank', 'x'), 7, 'bank'),
-        (('bank', 'P', 0, 1, 1), -1.0, 'bank'),
-        (('bank', 'P', 0, 1, 2), 1.0, 'bank'),
-        (('bank', 'P', 0, 0, 0), math.inf, 'bank.P'),
-        (('bank', 'P'), [[1.0]], 'bank'),
-        (('bank', 'log_weight'), 7, 'bank'),
-        (('bank', 'log_weight'), [], 'bank'),
-        (('bank', 'log_weight', 0), 1.0, 'bank'),
-        (('bank', 'age', 0), -1.0, 'bank'),
-        (('bank', 'age'), [1.0], 'bank'),
-        (('bank', 'size', 0), 0.5, 'bank'),
-        (('bank', 'size', 0), 99.0, 'bank'),
-        (('bank', 'size', 0), -1.0, 'bank'),
-        (('bank', 'since_s'), -1e9, 'bank'),
-        (('bank', 'since_s'), math.nan, 'bank.since_s'),
-        (('bank', 'branchings'), -1, 'bank'),
-        (('tachometer', 'learned'), -1.0, 'tachometer'),
-        (('tachometer', 'last'), math.inf, 'tachometer.last'),
-        (('tachometer', 'quantum'), -1.0, 'tachometer'),
-        (('inflation', 'ratio'), -1.0, 'inflation'),
-        (('inflation', 'length'), -1.0, 'inflation'),
-        (('inflation', 'total'), math.nan, 'inflation.total'),
-        (('driven', 'count'), -1, 'driven'),
-        (('driven', 'slowest'), 1e3, 'driven'),
-        (('driven', 'm2'), -1.0, 'driven'),
-        (('ticks', 0, 'dt'), 0.0, 'ticks'),
-        (('ticks', 0, 'dt'), math.nan, 'ticks'),
-        (('ticks', 0, 'variance'), 0.0, 'ticks'),
-        (('ticks', 0, 'speed'), -1e4, 'ticks'),
-        (('ticks', 0, 'traction'), math.inf, 'ticks.traction'),
-        (('rejected_s',), -1000.0, 'rejected_s'),
-        (('innovation',), math.nan, 'innovation'),
-        (('innovation_variance',), -1.0, 'innovation_variance'),
-        (('test_ratio',), -1.0, 'test_ratio'),
-    ],
-)
-def test_invalid_numbers_in_a_saved_state_are_rejected_by_name_and_nothing_changes(
-    learned: str,
-    path: tuple[Any, ...],
-    wrong: object,
-    part: str,
-    changed_state: Callable[[str, tuple[Any, ...], object], str],
-    restored: Any,
-) -> None:
-    bank = restored(learned)
-    with pytest.raises(InputError, match=part):
-        bank.restore(changed_state(learned, path, wrong))
-    assert bank.save() == learned
-
-
-def test_log_weights_of_the_wrong_shape_are_rejected(
-    learned: str, changed_state: Callable[[str, tuple[Any, ...], object], str]
-) -> None:
-    weights = unpacked(json.loads(learned)['state']['bank']['log_weight']).reshape(-1, 1)
-    with pytest.raises(InputError, match='bank'):
-        FilterBank(FILE, SMALL).restore(changed_state(learned, ('bank', 'log_weight'), weights.tolist()))
 
 
 def test_settings_out_of_range_are_rejected() -> None:

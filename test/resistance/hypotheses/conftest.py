@@ -13,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.resistance.hypotheses import Bank, BankPlan
-from trainid_ros.resistance.saved_states import BankState
 from trainid_ros.resistance.speed_states import (
     KAPPA,
     STATES,
@@ -118,12 +117,12 @@ def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: Bank
     ]
 
 
-def branched(bank: Bank) -> BankState:
+def branched(bank: Bank) -> Bank:
     """Advance until the bank has branched once more."""
     count = bank.branchings
     while bank.branchings == count:
         bank.advance(still(12.0))
-    return bank.state()
+    return bank
 
 
 def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
@@ -138,8 +137,9 @@ def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
         for interval in intervals[1:]:
             innovation = bank.advance(interval)
             nis.append(innovation.value**2 / innovation.variance)
-        error = bank.state().x[0, states] - truth
-        nees.append(error @ np.linalg.solve(bank.state().P[0][np.ix_(states, states)], error) / 4.0)
+        only = bank.hypotheses[0].filter
+        error = only.mean()[states] - truth
+        nees.append(error @ np.linalg.solve(only.covariance()[np.ix_(states, states)], error) / 4.0)
     return float(np.mean(nees)), float(np.mean(nis))
 
 

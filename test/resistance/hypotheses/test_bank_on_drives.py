@@ -27,7 +27,7 @@ def follow(bank: Bank, intervals: list[Interval]) -> None:
         bank.advance(interval)
 
 
-def test_a_step_of_a_is_detected(mixed: Any, drive: Any, plan: BankPlan) -> None:
+def test_a_step_of_a_is_detected(mixed: Any, drive: Any, plan: BankPlan, rows: Any) -> None:
     plan = replace(plan, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
     before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
     bank = Bank(plan)
@@ -40,8 +40,8 @@ def test_a_step_of_a_is_detected(mixed: Any, drive: Any, plan: BankPlan) -> None
     found = mixed(bank)
     assert found.mean @ phi == pytest.approx(after[:3] @ phi[:3], abs=0.4)
     # The best hypothesis branched off near the step.
-    best = int(np.argmax(bank.state().log_weight))
-    assert bank.state().age[best] == pytest.approx(120.0, abs=30.0)
+    best = int(np.argmax(rows.of(bank).log_weight))
+    assert rows.of(bank).age[best] == pytest.approx(120.0, abs=30.0)
 
 
 @pytest.mark.slow
@@ -54,13 +54,13 @@ def test_without_branching_a_filter_does_not_follow_the_step(mixed: Any, drive: 
     assert abs(mixed(bank).mean @ phi - after[:3] @ phi[:3]) > 0.4
 
 
-def test_the_most_likely_hypothesis_has_the_size_of_the_gusts(drive: Any, plan: BankPlan) -> None:
+def test_the_most_likely_hypothesis_has_the_size_of_the_gusts(drive: Any, plan: BankPlan, rows: Any) -> None:
     plan = replace(plan, gust_stds=(0.1, 0.4), map_stds=(0.05,))
     truth = plan.mean[[A, B, C, KAPPA]]
     for gust, expected in ((0.1, 0.0), (0.4, 1.0)):
         bank = Bank(plan)
         follow(bank, drive(lambda _: truth, 120.0, 11, replace(plan, gust_stds=(gust,))))
-        assert bank.state().size[np.argmax(bank.state().log_weight)] == expected
+        assert rows.of(bank).size[np.argmax(rows.of(bank).log_weight)] == expected
 
 
 def test_one_filter_is_consistent(errors_squared: Any) -> None:
@@ -79,7 +79,7 @@ def test_one_filter_is_consistent_over_many_drives(errors_squared: Any) -> None:
 
 @pytest.mark.slow
 def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive(
-    still: Any, held: Any, plan: BankPlan
+    still: Any, held: Any, plan: BankPlan, rows: Any
 ) -> None:
     plan = replace(plan, gust_stds=(0.1,), map_stds=(0.05,), hypotheses=4, drift=1e-3 / 3600.0 * plan.variance)
     bank = held(plan)
@@ -88,10 +88,10 @@ def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive(
     for i, speed in enumerate(speeds.tolist()):
         bank.advance(still(min(max(speed, 2.0), 30.0)))
         if i % 20_000 < 3:
-            P = bank.state().P
+            P = rows.of(bank).P
             std = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
             std = np.where(std > 0.0, std, 1.0)
             R = P / (std[:, :, None] * std[:, None, :])
             assert np.max(np.abs(R - R.transpose(0, 2, 1))) < 1e-7
             assert np.linalg.eigvalsh(R).min() > -1e-7
-    assert np.isfinite(bank.state().x).all()
+    assert np.isfinite(rows.of(bank).x).all()

@@ -21,6 +21,7 @@ from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.normal import gate
 from trainid_ros.resistance.vmils import VMils
+from trainid_ros.state import encode
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Davis, TrainFile
@@ -52,12 +53,12 @@ def test_bad_samples_are_rejected_and_change_no_estimate(
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
         estimator.step(item)
-    before = estimator.state.learner.tracker
+    before = encode(estimator.learner.tracker)
     result = step_and_estimate(estimator, sample(301, **fields))
     assert isinstance(result, Rejection)
     assert result.reason is reason
-    assert estimator.state.learner.tracker == before
-    assert estimator.state.learner.ticks == ()
+    assert encode(estimator.learner.tracker) == before
+    assert estimator.learner._windows.ticks == []
 
 
 def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey, after: Any) -> None:
@@ -242,7 +243,7 @@ def test_a_restored_estimator_continues_bit_identically(
             original.step(item)
             first.step(item)
         second.restore(first.save())
-        assert repr(second.state) == repr(first.state)
+        assert second.save() == first.save()
         for item in samples[middle:]:
             assert repr(step_and_estimate(second, item)) == repr(step_and_estimate(original, item))
         assert second.save() == original.save()
@@ -269,47 +270,6 @@ def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Jour
     data['state']['learner'][key] = 7
     with pytest.raises(InputError):
         estimator.restore(json.dumps(data))
-
-
-@pytest.mark.parametrize(
-    ('path', 'wrong'),
-    [
-        (('disturbance_variance',), -5.0),
-        (('disturbance_variance',), math.nan),
-        (('innovation_variance',), -1.0),
-        (('tachometer', 'learned'), math.nan),
-        (('tachometer', 'learned'), -1.0),
-        (('tachometer', 'last'), math.inf),
-        (('slow', 'memory'), 0.0),
-        (('slow', 'factor'), -1.0),
-        (('ticks', 0, 'dt'), 0.0),
-        (('tracker', 'memory', 0), 0.0),
-        (('tracker', 'memory', 8), 0.0),
-        (('tracker', 'rows', 0, 7), -1.0),
-        (('tracker', 'hypotheses', 0, 'evidence'), 1e4),
-        (('inflation', 'ratio'), 0.0),
-        (('inflation', 'variance'), -1.0),
-        (('fresh_s',), -1.0),
-        (('tracker', 'mean_weight'), math.nan),
-        (('driven', 'fastest'), 1e308),
-        (('driven', 'count'), 10**40),
-    ],
-)
-def test_invalid_numbers_in_a_saved_state_are_rejected_and_nothing_changes(
-    train_file: TrainFile,
-    journey: Journey,
-    path: tuple[Any, ...],
-    wrong: float,
-    changed_state: Callable[[str, tuple[Any, ...], object], str],
-    saw_tooth: Any,
-) -> None:
-    estimator = VMils(train_file, CONFIG)
-    for item in journey(60.0, traction=saw_tooth):
-        estimator.step(item)
-    before = estimator.save()
-    with pytest.raises(InputError):
-        estimator.restore(changed_state(before, ('learner', *path), wrong))
-    assert estimator.save() == before
 
 
 def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None:

@@ -300,5 +300,5 @@ def test_records_of_one_topic_with_stray_stamps_are_kept_up_to_a_number_and_then
     stray = [SpeedRecord(at(3600.0 + 0.2 * k), 10.0, 0.0) for k in range(40)]
     rejected = [event for record in stray for event in aligner.push(record) if isinstance(event, Rejection)]
     # Two of each of five topics, and one more.
-    assert len(aligner.state.suspects.x) == 11
+    assert len(aligner._suspects) == 11
     assert len(rejected) == 40 - 11

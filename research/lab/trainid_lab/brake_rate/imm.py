@@ -21,7 +21,7 @@ from trainid_ros.brake_rate.gsma import drifts, transition
 from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import JumpConfig
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -170,11 +170,8 @@ class ImmPosterior:
     def restore(self, text: str) -> None:
         """Restore a saved state."""
         state = decode(text, ImmState)
-        n, m, P = STATES + 1, state.means, state.covariances
-        sized = m.shape == (2, n) and P.shape == (2, n, n) and 0.0 <= state.jumping < 1.0
-        check_numbers(state)
-        check_restored(sized and all(map(is_covariance_matrix, P)), 'ImmState', 'a model')
-        self._take(state.jumping, ((m[0], P[0]), (m[1], P[1])))
+        (m0, m1), (P0, P1) = state.means, state.covariances
+        self._take(state.jumping, ((m0, P0), (m1, P1)))
 
 
 def _posterior(prior: float, log_ratio: float) -> float:

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainid_lab.brake_rate import gaussian
 from trainid_lab.brake_rate.particles import errors_of
@@ -16,7 +15,7 @@ from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.state import State, covariance, declare
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -27,16 +26,16 @@ class KalmanConfig(BrakeRateConfig):
     """Settings of KF."""
 
 
-@dataclass(frozen=True, slots=True)
-class KalmanState:
-    """Mean of z = [v, a, b, e, f], shape (n + 1,), and covariance, shape (n + 1, n + 1)."""
-
-    m: NDArray[np.float64]
-    P: NDArray[np.float64]
-
-
 class KalmanPosterior:
-    """Gaussian posterior."""
+    """Gaussian posterior.
+
+    Attributes:
+        m: Mean of z = [v, a, b, e, f], shape (n + 1,).
+        P: Its covariance, shape (n + 1, n + 1).
+
+    """
+
+    STATE: ClassVar[State] = declare('m', covariance('P'))
 
     def __init__(self, config: KalmanConfig) -> None:
         self._q = config.drift**2
@@ -110,18 +109,6 @@ class KalmanPosterior:
             return False
         self.m, self.P = m, P
         return True
-
-    def save(self) -> str:
-        """Return the complete state as JSON text."""
-        return encode(KalmanState(self.m, self.P))
-
-    def restore(self, text: str) -> None:
-        """Restore a saved state."""
-        state = decode(text, KalmanState)
-        check_numbers(state)
-        sized = state.m.shape == (STATES + 1,) and state.P.shape == (STATES + 1, STATES + 1)
-        check_restored(sized and is_covariance_matrix(state.P), 'KalmanState', 'm or P')
-        self.m, self.P = state.m, state.P
 
 
 def kalman(train_file: TrainFile, config: KalmanConfig, rng: np.random.Generator) -> BrakeRateEstimator:  # noqa: ARG001

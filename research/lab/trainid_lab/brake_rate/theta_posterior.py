@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +22,12 @@ from trainid_lab.brake_rate.particles import (
 )
 from trainid_lab.brake_rate.resampling import effective_number
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud
-from trainid_ros.brake_rate.gsma import restore_generator
 from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import MAX_NUMBER, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Array, LinearStep
-
-_ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,13 +167,6 @@ class ThetaPosterior:
     def restore(self, text: str) -> None:
         """Restore a saved state."""
         state = decode(text, ThetaState)
-        N = len(state.f)
-        sized = state.log_weights.shape == (N,) and state.x.shape == (STATES, N) and state.P.shape == (STATES, STATES)
-        finite = all(bool((np.abs(item) < MAX_NUMBER).all()) for item in (state.f, state.x, state.P))
-        check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
-        check_restored(is_covariance_matrix(state.P), 'ThetaState', 'P')
-        normal = abs(float(np.exp(np.minimum(state.log_weights, 1.0)).sum()) - 1.0) < _ROUNDING
-        check_restored(normal, 'ThetaState', 'log_weights')
-        restore_generator(self.rng, state.random, 'ThetaState')
+        self.rng.bit_generator.state = json.loads(state.random)
         self.take(ThetaCloud(state.f, state.log_weights, state.x))
         self.P = state.P

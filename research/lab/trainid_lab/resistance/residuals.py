@@ -39,11 +39,6 @@ class Residuals:
     last: tuple[float, ...] = ()
     recent: tuple[float, ...] = ()
 
-    def is_valid(self) -> bool:
-        """Return whether all parts have the right size and no sum of squares or count is negative."""
-        sized = len(self.products) == _LAGS and len(self.last) <= _LAGS and len(self.recent) <= _MEMORY
-        return sized and self.count >= 0 and self.squares >= 0.0
-
     def add(self, residual: float) -> Residuals:
         """Return the sums after one more residual of a good observation [N/kN]."""
         products = list(self.products)

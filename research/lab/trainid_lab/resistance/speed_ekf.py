@@ -13,8 +13,8 @@ not steps. In addition to the filter there are:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
@@ -30,7 +30,8 @@ from trainid_ros.resistance.davis_posterior import (
     representative_speeds,
     resistance_estimate,
 )
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance
+from trainid_ros.state import State as Declared
+from trainid_ros.state import declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
@@ -66,34 +67,17 @@ class SpeedEkfConfig(PriorSettings):
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedEkfState:
-    """Saved state of the speed EKF.
+class SpeedEkf:
+    """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples, one update per sample.
 
-    While a speed repeats, ``before`` is the filter state at its first occurrence and ``held`` the (dt, u, q) since.
+    While a speed repeats, ``_before`` is the filter state at its first occurrence and ``_held`` the (dt, u, q) since.
     """
 
-    filter: State
-    before: State
-    held: tuple[tuple[float, ...], ...]
-    tachometer: SpeedNoise
-    speed: float
-    force: float
-    running: bool
-    rejected: int
-    stamp_ns: int
-    braked_ns: int
-    innovation: float
-    innovation_variance: float
-    test_ratio: float
-    speed_min: float
-    speed_max: float
-    accepted: int
-    converged: bool
-
-
-class SpeedEkf:
-    """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples, one update per sample."""
+    STATE: ClassVar[Declared] = declare(
+        '_filter', '_before', '_held', '_tachometer', '_speed', '_force', '_running', '_rejected', '_stamp_ns',
+        '_admission', '_innovation', '_innovation_variance', '_test_ratio', '_speed_min', '_speed_max', '_accepted',
+        '_converged',
+    )  # fmt: skip
 
     def __init__(self, train_file: TrainFile, config: SpeedEkfConfig) -> None:
         check_settings(config)
@@ -120,53 +104,13 @@ class SpeedEkf:
         self._innovation = self._innovation_variance = self._test_ratio = 0.0
         self._speed_min = self._speed_max = 0.0
 
-    @property
-    def state(self) -> SpeedEkfState:
-        """The state to save."""
-        return SpeedEkfState(
-            filter=self._filter,
-            before=self._before,
-            held=tuple(self._held),
-            tachometer=replace(self._tachometer),
-            speed=self._speed,
-            force=self._force,
-            running=self._running,
-            rejected=self._rejected,
-            stamp_ns=self._stamp_ns,
-            braked_ns=self._admission.braked_ns,
-            innovation=self._innovation,
-            innovation_variance=self._innovation_variance,
-            test_ratio=self._test_ratio,
-            speed_min=self._speed_min,
-            speed_max=self._speed_max,
-            accepted=self._accepted,
-            converged=self._converged,
-        )
-
     def save(self) -> str:
         """Return the state as JSON text."""
-        return encode(self.state)
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, SpeedEkfState)
-        check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
-        for item in (state.filter, state.before):
-            sized = len(item) == 14 and is_covariance(item[4:]) and abs(item[0]) < _MAX_SPEED
-            check_restored(sized and not self._is_diverged(item), 'SpeedEkfState', 'filter')
-        held = all(len(item) == 3 and min(item[0], item[2]) >= 0.0 for item in state.held)
-        check_restored(held, 'SpeedEkfState', 'held')
-        check_restored(state.tachometer.is_valid(), 'SpeedEkfState', 'tachometer')
-        check_not_negative('SpeedEkfState', innovation_variance=state.innovation_variance, test_ratio=state.test_ratio)
-        self._filter, self._before, self._held = state.filter, state.before, list(state.held)
-        self._tachometer = state.tachometer
-        self._speed, self._force, self._running = state.speed, state.force, state.running
-        self._rejected, self._stamp_ns, self._accepted = state.rejected, state.stamp_ns, state.accepted
-        self._admission.braked_ns = state.braked_ns
-        self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
-        self._test_ratio = state.test_ratio
-        self._speed_min, self._speed_max = state.speed_min, state.speed_max
-        self._converged = state.converged
+        restore(self, text)
 
     @property
     def converged(self) -> bool:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_lab.resistance.recursive import covariance, prediction_variance
 from trainid_lab.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
@@ -27,7 +27,7 @@ from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import is_fit, largest_std, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
+from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class WindowedState:
 class WindowedRegression:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples by one of the paper's regressions."""
 
+    STATE: ClassVar[State] = declare('state', '_admission')
+
     def __init__(self, train_file: TrainFile, config: WindowedConfig, step: Step) -> None:
         check_settings(config)
         self.config = config
@@ -109,20 +111,11 @@ class WindowedRegression:
 
     def save(self) -> str:
         """Return the state as JSON text."""
-        return encode(self.state)
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, WindowedState)
-        check_numbers(state)
-        regression, p = state.regression, self.config.innovation_length
-        stacked = len(regression.Phi) == len(regression.Y) <= p
-        check_restored(stacked and _is_valid(regression), 'WindowedState', 'regression')
-        check_restored(state.residuals.is_valid(), 'WindowedState', 'residuals')
-        check_restored(all(tick.dt > 0.0 for tick in state.ticks), 'WindowedState', 'ticks')
-        check_not_negative('WindowedState', scale=state.scale, innovation_variance=state.innovation_variance)
-        self.state = state
-        self._admission.braked_ns = state.braked_ns
+        restore(self, text)
 
     @property
     def converged(self) -> bool:

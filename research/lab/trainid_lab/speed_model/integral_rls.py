@@ -24,7 +24,6 @@ from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
 from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
-from trainid_ros.state import is_covariance
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
@@ -148,15 +147,6 @@ class IntegralRls(MethodNumbers):
     def start(self, variance: float) -> None:  # noqa: ARG002 - x has no variance here
         """Go to the prior."""
         self._numbers = self._prior
-
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from a saved state; return False if its length, covariance or a variance is invalid."""
-        steps, remainder = divmod(len(numbers) - _HEAD, _BLOCK)
-        sized = remainder == 0 and 0 <= steps <= self._tuning.window
-        if not (sized and is_covariance(numbers[5:15]) and min(numbers[15], numbers[17], numbers[18]) >= 0.0):
-            return False
-        self._numbers = numbers
-        return True
 
     def covariance(self, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
         """Return the covariance of theta."""

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, TypeAlias
 
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
 from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+from trainid_ros.state import State, declare
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -148,11 +149,9 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning
 class MethodNumbers:
     """State of a method as it is saved: x, theta and the upper triangle of P, then what else it stores."""
 
-    _numbers: Numbers
+    STATE: ClassVar[State] = declare('_numbers')
 
-    def numbers(self) -> Numbers:
-        """Return the state."""
-        return self._numbers
+    _numbers: Numbers
 
     def is_usable(self) -> bool:
         """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
@@ -181,13 +180,6 @@ class Rls(MethodNumbers):
         """Go to theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
         scale = self._config.prior_scale / variance
         self._numbers = (*self._prior[:5], *(scale * p for p in self._prior[5:]))
-
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from a saved state; return False if it has the wrong length."""
-        if len(numbers) != len(self._prior):
-            return False
-        self._numbers = numbers
-        return True
 
     def covariance(self, variance: float) -> Symmetric:
         """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""

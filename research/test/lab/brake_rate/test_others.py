@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +14,7 @@ from trainid_lab.brake_rate.imm import ImmConfig, ImmPosterior
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import Start, Transition
-from trainid_ros.interface.errors import InputError
-from trainid_ros.state import is_covariance_matrix, packed
+from trainid_ros.state import is_covariance, packed
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
@@ -133,42 +130,8 @@ def test_a_certain_jump_keeps_a_valid_quiet_model(
         posterior.predict(interval)
         assert posterior.learn(interval, elapsed, speed, 1e-4)
         assert 0.99 < posterior.jumping < 1.0
-        assert all(is_covariance_matrix(P) for _, P in posterior.models)
+        assert all(is_covariance(P) for _, P in posterior.models)
     posterior.restore(posterior.save())
-
-
-@pytest.mark.parametrize(
-    ('name', 'key', 'value'),
-    [
-        ('KF', 'm', [1.0]),
-        ('KF', 'P', [math.nan] * 10),
-        ('IMM', 'jumping', 1.5),
-        ('IMM', 'means', [[0.0] * 13]),
-        ('KF', 'P', [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, -1.0]),
-        ('KF', 'm', [1e308, 0.0, 0.0, 1.0]),
-        ('IMM', 'covariances', [np.diag([-1.0] * 12).tolist()] * 2),
-        ('RBPF', 'log_weights', [1.0] * 500),
-        ('RBPF', 'P', [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-        ('RBPF', 'x', [[1.0]]),
-        ('RBPF', 'random', '{}'),
-        ('SMA', 'log_weights', [math.nan]),
-    ],
-)
-def test_an_invalid_saved_posterior_is_rejected(
-    train_file: TrainFile,
-    braked: list[Sample],
-    name: str,
-    key: str,
-    value: Any,
-    changed_state: Callable[[str, tuple[Any, ...], object], str],
-) -> None:
-    estimator = make(train_file, name)
-    for item in braked[:60]:
-        estimator.step(item)
-    before = estimator.save()
-    with pytest.raises(InputError):
-        estimator.restore(changed_state(before, ('posterior', 'state', key), value))
-    assert estimator.save() == before
 
 
 @pytest.mark.slow

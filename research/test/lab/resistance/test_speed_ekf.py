@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 from benchmarks.stepping import step_and_estimate
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_lab.resistance.speed_filter import State, corrected, predicted
-from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
@@ -142,46 +139,3 @@ def test_a_restored_estimator_continues_bit_identically(train_file: TrainFile, j
         for item in samples[middle:]:
             assert repr(step_and_estimate(copy, item)) == repr(step_and_estimate(original, item))
         assert copy.save() == original.save()
-
-
-@pytest.mark.parametrize('key', ['filter', 'held', 'tachometer'])
-def test_an_invalid_saved_state_is_rejected(
-    train_file: TrainFile, key: str, changed_state: Callable[[str, tuple[Any, ...], object], str]
-) -> None:
-    estimator = SpeedEkf(train_file, CONFIG)
-    wrong = [[math.inf]] if key == 'held' else [1.0]
-    with pytest.raises(InputError):
-        estimator.restore(changed_state(estimator.save(), (key,), wrong))
-
-
-@pytest.mark.parametrize(
-    ('path', 'wrong'),
-    [
-        (('tachometer', 'learned'), math.nan),
-        (('tachometer', 'learned'), -1.0),
-        (('filter', 0), 1e17),
-        (('filter', 3), 1e17),
-        (('filter', 4), -1.0),
-        (('filter', 8), -1.0),
-        (('before', 13), -1e-12),
-        (('held',), [[0.2, 0.0, -1.0]]),
-        (('speed',), math.nan),
-        (('force',), math.nan),
-        (('innovation_variance',), -1.0),
-        (('speed_min',), math.nan),
-    ],
-)
-def test_invalid_numbers_in_a_saved_state_are_rejected_and_nothing_changes(
-    train_file: TrainFile,
-    journey: Journey,
-    path: tuple[Any, ...],
-    wrong: object,
-    changed_state: Callable[[str, tuple[Any, ...], object], str],
-) -> None:
-    estimator = SpeedEkf(train_file, CONFIG)
-    for item in journey(60.0, traction=saw_tooth):
-        estimator.step(item)
-    before = estimator.save()
-    with pytest.raises(InputError):
-        estimator.restore(changed_state(before, path, wrong))
-    assert estimator.save() == before

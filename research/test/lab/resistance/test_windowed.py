@@ -93,7 +93,7 @@ def test_wind_up_ends_in_a_rejection_never_in_nan() -> None:
     assert answers[-1].reason is Reason.NUMERICAL
 
 
-def test_a_restored_state_continues_bit_identically_and_an_invalid_one_is_rejected() -> None:
+def test_a_restored_state_continues_bit_identically() -> None:
     samples = list(data.samples(data.drive(PLAN, np.random.default_rng(96))))[:900]
     original, copy = made('V-MILS-printed', window=11, hop=5), made('V-MILS-printed', window=11, hop=5)
     for sample in samples[:500]:
@@ -101,18 +101,7 @@ def test_a_restored_state_continues_bit_identically_and_an_invalid_one_is_reject
     copy.restore(original.save())
     # As text, in which NaN equals NaN.
     assert [repr(original.step(s)) for s in samples[500:]] == [repr(copy.step(s)) for s in samples[500:]]
-    before = copy.save()
-    for right, wrong in (
-        ('"theta": [', '"theta": [NaN, '),
-        ('"scale": ', '"scale": -'),
-        ('"squares": ', '"squares": -'),
-        ('"dt": 0.', '"dt": -0.'),
-        ('"moment": [0.0', '"moment": [NaN'),
-    ):
-        assert right in before
-        with pytest.raises(InputError, match=r'WindowedState|Residuals'):
-            copy.restore(before.replace(right, wrong, 1))
-    assert copy.save() == before
+    assert copy.save() == original.save()
 
 
 def test_settings_are_checked() -> None:

@@ -79,7 +79,7 @@ def test_the_gate_rejects_and_predicts() -> None:
     assert learned.rejected
     assert after == (learned.predicted, *numbers[1:])
     method = Rls(THETA, P0, AM_RLS)
-    method.restore(numbers)
+    method._numbers = numbers
     method.coast(0.0, 1.0)
     assert method.speed() == pytest.approx(learned.predicted)
 

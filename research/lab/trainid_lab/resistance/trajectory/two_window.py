@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from trainid_ros.estimators.settings import PriorSettings, prior_variances
 from trainid_ros.interface.errors import InputError, check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import largest_std
-from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class TwoWindowState:
     posterior: WindowPosterior
     noise: SpeedNoise
     rows: tuple[Row, ...] = ()
-    motion: PieceState | None = None
+    motion: PieceState | None = stored(None, kind=PieceState)  # noqa: RUF009 - makes a field
     pieces: int = 0
     row_time: float = 0.0
     braked_ns: int = 0
@@ -110,6 +110,8 @@ class TwoWindow:
 
     In its estimates ``innovation`` is the difference of w between the windows at the current speed [N/kN].
     """
+
+    STATE: ClassVar[State] = declare('state', '_admission')
 
     def __init__(self, train_file: TrainFile, config: TwoWindowConfig) -> None:
         check_settings(config)
@@ -137,19 +139,11 @@ class TwoWindow:
 
     def save(self) -> str:
         """Return the state as JSON text."""
-        return encode(self.state)
+        return encode(self)
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
-        state = decode(text, TwoWindowState)
-        numbers = (*state.posterior.theta, *state.posterior.P)
-        fine = len(state.posterior.theta) == 3 and len(numbers) == 12 and all(map(math.isfinite, numbers))
-        check_restored(fine, 'TwoWindowState', 'posterior')
-        check_restored(all(_is_valid(row) for row in state.rows), 'TwoWindowState', 'rows')
-        motion = state.motion
-        check_restored(motion is None or len(motion.sums) + len(motion.row) == 11, 'TwoWindowState', 'motion')
-        self.state = state
-        self._admission.braked_ns = state.braked_ns
+        restore(self, text)
 
     @property
     def converged(self) -> bool:
@@ -312,7 +306,3 @@ def advance(sums: tuple[float, ...], v0: float, v1: float, mu: float, traction: 
         traction,
         sums[4] + mu * traction,
     )
-
-
-def _is_valid(row: Row) -> bool:
-    return len(row.sums) == 5 and all(map(math.isfinite, (row.rest, *row.sums)))
