@@ -88,7 +88,7 @@ def write_original(folder: Path, compression: CompressionType) -> Original:
         writer.add_message(channel, record.stamp_ns, payload, record.stamp_ns)
     writer.finish()  # type: ignore[no-untyped-call]
     file = McapFile(path)
-    counts = [segment.starts.size for segment in file.segments]
+    counts = [segment.read().start.size for segment in file.segments]
     file.close()
     return Original(
         path.read_bytes(), [*records], [(*place, n) for place, n in zip(_chunks(path), counts, strict=True)]

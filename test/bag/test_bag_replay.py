@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.bag_replay import replay
-from trainid_ros.bag.observers import BagRecorder
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record
-from trainid_ros.bag.writer import BagWriter
+from trainid_ros.bag.writer import BagRecorder, BagWriter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
 from trainid_ros.interface.results import Reason

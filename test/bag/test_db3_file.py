@@ -136,3 +136,67 @@ def test_messages_left_in_the_journal_are_a_warning(db3: Path) -> None:
 def test_commands_take_it(db3: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['info', str(db3), str(db3 / 'run.db3'), '--json']) == 0
     assert capsys.readouterr().err == ''
+
+
+def change(db3: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(db3 / 'run.db3')) as connection:
+        connection.executescript(';'.join(statements))
+
+
+@pytest.mark.parametrize('name', ['run#1', '50%41', 'what?', 'a b;c&d', 'ä日'])
+def test_the_file_named_is_read_whatever_its_folder_is_called(
+    db3: Path, tmp_path: Path, records: list[Record], name: str
+) -> None:
+    (tmp_path / name).mkdir()
+    (db3 / 'run.db3').rename(tmp_path / name / 'run.db3')
+    assert read(tmp_path / name / 'run.db3') == (records, [])
+
+
+@pytest.mark.parametrize(('asked', 'other'), [('run.db3#2', 'run.db3'), ('r%41n.db3', 'rAn.db3')])
+def test_no_other_file_is_read_instead(db3: Path, records: list[Record], asked: str, other: str) -> None:
+    (db3 / 'run.db3').rename(db3 / asked)
+    (db3 / other).write_bytes((db3 / asked).read_bytes())
+    with closing(sqlite3.connect(db3 / other)) as connection, connection:
+        connection.execute('DELETE FROM messages')
+    assert read(db3 / asked) == (records, [])
+
+
+@pytest.mark.parametrize('encoding', ['unknown', '', 'omgidl'])
+def test_a_topic_without_a_known_definition_costs_no_other(db3: Path, records: list[Record], encoding: str) -> None:
+    change(
+        db3,
+        "INSERT INTO topics VALUES (99, '/doors/_action/feedback', 'my/action/Doors', 'cdr', '', '')",
+        f"INSERT INTO message_definitions VALUES (99, 'my/action/Doors', '{encoding}', '', '')",
+        "INSERT INTO messages VALUES (9999, 99, 1700000000000000000, x'00010000')",
+    )
+    assert read(db3 / 'run.db3') == (records, [])
+
+
+@pytest.mark.parametrize('profiles', ['- history: 1\n  depth: 10', 'no: [yaml', ''])
+def test_profiles_written_by_hand_do_not_matter(db3: Path, records: list[Record], profiles: str) -> None:
+    change(db3, f"UPDATE topics SET offered_qos_profiles = '{profiles}'")
+    assert read(db3 / 'run.db3') == (records, [])
+
+
+def test_a_message_stored_as_text_is_the_only_one_skipped(db3: Path, records: list[Record]) -> None:
+    change(db3, "UPDATE messages SET data = 'no message' WHERE id = 5")
+    path = db3 / 'run.db3'
+    found, warnings = read(path)
+    assert found == records[:4] + records[5:]
+    assert warnings == [f'{path}: topic ato/speed: 1 message skipped that cannot be read']
+
+
+@pytest.mark.parametrize('time', ['-1', "'yesterday'"])
+def test_a_message_without_a_valid_log_time_is_the_only_one_left_out(
+    db3: Path, records: list[Record], time: str
+) -> None:
+    change(db3, f'UPDATE messages SET timestamp = {time} WHERE id = 5')
+    path = db3 / 'run.db3'
+    found, warnings = read(path)
+    assert found == records[:4] + records[5:]
+    assert warnings == [f'{path}: 1 message without a valid log time left out']
+
+
+def test_numbers_of_topics_may_be_large(db3: Path, records: list[Record]) -> None:
+    change(db3, 'UPDATE topics SET id = id + 70000', 'UPDATE messages SET topic_id = topic_id + 70000')
+    assert read(db3 / 'run.db3') == (records, [])

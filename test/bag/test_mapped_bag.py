@@ -14,8 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
-from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.required_topics import missing_topics
+from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import REQUIRED_TOPICS, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag import number_series
@@ -71,3 +73,17 @@ def test_only_the_beginning_of_a_long_bag_is_read(bag: Path, monkeypatch: pytest
 def test_a_bag_that_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='no such bag'):
         read_numbers(tmp_path / 'none', '/', 64 << 20)
+
+
+def test_wide_strings_are_no_numbers(tmp_path: Path) -> None:
+    writer = Writer(str(tmp_path / 'wide.mcap'))
+    writer.start('ros2')
+    schema = writer.register_schema('my_msgs/msg/Odo', 'ros2msg', b'wstring w\nfloat64 v\n')
+    channel = writer.register_channel('/odo', 'cdr', schema)
+    for k in range(5):
+        payload = b'\0\1\0\0' + struct.pack('<I2Hd', 2, 65 + k, 66, 0.5 + k)
+        writer.add_message(channel, 10**18 + k * NS_PER_S, payload, 10**18 + k * NS_PER_S)
+    writer.finish()  # type: ignore[no-untyped-call]
+    found = read_numbers(tmp_path / 'wide.mcap', '/', 1 << 20)
+    assert [(item.topic, item.field) for item in found.series] == [('/odo', 'v')]
+    assert found.series[0].value.tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]

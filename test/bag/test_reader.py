@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -10,8 +11,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg
 
-from trainid_ros.bag.reader import BagReader, LoggedRecord
-from trainid_ros.bag.required_topics import require_topics
+from trainid_ros.bag.reader import BagReader, LoggedRecord, in_two, require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
@@ -19,7 +19,6 @@ from trainid_ros.interface.records import ForceRecord, MassRecord, Record, Speed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
 STAMP = 1_700_000_000_000_000_000
 
@@ -190,3 +189,39 @@ def test_progress_is_reported_while_a_file_without_an_index_is_opened(tmp_path: 
     assert len(shares) >= 7
     assert 0.8 < math.fsum(shares) <= 1.0
     assert max(shares) < 0.3
+
+
+@pytest.mark.parametrize('scanned', [0.0, 0.9, 1.0])
+def test_opening_counts_as_far_as_a_bag_is_scanned(scanned: float) -> None:
+    shares = list[float]()
+    opening, reading = in_two(shares.append, 0.3)
+    opening(scanned)
+    reading(0.5)
+    assert shares == pytest.approx([0.3 * scanned, 0.5 * (1.0 - 0.3 * scanned)])
+    reading(0.5)
+    assert math.fsum(shares) == pytest.approx(1.0)
+
+
+STAMP = 1_700_000_000_000_000_000
+
+
+@pytest.mark.parametrize(
+    ('names', 'missing', 'where'),
+    [
+        (('ato/force',), 'ato/speed, ato/gradient, ato/brake_command', 'found: ato/force'),
+        (
+            ('/t1/ato/force', '/north/t2/ato/force', 'other'),
+            'ato/speed, ato/force, ato/gradient, ato/brake_command',
+            'they are in /north/t2, /t1; use --namespace',
+        ),
+    ],
+)
+def test_missing_topics_are_named_with_where_they_are(
+    tmp_path: Path, names: tuple[str, ...], missing: str, where: str
+) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for name in names:
+            writer.write_message(name, 'AtoForce', STAMP, message_from_record(ForceRecord(STAMP, 1.0)))
+    with BagReader(tmp_path / 'bag') as reader, pytest.raises(InputError) as caught:
+        require_topics(reader)
+    assert str(caught.value) == f'{tmp_path / "bag"}: no messages on {missing} ({where})'

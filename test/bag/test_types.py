@@ -2,13 +2,17 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.records import Schema
+from rosbags.serde import SerdeError
 
 from trainid_ros.bag.types import (
+    StoredType,
     digest,
     estimate_message,
     full_type,
@@ -129,3 +133,107 @@ def test_status_has_the_numbers_of_the_core() -> None:
     for name in ('ResistanceEstimate', 'SpeedModelEstimate', 'BrakeRateEstimate'):
         kind = typestore().types[full_type(name)]
         assert {status.name: getattr(kind, status.name) for status in Status} == {s.name: s.value for s in Status}
+
+
+RULER = '=' * 80 + '\n'
+HEADER_MSG = f'{RULER}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n'
+TIME_MSG = f'{RULER}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n'
+HEADER_IDL = f"""{RULER}IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{ struct Header {{ builtin_interfaces::msg::Time stamp; string frame_id; }}; }}; }};
+"""
+TIME_IDL = f"""{RULER}IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{ int32 sec; uint32 nanosec; }}; }}; }};
+"""
+
+
+def in_idl(fields: str, includes: str = '#include "std_msgs/msg/Header.idl"\n') -> str:
+    return (
+        f'{RULER}IDL: my_msgs/msg/Odo\n{includes}module my_msgs {{ module msg {{ struct Odo {{ {fields} }}; }}; }};\n'
+    )
+
+
+FIELDS_IDL = 'std_msgs::msg::Header header; double v;'
+BOTH_IDL = HEADER_IDL + TIME_IDL
+BOTH_MSG = HEADER_MSG + TIME_MSG
+FIELDS_MSG = 'std_msgs/Header header\nfloat64 v\n'
+# Header with a frame of three characters, and speed.
+ODO = b'\0\1\0\0' + struct.pack('<iII4sd', 7, 8, 4, b'map', 2.5)
+ODO_DEFINITIONS = {
+    'msg': ('ros2msg', FIELDS_MSG + BOTH_MSG),
+    'CR LF': ('ros2msg', (FIELDS_MSG + BOTH_MSG).replace('\n', '\r\n')),
+    'CR LF in the main part': ('ros2msg', FIELDS_MSG.replace('\n', '\r\n') + BOTH_MSG),
+    'byte order mark': ('ros2msg', '\ufeff' + FIELDS_MSG + BOTH_MSG),
+    'titles with msg': (
+        'ros2msg',
+        FIELDS_MSG + BOTH_MSG.replace('s/', 's/msg/', 2),
+    ),
+    'no definition of the header': ('ros2msg', FIELDS_MSG),
+    'IDL': ('ros2idl', in_idl(FIELDS_IDL) + BOTH_IDL),
+    'IDL as another middleware names it': ('omgidl', in_idl(FIELDS_IDL) + BOTH_IDL),
+    'IDL, other includes': (
+        'ros2idl',
+        in_idl(FIELDS_IDL, ' #include <x/Header.idl>\n#pragma once\n') + BOTH_IDL,
+    ),
+    'IDL, CR LF': ('ros2idl', (in_idl(FIELDS_IDL) + BOTH_IDL).replace('\n', '\r\n')),
+    'IDL after an empty title': ('ros2msg', f'{RULER}MSG: \n' + in_idl(FIELDS_IDL) + BOTH_IDL),
+    'msg with a dependency in IDL': ('ros2msg', FIELDS_MSG + BOTH_IDL),
+    'IDL with a dependency in msg': ('ros2idl', in_idl(FIELDS_IDL) + BOTH_MSG),
+}
+
+
+@pytest.mark.parametrize(('encoding', 'text'), ODO_DEFINITIONS.values(), ids=ODO_DEFINITIONS)
+@pytest.mark.parametrize('name', ['my_msgs/msg/Odo', 'my_msgs/Odo'])
+def test_definitions_that_ros_accepts_are_read(encoding: str, text: str, name: str) -> None:
+    stored = StoredType(Path('x.mcap'), Schema(1, text.encode(), encoding, name))
+    message = stored.decode(ODO)
+    assert stored.name == 'my_msgs/msg/Odo'
+    assert (message.header.stamp.sec, message.header.frame_id, message.v) == (7, 'map', 2.5)
+
+
+@pytest.mark.parametrize('unit', ['H', 'I'])
+@pytest.mark.parametrize(
+    ('encoding', 'text'),
+    [
+        ('ros2msg', 'wstring W=x\nwstring<=9 w "none" # wide\nwstring[] more\nfloat64 v\n'),
+        ('ros2idl', in_idl('wstring<9> w; sequence<wstring> more; double v;')),
+    ],
+    ids=['msg', 'IDL'],
+)
+def test_numbers_beside_wide_strings_are_read(unit: str, encoding: str, text: str) -> None:
+    stored = StoredType(Path('x.mcap'), Schema(1, text.encode(), encoding, 'my_msgs/msg/Odo'))
+    body = struct.pack(f'<I3{unit}', 3, *map(ord, 'abc'))
+    for content in (struct.pack('<I', 2), *2 * [struct.pack(f'<I1{unit}', 1, 120)]):
+        body += bytes(-len(body) % 4) + content
+    body += bytes(-len(body) % 8)
+    message = stored.decode(b'\0\1\0\0' + body + struct.pack('<d', 2.5))
+    assert message.v == 2.5
+    assert ''.join(map(chr, message.w.wide_characters)) == 'abc'
+
+
+def test_an_array_of_two_dimensions_is_read_as_one_of_one() -> None:
+    text = in_idl('double m[2][3]; double v;')
+    stored = StoredType(Path('x.mcap'), Schema(1, text.encode(), 'ros2idl', 'my_msgs/msg/Odo'))
+    message = stored.decode(b'\0\1\0\0' + struct.pack('<7d', *range(7)))
+    assert message.m.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert message.v == 6.0
+
+
+@pytest.mark.parametrize('field', ['my_msgs/Lost lost', 'my_msgs/Lost[] lost', 'my_msgs/Part part'])
+def test_an_unknown_field_costs_no_field_before_it(field: str) -> None:
+    text = f'float64 v\n{field}\nfloat64 after\n{RULER}MSG: my_msgs/Part\nfloat64 a\nmy_msgs/Lost lost\n'
+    stored = StoredType(Path('x.mcap'), Schema(1, text.encode(), 'ros2msg', 'my_msgs/msg/Odo'))
+    message = stored.decode(b'\0\1\0\0' + struct.pack('<9d', *range(9)))
+    assert message.v == 0.0
+    assert not hasattr(message, 'after')
+    assert hasattr(message, 'part') == ('Part' in field)
+    with pytest.raises(SerdeError):
+        stored.decode(b'\0\1\0\0\0\0')
+
+
+@pytest.mark.parametrize(
+    ('encoding', 'text'), [('ros2msg', 'my_msgs/Lost lost\nfloat64 v'), ('ros2msg', 'no definition'), ('', 'IDL: ')]
+)
+def test_a_definition_of_which_nothing_can_be_read_is_named(encoding: str, text: str) -> None:
+    with pytest.raises(InputError, match=r'x\.mcap: unreadable definition of my_msgs/msg/Odo'):
+        StoredType(Path('x.mcap'), Schema(1, text.encode(), encoding, 'my_msgs/Odo'))

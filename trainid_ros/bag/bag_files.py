@@ -6,23 +6,25 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from trainid_ros.bag.mcap_file import McapFile
+from trainid_ros.bag.db3_file import Db3File
+from trainid_ros.bag.mcap_file import McapFile, hint_of
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.fields import load, read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable
 
-    from mcap.records import Channel, Schema
-
-    from trainid_ros.bag.message_block import MessageBlock
+BagFile: TypeAlias = McapFile | Db3File
 
 METADATA: Final = 'metadata.yaml'
 _SQLITE: Final = b'SQLite format 3\0'
+_START_BYTES: Final = 64
 _STORAGES: Final = ('mcap', 'sqlite3')
 SUFFIXES: Final = ('.mcap', '.db3')
+_MODES: Final = ('none', 'file', 'message')
+_COMPRESSED: Final = '.zstd'  # suffix of a file that ros2 bag compressed as a whole
 _TABLES: Final = ('.csv', '.parquet', '.npz')
 _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
@@ -39,60 +41,6 @@ class BagFiles:
     custom_data: tuple[tuple[str, str], ...] = ()
 
 
-class Span(Protocol):
-    """A part of a file with messages, from a first to a last log time [ns]."""
-
-    @property
-    def first_ns(self) -> int:
-        """First log time [ns]."""
-
-    @property
-    def last_ns(self) -> int:
-        """Last log time [ns]."""
-
-
-class BagFile(Protocol):
-    """One file of a bag, open; attributes as those of :class:`McapFile`."""
-
-    path: Path
-    promised: int | None
-    warnings: list[str]
-
-    @property
-    def channels(self) -> Mapping[int, Channel]:
-        """Channels by number."""
-
-    @property
-    def schemas(self) -> Mapping[int, Schema]:
-        """Message definitions by number."""
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Number of messages by channel number."""
-
-    @property
-    def segments(self) -> Sequence[Span]:
-        """Parts of the file that hold messages of needed topics."""
-
-    @property
-    def first_ns(self) -> int:
-        """First log time [ns], 0 without messages."""
-
-    @property
-    def last_ns(self) -> int:
-        """Last log time [ns]."""
-
-    def messages(self, segment: Any) -> MessageBlock:
-        """Return the messages of one segment.
-
-        Raises:
-            InputError: The file cannot be read.
-        """
-
-    def close(self) -> None:
-        """Close the file."""
-
-
 def open_file(
     path: Path, max_chunk: int, is_needed: Callable[[str], bool], advance: Callable[[int], None] = lambda _: None
 ) -> BagFile:
@@ -101,20 +49,17 @@ def open_file(
     Raises:
         InputError: It cannot be read.
     """
-    if _is_sqlite(path):
-        # Imported here because reading MCAP needs no rosbags.
-        from trainid_ros.bag.db3_file import Db3File  # noqa: PLC0415
-
+    if _start(path).startswith(_SQLITE):
         return Db3File(path, is_needed)
     return McapFile(path, max_chunk, is_needed, advance)
 
 
-def _is_sqlite(path: Path) -> bool:
+def _start(path: Path) -> bytes:
     try:
         with path.open('rb') as file:
-            return file.read(len(_SQLITE)) == _SQLITE
+            return file.read(_START_BYTES)
     except OSError:
-        return False  # opening it says why
+        return b''  # opening it says why
 
 
 def locate(path: Path) -> BagFiles:
@@ -127,7 +72,7 @@ def locate(path: Path) -> BagFiles:
         raise InputError(f'{path}: no such bag')
     if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
         raise InputError(f'{path}: is neither a file nor a directory')
-    if path.is_file() and path.suffix in _TABLES:
+    if path.is_file() and path.suffix.lower() in _TABLES:
         raise InputError(f'{path}: is a table, not a bag; trainid import makes a bag of it')
     if path.is_file():
         return BagFiles((path,))
@@ -155,21 +100,28 @@ def bags_below(path: Path) -> list[Path]:
             folders.clear()
             bags.append(Path(folder))
         else:
-            bags += [Path(folder, name) for name in names if name.endswith(SUFFIXES)]
+            bags += [Path(folder, name) for name in names if name.lower().endswith(SUFFIXES)]
     return bags
 
 
 def _from_folder(path: Path, warning: str) -> BagFiles:
     files = _bag_files(path)
     if not files:
-        raise InputError(f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(SUFFIXES)} file)')
+        what = f'neither {METADATA} nor an {" or ".join(SUFFIXES)} file'
+        raise InputError(f'{path}: no bag in this directory ({what}){_hint(path)}')
     return BagFiles(files, warnings=(warning,))
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag in a directory in the order of recording."""
-    entries = (entry for entry in path.iterdir() if entry.suffix in SUFFIXES and entry.is_file())
+    entries = (entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file())
     return tuple(sorted(entries, key=_part_number))
+
+
+def _hint(path: Path) -> str:
+    """Return what a directory without a bag holds instead, '' if that is not known."""
+    entries = (entry for entry in sorted(path.iterdir()) if entry.is_file())
+    return next((f'; {entry.name}{hint}' for entry in entries if (hint := hint_of(_start(entry)))), '')
 
 
 def _part_number(path: Path) -> tuple[str, int, str]:
@@ -186,34 +138,46 @@ def _from_metadata(path: Path) -> BagFiles:
         names = dict.fromkeys(PureWindowsPath(str(name)).name for name in info['relative_file_paths'])
         count, hashes = int(info['message_count']), tuple(_hashes(info))
         custom = tuple((str(name), str(text)) for name, text in (info.get('custom_data') or {}).items())
-        _check_storage(where, str(info['storage_identifier']), str(info.get('compression_mode') or 'none').lower())
-    except _UnsupportedError as error:
-        raise InputError(str(error)) from None
+        storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none').lower()
+        _check_storage(storage, mode)
     except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = ' '.join(str(error).split()).removeprefix(f'{where}: ')
         return _from_folder(path, f'{where}: unreadable ({reason}), the files were read without it')
     if not names:
         raise InputError(f'{where}: lists no files')
-    if not (missing := [path / name for name in names if not (path / name).is_file()]):
-        return BagFiles(tuple(path / name for name in names), count, hashes, custom_data=custom)
-    warning = f'{missing[0]}: file listed in {METADATA} is missing'
-    if not (others := _bag_files(path)):
-        raise InputError(warning)
-    return BagFiles(others, count, hashes, (f'{warning}, the files that are there were read',), custom)
+    warnings = []
+    if mode != 'none':
+        names = {name.removesuffix(_COMPRESSED): None for name in names}
+        if mode == 'message' or not all((path / name).is_file() for name in names):
+            raise InputError(
+                f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
+                'inside an .mcap (see ros2 bag convert)'
+            )
+        warnings.append(f'{where}: compression mode {mode!r}, but the files are unpacked, and were read')
+    listed = [path / name for name in names]
+    others = [file for file in _bag_files(path) if file not in listed]
+    if missing := [file for file in listed if not file.is_file()]:
+        warning = f'{missing[0]}: file listed in {METADATA} is missing'
+        if len(missing) == len(listed) and not others:
+            raise InputError(warning + _hint(path))
+        return BagFiles(_bag_files(path), count, hashes, (f'{warning}, the files that are there were read',), custom)
+    # The recorder was killed before it listed them, or they were copied in.
+    parts = [file for file in others if _series(file) in map(_series, listed)]
+    warnings += [f'{file}: not listed in {METADATA}, read as a part of the bag' for file in parts]
+    warnings += [f'{file}: not listed in {METADATA}, not read' for file in others if file not in parts]
+    files = tuple(sorted([*listed, *parts], key=_part_number)) if parts else tuple(listed)
+    return BagFiles(files, count, hashes, tuple(warnings), custom)
 
 
-class _UnsupportedError(Exception):
-    """The bag is stored in a way that is known but not supported."""
+def _series(path: Path) -> tuple[str, str]:
+    """Return the name that the numbered parts of a split bag share, that of the file if it is none, and its suffix."""
+    head, number, _ = _part_number(path)
+    return head if number >= 0 else path.name, path.suffix
 
 
-def _check_storage(where: Path, storage: str, mode: str) -> None:
-    """Raise _UnsupportedError for a storage or compression that is known, ValueError for one that is not."""
-    if mode in {'file', 'message'}:
-        raise _UnsupportedError(
-            f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
-            'inside an .mcap (see ros2 bag convert)'
-        )
-    if storage not in _STORAGES or mode != 'none':
+def _check_storage(storage: str, mode: str) -> None:
+    """Raise ValueError for a storage or compression that is not known."""
+    if storage not in _STORAGES or mode not in _MODES:
         raise ValueError(f'storage {storage!r} with compression mode {mode!r} is not known')
 
 

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.input_check import Findings, check_inputs
-from trainid_ros.bag.opening_progress import in_two
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
+from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, joined
-from trainid_ros.bag.required_topics import in_namespaces, missing_topics
 from trainid_ros.interface.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
-from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord
-from trainid_ros.bag.required_topics import require_topics
+from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
 from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import PipelineGroup

@@ -1,40 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One file of the sqlite3 storage of rosbag2, read by rosbags."""
+"""One file of the sqlite3 storage of rosbag2, of any version."""
 
 from __future__ import annotations
 
+import sqlite3
+from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
-import apsw  # comes with rosbags
 import numpy as np
 from mcap.records import Channel, Schema
-from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from trainid_ros.bag.message_block import MessageBlock
+from trainid_ros.bag.record_table import MessageBlock, Segment
 from trainid_ros.bag.types import full_definition, full_type
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
+from trainid_ros.interface.text import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from rosbags.interfaces import Connection
-
 _MESSAGES_AT_ONCE: Final = 5000
-_ENCODINGS: Final = {MessageDefinitionFormat.MSG: 'ros2msg', MessageDefinitionFormat.IDL: 'ros2idl'}
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
-_TIMES: Final = 'SELECT timestamp FROM messages ORDER BY timestamp'
-
-
-class Span(NamedTuple):
-    """The messages from a first to a last log time [ns]."""
-
-    first_ns: int
-    last_ns: int
+# SQLite stores any type in any column: what is no time is larger than every number, and a text may be the bytes.
+_TIMES: Final = 'SELECT timestamp FROM messages WHERE timestamp >= 0 AND typeof(timestamp) = "integer" ORDER BY 1'
+_COUNTS: Final = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
+_MESSAGES: Final = (
+    'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
+    'WHERE topic_id IN ({}) AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id'
+)
 
 
 class Db3File:
@@ -53,79 +48,82 @@ class Db3File:
         self.path = path
         self.promised: int | None = None
         self.warnings: list[str] = []
-        self._reader = Sqlite3Reader(path)
+        # The path must be quoted in a URI: a part after # names no file.
+        uri = f'{path.absolute().as_uri()}?immutable=1'
+        self._file = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        self._file.text_factory = partial(str, encoding='utf-8', errors='replace')
         try:
-            self._reader.open()
-            connections = tuple(self._reader.connections)
+            self.channels, self.schemas = self._topics()
             self.segments = self._spans()
-        except (ReaderError, apsw.Error, ValueError, TypeError) as error:
+            self.last_ns = self.segments[-1].last_ns if self.segments else 0
+            found = dict(self._file.execute(_COUNTS, (self.last_ns,))) if self.segments else {}
+            total = self._file.execute('SELECT count(*) FROM messages').fetchone()[0]
+        except sqlite3.Error as error:
             self._fail(error)
         self.first_ns = self.segments[0].first_ns if self.segments else 0
-        self.last_ns = self.segments[-1].last_ns if self.segments else 0
-        self.counts = {item.id: item.msgcount for item in connections if item.msgcount}
-        self.channels = {item.id: _channel(item) for item in connections}
-        self.schemas = {item.id: _schema(item) for item in connections}
-        self._needed = [item for item in connections if is_needed(item.topic)]
+        self.counts = {number: found[number] for number in self.channels if number in found}
+        self._needed = [number for number, channel in self.channels.items() if is_needed(channel.topic)]
+        if left_out := total - sum(found.values()):
+            self.warnings.append(f'{path}: {pluralise(left_out, "message")} without a valid log time left out')
         journal = path.with_name(f'{path.name}-wal')
         if journal.is_file() and journal.stat().st_size:
             self.warnings.append(f'{journal}: messages of an interrupted recording, which are not read')
 
     def close(self) -> None:
         """Close the file."""
-        if self._reader.dbconn is not None:
-            self._reader.close()
+        self._file.close()
 
-    def messages(self, segment: Span) -> MessageBlock:
-        """Return the needed messages within a span, by log time.
-
-        Raises:
-            InputError: The file is damaged.
-        """
+    def _read(self, first_ns: int, last_ns: int) -> MessageBlock:
+        """Return the needed messages between two log times [ns], in their order; InputError if the file is damaged."""
         try:
-            found = list(self._reader.messages(self._needed, segment.first_ns, segment.last_ns + 1))
-        except apsw.Error as error:
+            query = _MESSAGES.format(','.join('?' * len(self._needed)))
+            found = self._file.execute(query, (*self._needed, first_ns, last_ns)).fetchall()
+        except sqlite3.Error as error:
             self._fail(error)
-        ends = np.cumsum([len(data) for _, _, data in found], dtype=np.intp)
+        payloads = [data or b'' for _, _, data in found]
+        sizes = np.array([len(data) for data in payloads], dtype=np.intp)
+        ends = np.cumsum(sizes, dtype=np.intp)
         return MessageBlock(
-            data=np.frombuffer(bytearray().join(data for _, _, data in found), dtype=np.uint8),
-            start=ends - np.array([len(data) for _, _, data in found], dtype=np.intp),
+            data=np.frombuffer(bytearray().join(payloads), dtype=np.uint8),
+            start=ends - sizes,
             end=ends,
-            channel=np.array([item.id for item, _, _ in found], dtype=np.uint16),
+            channel=np.array([number for number, _, _ in found], dtype=np.int64),
             log_ns=np.array([log_ns for _, log_ns, _ in found], dtype=np.uint64),
         )
 
-    def _spans(self) -> list[Span]:
+    def _spans(self) -> list[Segment]:
         """Return spans of some thousand messages each; they do not overlap."""
-        if self._reader.dbconn is None:
-            return []
-        times = (int(row[0]) for row in self._reader.dbconn.execute(_TIMES))
-        spans: list[Span] = []
+        times = (row[0] for row in self._file.execute(_TIMES))
+        spans: list[Segment] = []
         while some := list(islice(times, _MESSAGES_AT_ONCE)):
             # Messages of equal log times belong to one span.
             first_ns = max(some[0], spans[-1].last_ns + 1) if spans else some[0]
             if some[-1] >= first_ns:
-                spans.append(Span(first_ns, some[-1]))
-        if spans and spans[0].first_ns < 0:
-            raise ValueError(f'log time {spans[0].first_ns} ns is negative')
+                spans.append(Segment(first_ns, some[-1], partial(self._read, first_ns, some[-1])))
         return spans
+
+    def _topics(self) -> tuple[dict[int, Channel], dict[int, Schema]]:
+        """Return channels and definitions, both by the number of the topic."""
+        hashes = 'type_description_hash' if self._has('topics', 'type_description_hash') else "''"
+        rows = self._file.execute(f'SELECT id, name, type, serialization_format, {hashes} FROM topics ORDER BY id')
+        texts: dict[str, tuple[str, str]] = {}
+        if self._has('message_definitions', 'encoded_message_definition'):
+            query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
+            texts = {kind: (encoding, text) for kind, encoding, text in self._file.execute(query)}
+        channels, schemas = {}, {}
+        for number, topic, kind, encoding, digest in rows.fetchall():
+            form, text = texts.get(kind, ('', ''))
+            # Older files hold no definitions, so the packaged one is taken for our types.
+            if kind in _OURS and not (digest or text):
+                form, text = 'ros2msg', full_definition(_OURS[kind])
+            metadata = {'topic_type_hash': digest} if digest else {}
+            channels[number] = Channel(number, topic, encoding, metadata, schema_id=number)
+            schemas[number] = Schema(number, str(text or '').encode(), form, kind)
+        return channels, schemas
+
+    def _has(self, table: str, column: str) -> bool:
+        return any(row[1] == column for row in self._file.execute(f'PRAGMA table_info({table})'))
 
     def _fail(self, error: Exception) -> NoReturn:
         self.close()
         raise InputError(f'{self.path}: unreadable sqlite3 storage ({" ".join(str(error).split())})') from None
-
-
-def _channel(item: Connection) -> Channel:
-    encoding = item.ext.serialization_format if isinstance(item.ext, ConnectionExtRosbag2) else ''
-    metadata = {'topic_type_hash': item.digest} if item.digest else {}
-    return Channel(item.id, item.topic, encoding, metadata, schema_id=item.id)
-
-
-def _schema(item: Connection) -> Schema:
-    """Return the definition of a type; older files hold none, so the packaged one is taken for our types."""
-    if item.msgdef.format is not MessageDefinitionFormat.NONE:
-        text, encoding = item.msgdef.data, _ENCODINGS[item.msgdef.format]
-    elif item.msgtype in _OURS and not item.digest:
-        text, encoding = full_definition(_OURS[item.msgtype]), 'ros2msg'
-    else:
-        text, encoding = '', ''
-    return Schema(item.id, text.encode(), encoding, item.msgtype)

@@ -12,38 +12,66 @@ Record layout: MCAP specification, https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import struct
 from array import array
 from collections import Counter
-from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Statistics
+from mcap.records import Channel, Schema
+from mcap.summary import Summary
 
-from trainid_ros.bag.chunk import MAX_CHUNK, MAX_HEAD, DamageError, read_head, unpack, unpack_start
-from trainid_ros.bag.chunk_contents import indexed_contents
-from trainid_ros.bag.definitions import DEFINITIONS, UNREADABLE, Definitions
-from trainid_ros.bag.message_block import MessageBlock, channels_at, lengths_at, messages_at
-from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile
+from trainid_ros.bag.record_file import (
+    HEAD,
+    MAGIC,
+    MAX_CHUNK,
+    MESSAGE_BYTES,
+    UNREADABLE,
+    DamageError,
+    Record,
+    RecordFile,
+    is_known,
+    values_at,
+)
+from trainid_ros.bag.record_table import MessageBlock, Segment
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from mcap.records import ChunkIndex
     from numpy.typing import NDArray
 
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
-_MOST_EXPANSION: Final = 50
+_MAX_EXPANSION: Final = 50
 """Most bytes that the chunks of a file may unpack to for each of its bytes, if together above the largest chunk."""
-_PLAIN: Final = (*DEFINITIONS, Opcode.MESSAGE)
+_DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
+_PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
 _NAMED_LOSSES: Final = 5
 _REPORT_BYTES: Final = 1 << 20  # from one report of progress to the next
 _MB: Final = 1 << 20
+# Channel, sequence, log time and publish time of a message; its length stands before them.
+_MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
+_LENGTH: Final = np.dtype('<i8')
+# Share of a chunk that needed messages may have [1]: of one with more, all is read, and its checksum is checked.
+_SPARSE: Final = 0.1
+_MAX_INDEX: Final = 1 << 24  # bytes
+_BLOCK: Final = 1 << 12  # bytes that are read at once
+_INDEX: Final = struct.Struct('<BQHI')  # opcode, length, channel, size of the entries
+_START: Final = struct.Struct('<BQHIQ')  # of a message record: opcode, length, channel, sequence, log time
+# What is no MCAP, by its first bytes.
+_HINTS: Final = {
+    b'\x28\xb5\x2f\xfd': ': it is compressed by zstd, as ros2 bag does in mode file; unpack it with zstd -d',
+    b'\x1f\x8b': ': it is compressed by gzip; unpack it with gunzip',
+    b'#ROSBAG V': ': it is a ROS 1 bag; convert it with rosbags-convert',
+    b'version https://git-lfs': ': it is a pointer of Git LFS; get the file with git lfs pull',
+}
 
 
 class Piece(NamedTuple):
@@ -54,16 +82,18 @@ class Piece(NamedTuple):
     is_chunk: bool
     is_cut: bool = False
 
+    @property
+    def record(self) -> Record:
+        """The chunk."""
+        return Record(Opcode.CHUNK, self.offset + HEAD.size, self.end)
 
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """A piece of the file with messages."""
 
-    piece: Piece  # Where it lies
-    first_ns: int  # Their first log time
-    last_ns: int  # Their last log time
-    starts: NDArray[np.uint32]  # Where their records start, without opcode and length, in the bytes that are read
-    runs: tuple[tuple[int, int], ...] = ()  # Offset in the file and length of what is read, none for all of the piece
+class _Entry(NamedTuple):
+    """One message by the index of a chunk: its place in the chunk, log time, channel."""
+
+    place: int
+    log_ns: int
+    channel: int
 
 
 class McapFile:
@@ -100,19 +130,21 @@ class McapFile:
             InputError: If it is not MCAP, is empty, or nothing of it can be used.
         """
         self.path = path
-        self._definitions = Definitions()
-        self.channels, self.schemas = self._definitions.channels, self._definitions.schemas
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
         self.counts: Counter[int] = Counter()
         self.segments: list[Segment] = []
         self.first_ns = self.last_ns = 0
         self.promised: int | None = None
         self.warnings: list[str] = []
+        # Repeats the definitions, in case that those before the messages are lost.
+        self._summary = Summary()
         self._indexes: dict[int, ChunkIndex] = {}
         self._is_needed = is_needed
         self._advance, self._reported = advance, 0
         self._max_chunk = max_chunk
         self._unpacked = 0
-        self._all_checked = self._chunked = False
+        self._all_checked, self._chunked, self._ends_cut = True, False, False
         self._losses: list[str] = []
         self._lost_bytes = 0
         try:
@@ -129,18 +161,20 @@ class McapFile:
         """Close the file."""
         self._file.close()
 
-    def messages(self, segment: Segment) -> MessageBlock:
-        """Return the messages of one segment.
+    def _read(self, piece: Piece, starts: NDArray[np.uint32], runs: tuple[tuple[int, int], ...] = ()) -> MessageBlock:
+        """Return the messages of a segment.
+
+        Args:
+            piece: Where it lies.
+            starts: Where its records start, without opcode and length, in the bytes that are read.
+            runs: Offset in the file and length of what is read, none for all of the piece.
 
         Raises:
             InputError: The file has changed since it was opened.
         """
         try:
-            if segment.runs:
-                data = b''.join(self._file.read(offset, length) for offset, length in segment.runs)
-            else:
-                data = self._load(segment.piece)
-            return messages_at(data, segment.starts.astype(np.intp))
+            data = b''.join(self._file.read(*run) for run in runs) if runs else self._load(piece)
+            return _messages_at(data, starts.astype(np.intp))
         except (DamageError, IndexError):
             self._fail('has changed while it was read')
 
@@ -148,14 +182,16 @@ class McapFile:
         file = self._file
         if file.size == 0:
             self._fail('is empty')
-        start = file.read(0, len(MAGIC))
-        if start != MAGIC and not file.is_closed:
-            self._fail('is not an MCAP file')
+        start = file.read(0, _BLOCK)
+        if not start.startswith(MAGIC) and not file.is_closed:
+            self._fail(f'is not an MCAP file{hint_of(start)}')
         if file.size == len(MAGIC):
             self._fail('holds no records, only the MCAP signature')
-        self._all_checked = True
         if file.is_closed:
-            self._read_summary()
+            self._summary = file.summary()
+            self._indexes = {index.chunk_start_offset: index for index in self._summary.chunk_indexes}
+            if (statistics := self._summary.statistics) is not None:
+                self.promised = statistics.message_count
         reached, last = self._scan_records()
         if file.is_closed and self._losses and not self.counts:
             self._fail(f'nothing of it can be used: {self._losses[0]}')
@@ -176,29 +212,14 @@ class McapFile:
             return
         if not self.segments:
             self._fail('was cut off before the first complete message, nothing can be recovered')
-        incomplete = 'are incomplete' if self.segments[-1].piece.is_cut else 'are lost'
         self.warnings.append(
             f'{self.path}: the recording was cut off: {sum(self.counts.values())} messages were recovered, '
-            f'the last {lost} bytes {incomplete}'
+            f'the last {lost} bytes {"are incomplete" if self._ends_cut else "are lost"}'
         )
 
     def _lose(self, start: int, end: int, why: str) -> None:
         self._losses.append(f'{end - start} bytes from byte {start} on are lost: {why}')
         self._lost_bytes += end - start
-
-    def _read_summary(self) -> None:
-        """Note the index, and what is repeated of definitions, in case that those before the messages are lost."""
-        for opcode, content in self._file.summary():
-            try:
-                if opcode in DEFINITIONS:
-                    self._definitions.spare.add(opcode, content)
-                elif opcode == Opcode.CHUNK_INDEX:
-                    index = ChunkIndex.read(ReadDataStream(BytesIO(content)))
-                    self._indexes[index.chunk_start_offset] = index
-                elif opcode == Opcode.STATISTICS:
-                    self.promised = Statistics.read(ReadDataStream(BytesIO(content))).message_count
-            except UNREADABLE:
-                return
 
     def _scan_records(self) -> tuple[int, Record | None]:
         """Take in the data section; return where the last record used ends, and the end of data if there is one."""
@@ -236,33 +257,86 @@ class McapFile:
 
     def _take_record(self, record: Record) -> int:
         """Take in a record that is neither a message nor a definition; return where the next one starts."""
-        if record.opcode != Opcode.CHUNK:
+        if record.opcode != Opcode.CHUNK or (head := self._file.chunk_head(record)) is None:
+            self._all_checked &= is_known(record.opcode)  # it may be a known one whose opcode is damaged
             return self._follow(record, record.offset + 1)
         self._chunked = True
-        if end := self._take_indexed(record):
+        if end := self._take_indexed(record, record.start + head.start):
             return end
         self._take(Piece(record.offset, record.end, is_chunk=True))
-        return self._follow(record, record.end)
+        return self._follow(record, record.start + head.start + head.stored)
 
-    def _take_indexed(self, chunk: Record) -> int:
-        """Take in a chunk by the index of the file; return where its index ends, 0 if all of it must be read."""
+    def _take_indexed(self, chunk: Record, begin: int) -> int:
+        """Take in a chunk by the index of the file, so that only needed messages are read.
+
+        Args:
+            chunk: The chunk.
+            begin: Where its stored records start in the file.
+
+        Returns:
+            Where its index ends; 0 if it does not fit what it points to, or if all of the chunk should be read.
+        """
         index = self._indexes.get(chunk.offset)
-        contents = indexed_contents(self._file, chunk, index, self._is_channel_needed)
-        if index is None or contents is None or self._file.record(contents.end) is None:
+        if index is None or index.chunk_length != chunk.end - chunk.offset or not index.message_index_offsets:
             return 0
-        for number in contents.counts:
-            self._definitions.use_spare(number)
-        self.counts.update(contents.counts)
+        length = index.message_index_length
+        block = self._file.read(chunk.end, length) if length < _MAX_INDEX else b''
+        counts, needed = {}, []
+        for channel, offset in index.message_index_offsets.items():
+            entries = _entries(block, offset - chunk.end, channel)
+            if not len(entries):
+                return 0
+            counts[channel] = len(entries)
+            if self._is_channel_needed(channel):
+                needed += [_Entry(place, log_ns, channel) for log_ns, place in entries.tolist()]
+        found = None if needed and index.compression else self._locate(chunk, begin, sorted(needed))
+        if found is None or self._file.record(chunk.end + length) is None:
+            return 0
+        for number in counts:
+            self._use_summary(number)
+        self.counts.update(counts)
         first_ns, last_ns = index.message_start_time, index.message_end_time
         self._span(first_ns, last_ns)
-        if contents.runs:
+        if found[0]:
+            runs, starts = found
             piece = Piece(chunk.offset, chunk.end, is_chunk=True)
-            starts = np.array(contents.starts, dtype=np.uint32)
-            self.segments.append(Segment(piece, first_ns, last_ns, starts, contents.runs))
-        return contents.end
+            self._ends_cut = False
+            read = partial(self._read, piece, np.array(starts, dtype=np.uint32), tuple(runs))
+            self.segments.append(Segment(first_ns, last_ns, read))
+        return chunk.end + length
+
+    def _locate(
+        self, chunk: Record, begin: int, entries: list[_Entry]
+    ) -> tuple[list[tuple[int, int]], list[int]] | None:
+        """Return where in a chunk messages are; None if they are not there, or are much of the chunk.
+
+        Returns:
+            Offset in the file and length of each run of needed message records, in the order of the file, and where
+            their contents start if the runs are joined.
+        """
+        total, block, place_of = 0, b'', 0
+        runs: list[tuple[int, int]] = []
+        starts: list[int] = []
+        for entry in entries:
+            if not place_of <= entry.place <= place_of + len(block) - _START.size:
+                block, place_of = self._file.read(begin + entry.place, _BLOCK), entry.place
+            if len(block) < _START.size:
+                return None
+            opcode, size, channel, _, log_ns = _START.unpack_from(block, entry.place - place_of)
+            fits = (opcode, channel, log_ns) == (Opcode.MESSAGE, entry.channel, entry.log_ns) and size >= MESSAGE_BYTES
+            offset, length = begin + entry.place, HEAD.size + size
+            starts.append(total + HEAD.size)
+            total += length
+            if not fits or total > _SPARSE * (chunk.end - chunk.start) or offset + length > chunk.end:
+                return None
+            if runs and sum(runs[-1]) == offset:
+                runs[-1] = (runs[-1][0], runs[-1][1] + length)
+            else:
+                runs.append((offset, length))
+        return runs, starts
 
     def _is_channel_needed(self, number: int) -> bool:
-        channel = self._definitions.spare.channels.get(number)
+        channel = self._summary.channels.get(number)
         return channel is None or self._is_needed(channel.topic)
 
     def _span(self, first_ns: int, last_ns: int) -> None:
@@ -314,28 +388,49 @@ class McapFile:
             position = start + length
             if opcode == message:
                 starts.append(start)
-            elif opcode in DEFINITIONS:
-                try:
-                    self._definitions.add(opcode, data[start:position])
-                except UNREADABLE:
-                    self._losses.append('an unreadable message definition')
+            elif opcode in _DEFINITIONS:
+                self._define(opcode, data[start:position])
         return np.asarray(starts, dtype=np.intp), position
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        """Note a definition."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+            else:
+                channel = Channel.read(stream)
+                self.channels[channel.id] = channel
+        except UNREADABLE:
+            self._losses.append('an unreadable message definition')
+
+    def _use_summary(self, number: int) -> bool:
+        """Take the definition of a channel from the summary; return whether it is there."""
+        channel = self._summary.channels.get(number)
+        if channel is None:
+            return False
+        self.channels[number] = channel
+        if (schema := self._summary.schemas.get(channel.schema_id)) is not None:
+            self.schemas.setdefault(channel.schema_id, schema)
+        return True
 
     def _add(self, piece: Piece, data: bytes, starts: NDArray[np.intp]) -> None:
         """Note the messages of a block of bytes that have a channel."""
-        starts = starts[lengths_at(data, starts) >= MESSAGE_BYTES]
-        channel = channels_at(data, starts)
+        starts = starts[_lengths_at(data, starts) >= MESSAGE_BYTES]
+        channel = values_at(data, starts, _MESSAGE)['channel'] if starts.size else starts
         for number in np.flatnonzero(np.bincount(channel)).tolist():
-            if number not in self.channels and not self._definitions.use_spare(number):
+            if number not in self.channels and not self._use_summary(number):
                 starts, channel = starts[channel != number], channel[channel != number]
                 self._losses.append(f'messages on the unknown channel {number} near byte {piece.offset} are lost')
         if not starts.size:
             return
-        block = messages_at(data, starts)
+        block = _messages_at(data, starts)
         self.counts.update(dict(enumerate(np.bincount(block.channel).tolist())))
         first, last = int(block.log_ns.min()), int(block.log_ns.max())
         self._span(first, last)
-        self.segments.append(Segment(piece, first, last, starts.astype(np.uint32)))
+        self._ends_cut = piece.is_cut
+        self.segments.append(Segment(first, last, partial(self._read, piece, starts.astype(np.uint32))))
 
     def _load(self, piece: Piece, *, is_new: bool = False) -> bytes:
         """Return the records of a piece of the file, unpacked and checked; ``is_new`` the first time.
@@ -343,22 +438,20 @@ class McapFile:
         Raises:
             DamageError: They are damaged or too large.
         """
-        file = self._file
+        file, chunk = self._file, piece.record
         if not piece.is_chunk:
             self._all_checked = False
             self._check_size(piece.end - piece.offset)
             return file.read(piece.offset, piece.end - piece.offset)
-        start = piece.offset + HEAD.size
-        _, length = HEAD.unpack(file.read(piece.offset, HEAD.size))
-        head = read_head(file.read(start, min(MAX_HEAD, piece.end - start)), length)
+        head = file.chunk_head(chunk)
         if head is None:
             raise DamageError('no valid head of a chunk')
         self._check_size(max(head.size, head.stored))
         if is_new:  # before anything is unpacked
             self._check_expansion(head.size)
         self._all_checked &= head.crc != 0
-        stored = file.read(start + head.start, min(head.stored, piece.end - start - head.start))
-        return unpack_start(head, stored) if piece.is_cut else unpack(head, stored)
+        stored = file.read(chunk.start + head.start, min(head.stored, chunk.end - chunk.start - head.start))
+        return head.unpack_start(stored) if piece.is_cut else head.unpack(stored)
 
     def _check_size(self, size: int) -> None:
         if size > self._max_chunk:
@@ -367,10 +460,40 @@ class McapFile:
             )
 
     def _check_expansion(self, size: int) -> None:
-        most = max(self._max_chunk, _MOST_EXPANSION * self._file.size)
+        most = max(self._max_chunk, _MAX_EXPANSION * self._file.size)
         if self._unpacked + size > most:
             raise DamageError(f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)')
         self._unpacked += size
 
     def _fail(self, what: str) -> NoReturn:
         raise InputError(f'{self.path}: {what}')
+
+
+def hint_of(start: bytes) -> str:
+    """Return what a file is instead of MCAP by its first bytes, and how to make it one; '' if that is not known."""
+    return next((text for sign, text in _HINTS.items() if start.startswith(sign)), '')
+
+
+def _entries(block: bytes, start: int, channel: int) -> NDArray[np.uint64]:
+    """Return log time and place in the chunk of each message of a channel, shape (n, 2); n = 0 if that is not there."""
+    none = np.empty((0, 2), dtype=np.uint64)
+    if not 0 <= start <= len(block) - _INDEX.size:
+        return none
+    opcode, _, found, size = _INDEX.unpack_from(block, start)
+    if opcode != Opcode.MESSAGE_INDEX or found != channel or size % 16 or start + _INDEX.size + size > len(block):
+        return none
+    return np.frombuffer(block, '<u8', size // 8, start + _INDEX.size).reshape(-1, 2)
+
+
+def _messages_at(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
+    """Return the messages whose records, without opcode and length, start at these places."""
+    heads = values_at(data, starts, _MESSAGE)
+    content = np.frombuffer(data, dtype=np.uint8)
+    return MessageBlock(
+        content, starts + _MESSAGE.itemsize, starts + _lengths_at(data, starts), heads['channel'], heads['log_ns']
+    )
+
+
+def _lengths_at(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Return the lengths of records, which stand before their starts."""
+    return values_at(data, starts - _LENGTH.itemsize, _LENGTH)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.bag.opening_progress import in_two
-from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.types import full_type
+from trainid_ros.bag.reader import BagReader, in_two
+from trainid_ros.bag.types import WIDE_CHARACTERS, full_type
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.mapping.mapping import Mapping, Signal, Source
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.stored_types import StoredType
+    from trainid_ros.bag.types import StoredType
 
 LONGEST_S: Final = 3600.0
 """Part of a bag that is read [s]."""
@@ -219,7 +218,7 @@ def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple
             yield from (((*path, k), part.dtype.kind != 'f') for k in range(part.size))
     elif is_dataclass(part):
         for item in fields(part):
-            if item.name not in {'header', 'stamp'} and 'covariance' not in item.name:
+            if item.name not in {'header', 'stamp', WIDE_CHARACTERS} and 'covariance' not in item.name:
                 yield from _leaves(getattr(part, item.name), (*path, item.name))
     elif isinstance(part, int | float):
         yield path, isinstance(part, int)

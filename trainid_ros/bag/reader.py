@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from contextlib import suppress
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
 from pathlib import Path
@@ -14,28 +15,42 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 
 from trainid_ros.bag.bag_files import locate, open_file
-from trainid_ros.bag.channel_sources import TopicNames
-from trainid_ros.bag.chunk import MAX_CHUNK
+from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
-from trainid_ros.bag.types import full_type, typestore
+from trainid_ros.bag.types import StoredType, digest, full_type, is_packaged, plain_text, type_name, typestore
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import INPUT_TOPICS, InputTopic, record_from_message, record_of
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    OUTPUT_TOPICS,
+    REQUIRED_TOPICS,
+    InputTopic,
+    record_from_message,
+    record_of,
+)
 from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapping import OWN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Mapping as ReadOnly
     from types import TracebackType
 
-    from trainid_ros.bag.bag_files import BagFile, Span
-    from trainid_ros.bag.channel_sources import ChannelSource, TopicSummary
-    from trainid_ros.bag.record_table import RecordTable
-    from trainid_ros.bag.stored_types import StoredType
+    from mcap.records import Channel
+
+    from trainid_ros.bag.bag_files import BagFile
+    from trainid_ros.bag.record_table import RecordTable, Segment
     from trainid_ros.interface.records import Record, Row
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
+OPENING: Final = 0.3
+"""Share of the work on a bag without an index that opening it is [1]: all of it is read and unpacked then."""
+NAMESPACE: Final = 'use --namespace'
+_REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
+_OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
+    name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
+}
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 _NO_ROWS: Final = np.empty(0, dtype=np.intp)
@@ -67,6 +82,90 @@ class StoredMessage(NamedTuple):
     log_ns: int
     topic: str
     content: bytes | Record
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSummary:
+    """One topic of a bag: name relative to the namespace where it lies in it, full type, messages."""
+
+    name: str
+    type: str
+    count: int
+
+
+class ChannelSource(NamedTuple):
+    """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
+
+    topic: str
+    name: str
+    mapped: StoredType | None = None
+
+
+class TopicNames:
+    """Names of topics in a namespace, and which of them are read."""
+
+    def __init__(self, namespace: str, mapping: Mapping) -> None:
+        """Take the namespace of the topics, and where each input comes from."""
+        self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
+        self._replaced = mapping.replaced
+        # Names in the mapping by full name.
+        self._mapped = {self._full(source.topic): source.topic for source in mapping.sources}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Topics of the mapping that lie outside the namespace: another train's numbers under the name of this one."""
+        outside = sorted(name for name in self._mapped if not name.startswith(self._prefix))
+        if not outside:
+            return ()
+        space = self._prefix.rstrip('/')
+        return (
+            f'mapping: {", ".join(outside)} outside --namespace {space}, so they may be of another train; without a '
+            f'leading slash a topic lies in {space}',
+        )
+
+    def relative(self, name: str) -> str:
+        """Return a name as it is in the namespace."""
+        # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
+        return self._full(name, '/').removeprefix(self._prefix)
+
+    def is_needed(self, name: str) -> bool:
+        """Return whether messages of a topic are read."""
+        return self.relative(name) in _OURS or self._full(name, '/') in self._mapped
+
+    def sources(self, file: BagFile, hashes: ReadOnly[str, str]) -> dict[int, ChannelSource]:
+        """Return the channels of a file that are read, by number.
+
+        Args:
+            file: The file.
+            hashes: Type hashes by full name of the topic, of files that hold no definitions.
+
+        Raises:
+            InputError: A type is not the one of the interface, or messages cannot be decoded.
+        """
+        sources = {}
+        for number, channel in file.channels.items():
+            if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
+                _check_encoding(channel, f'{file.path}: topic {channel.topic}')
+                sources[number] = ChannelSource(foreign, _schema_name(file, number), _stored_type(file, number))
+                continue
+            topic = self.relative(channel.topic)
+            if topic in _OURS and topic not in self._replaced:
+                _check_type(file, number, f'{file.path}: topic {topic}', _OURS[topic], hashes.get(channel.topic, ''))
+                sources[number] = ChannelSource(topic, _OURS[topic])
+        return sources
+
+    def summaries(self, files: Sequence[BagFile]) -> tuple[TopicSummary, ...]:
+        """Return all topics of some files by name; a topic written in several types is listed once for each."""
+        counts: dict[tuple[str, str], int] = {}
+        for file in files:
+            for number, channel in file.channels.items():
+                key = (self.relative(channel.topic), _schema_name(file, number))
+                counts[key] = counts.get(key, 0) + file.counts.get(number, 0)
+        return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
+
+    def _full(self, name: str, prefix: str = '') -> str:
+        """Return the full name of a topic; relative ones lie in the namespace."""
+        return name if name.startswith('/') else f'{prefix or self._prefix}{name}'
 
 
 class BagReader:
@@ -258,14 +357,14 @@ class BagReader:
         if count := int(np.searchsorted(pending.log_ns, end_ns, side='right')):
             yield pending[:count]
 
-    def _segments(self) -> list[tuple[int, int, Span]]:
+    def _segments(self) -> list[tuple[int, int, Segment]]:
         """Return first log time, number of the file and segment, by first log time."""
         segments = [(item.first_ns, index, item) for index, file in enumerate(self._files) for item in file.segments]
         return sorted(segments, key=itemgetter(0))
 
-    def _table(self, index: int, segment: Span) -> RecordTable:
+    def _table(self, index: int, segment: Segment) -> RecordTable:
         """Return the records of one segment, by log time."""
-        block = self._files[index].messages(segment)
+        block = segment.read()
         tables, places = [], []
         for number, source in self._sources[index].items():
             rows = np.flatnonzero(block.channel == number) if source.topic in _INPUT_NAMES else _NO_ROWS
@@ -355,7 +454,7 @@ class BagReader:
             while heap and heap[0][0] < first_ns:
                 log_ns, _, _, found, payload = heappop(heap)
                 yield log_ns, found, payload
-            block, wanted = self._files[index].messages(segment), self._wanted(index, topics)
+            block, wanted = segment.read(), self._wanted(index, topics)
             columns = (block.channel, block.log_ns, block.start, block.end)
             for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
                 if (source := wanted.get(channel)) is not None:
@@ -381,3 +480,75 @@ class BagReader:
     def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, ChannelSource]:
         sources = self._sources[index].items()
         return {number: source for number, source in sources if topics is None or source.topic in topics}
+
+
+def require_topics(reader: BagReader) -> None:
+    """Raise InputError, naming them, if required topics have no messages in the bag."""
+    missing = missing_topics(reader)
+    if not missing:
+        return
+    found = [topic.name for topic in reader.topics() if topic.count]
+    where = in_namespaces(found) or f'found: {", ".join(found) or "nothing"}'
+    raise InputError(f'{reader.path}: no messages on {", ".join(missing)} ({where})')
+
+
+def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
+    """Return the names of those topics that have no messages in the bag."""
+    return tuple(name for topic in topics for name in reader.missing(topic))
+
+
+def in_namespaces(topics: Iterable[str]) -> str:
+    """Return in which namespaces required topics are, and how to choose one; '' if in none."""
+    elsewhere = [name.strip('/') for name in topics if name.endswith(_REQUIRED)]
+    others = {name.rpartition('ato/')[0].strip('/') for name in elsewhere} - {''}
+    return f'they are in /{", /".join(sorted(others))}; {NAMESPACE}' if others else ''
+
+
+def in_two(
+    advance: Callable[[float], None], opening_share: float = OPENING
+) -> tuple[Callable[[float], None], Callable[[float], None]]:
+    """Return what reports the progress of opening a bag and of reading it, as shares of each, as that of the whole.
+
+    Opening counts only as far as the bag is scanned then, which one with an index is not.
+    """
+    opened = 0.0
+
+    def opening(share: float) -> None:
+        nonlocal opened
+        opened += opening_share * share
+        advance(opening_share * share)
+
+    return opening, lambda share: advance((1.0 - opened) * share)
+
+
+def _schema_name(file: BagFile, channel: int) -> str:
+    schema = file.schemas.get(file.channels[channel].schema_id)
+    return '' if schema is None else type_name(schema.name)
+
+
+def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str) -> None:
+    """Raise InputError if the type of a channel is not the one of the interface."""
+    channel = file.channels[number]
+    if (found := _schema_name(file, number)) != full_type(name):
+        raise InputError(f'{where}: type {full_type(name)} expected, {found or "none"} found')
+    _check_encoding(channel, where)
+    text = plain_text(file.schemas[channel.schema_id].data)
+    if is_packaged(text, name):
+        return
+    recorded = channel.metadata.get('topic_type_hash') or recorded
+    stored = _stored_type(file, number).digest if text.strip() else recorded
+    if stored != digest(name):
+        raise InputError(
+            f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
+            f'{stored or "no definition"} found'
+        )
+
+
+def _stored_type(file: BagFile, channel: int) -> StoredType:
+    return StoredType(file.path, file.schemas[file.channels[channel].schema_id])
+
+
+def _check_encoding(channel: Channel, where: str) -> None:
+    """Raise InputError, naming file and topic, if the messages of a channel cannot be decoded."""
+    if channel.message_encoding != 'cdr':
+        raise InputError(f'{where}: encoding cdr expected, {channel.message_encoding!r} found')

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The records of an MCAP file by their places: read where one is expected, found again after damage.
 
+What a record holds is read by the library ``mcap``. Records may be longer than known, and of unknown kinds; what is not
+known is ignored.
+
 Record layout: MCAP specification, https://mcap.dev/spec.
 """
 
@@ -9,12 +12,17 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped] # comes with mcap
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-
-from trainid_ros.bag.chunk import MAX_HEAD, read_head
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+from zstandard import ZstdDecompressor, ZstdError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,13 +30,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAGIC: Final = b'\x89MCAP0\r\n'
+MAX_CHUNK: Final = 64 << 20
+"""Largest chunk that is unpacked unless a larger one is asked for [bytes]."""
 HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
 MESSAGE_BYTES: Final = 22
 """Size of the head of a message: channel, sequence, log time, publish time."""
+UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
+"""What reading the content of a damaged record raises."""
 _FOOTER: Final = struct.Struct('<BQQQI')  # with its head; start of summary, start of its offsets, checksum of both
 _CRC: Final = struct.Struct('<I')
+_CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
+_SIZE: Final = struct.Struct('<Q')
+_MAX_CHUNK_HEAD: Final = 64
+_COMPRESSIONS: Final = ('', 'lz4', 'zstd')
+_INDEX: Final = struct.Struct('<HI')  # channel, size of the entries
+_ENTRY_BYTES: Final = 16
 _PRIVATE: Final = 0x80  # opcodes from here on are for records of others
-_SHORTEST: Final[dict[int, int]] = {
+_MIN_BYTES: Final[dict[int, int]] = {
     Opcode.HEADER: 8,
     Opcode.FOOTER: 20,
     Opcode.SCHEMA: 14,
@@ -45,17 +63,30 @@ _SHORTEST: Final[dict[int, int]] = {
     Opcode.SUMMARY_OFFSET: 17,
     Opcode.DATA_END: 4,
 }
-_SIZES: Final[dict[int, int]] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4}  # of those that always have the same
-_INDEX: Final = struct.Struct('<HI')  # channel, size of what follows
+_FIXED_BYTES: Final[dict[int, int]] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4}  # these never grow
 # What damage may be followed by: records whose content shows that they are whole, and what may lie outside chunks.
 _TARGETS: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER})
 _UNCHUNKED_TARGETS: Final = _TARGETS | {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
-_FOLLOWING: Final = 2
+_SUMMARY: Final = frozenset(
+    {
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
+_FOLLOWING: Final = 2  # records that must follow one whose place or kind is in doubt
 _FIRST_BLOCK: Final = 1 << 12
-_MOST_BLOCK: Final = 1 << 20
-_MOST_SUMMARY: Final = 1 << 26
-# Most bytes by which a summary is looked for elsewhere.
-_MOST_SHIFT: Final = 4096
+_MAX_BLOCK: Final = 1 << 20
+_MAX_SUMMARY: Final = 1 << 26
+_MAX_SHIFT: Final = 4096  # bytes by which a summary is looked for elsewhere
+
+
+class DamageError(Exception):
+    """A piece of a file cannot be used; the text says why."""
 
 
 class Record(NamedTuple):
@@ -69,6 +100,45 @@ class Record(NamedTuple):
     def offset(self) -> int:
         """Where the record itself starts."""
         return self.start - HEAD.size
+
+
+class ChunkHead(NamedTuple):
+    """Head of a chunk."""
+
+    size: int  # Size of its records [bytes]
+    crc: int  # Checksum of its records, 0 without one
+    compression: str  # '', 'lz4' or 'zstd'
+    start: int  # Where the stored records start in the content of the chunk
+    stored: int  # Their stored size [bytes]
+
+    def unpack(self, stored: bytes) -> bytes:
+        """Return the records, checked; DamageError if they cannot be unpacked, or size or checksum do not fit."""
+        data = self._expand(stored)
+        if len(data) != self.size:
+            raise DamageError(f'unpacks to {len(data)} instead of {self.size} bytes')
+        if self.crc and zlib.crc32(data) != self.crc:
+            raise DamageError('checksum does not fit')
+        return data
+
+    def unpack_start(self, stored: bytes) -> bytes:
+        """Return what can be unpacked of a chunk whose end is missing."""
+        try:
+            return self._expand(stored)
+        except DamageError:
+            return b''
+
+    def _expand(self, stored: bytes) -> bytes:
+        """Return the unpacked records, at most one byte more than the head states."""
+        try:
+            if self.compression == 'zstd':
+                with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
+                    return reader.read(self.size + 1)
+            if self.compression == 'lz4':
+                unpacked: bytes = LZ4FrameDecompressor().decompress(stored, self.size + 1)
+                return unpacked
+        except (ZstdError, RuntimeError) as error:  # lz4 raises the latter
+            raise DamageError(f'cannot be unpacked ({" ".join(str(error).split())})') from None
+        return stored
 
 
 class RecordFile:
@@ -98,18 +168,46 @@ class RecordFile:
 
     def record(self, offset: int) -> Record | None:
         """Return the record that starts at an offset, None if none that can be right does."""
+        found = last = self._record(offset)
+        # Of an unknown kind is only what known records follow: garbage looks alike.
+        for _ in range(_FOLLOWING):
+            if last is None or is_known(last.opcode) or last.end == self.end:
+                break
+            last = self._record(last.end)
+        return None if last is None else found
+
+    def _record(self, offset: int) -> Record | None:
+        """Return the record that starts at an offset, judged by itself."""
         content = self.read(offset, HEAD.size)
         if len(content) < HEAD.size:
             return None
         opcode, length = HEAD.unpack(content)
         found = Record(opcode, offset + HEAD.size, offset + HEAD.size + length)
-        if found.end > self.end or not (opcode >= _PRIVATE or _fits(opcode, length)):
+        fits = length == _FIXED_BYTES.get(opcode, length) and length >= _MIN_BYTES.get(opcode, 0)
+        if found.end > self.end or not opcode or not fits:
             return None
-        if opcode == Opcode.CHUNK and read_head(self.read(found.start, min(MAX_HEAD, length)), length) is None:
+        if opcode == Opcode.CHUNK and self.chunk_head(found) is None:
             return None
-        if opcode == Opcode.MESSAGE_INDEX and _INDEX.unpack(self.read(found.start, _INDEX.size))[1] != length - 6:
-            return None
+        if opcode == Opcode.MESSAGE_INDEX:
+            _, size = _INDEX.unpack(self.read(found.start, _INDEX.size))
+            if size % _ENTRY_BYTES or _INDEX.size + size > length:
+                return None
         return found
+
+    def chunk_head(self, chunk: Record) -> ChunkHead | None:
+        """Return the head of a chunk, None if it does not fit; the end of the stored records may be missing."""
+        content = self.read(chunk.start, min(_MAX_CHUNK_HEAD, chunk.end - chunk.start))
+        if len(content) < _CHUNK.size:
+            return None
+        _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+        end = _CHUNK.size + name_length
+        name = content[_CHUNK.size : end].decode('ascii', errors='replace')
+        if name not in _COMPRESSIONS or len(content) < end + _SIZE.size:
+            return None
+        (stored,) = _SIZE.unpack_from(content, end)
+        start = end + _SIZE.size
+        (length,) = _SIZE.unpack(self.read(chunk.start - _SIZE.size, _SIZE.size))
+        return ChunkHead(size, crc, name, start, stored) if start + stored <= length else None
 
     def search(self, offset: int, *, chunked: bool) -> int:
         """Return the start of the first record from an offset on that others follow, the end if there is none.
@@ -125,55 +223,65 @@ class RecordFile:
                 if self._begins_records(offset + place, _TARGETS if chunked else _UNCHUNKED_TARGETS):
                     return offset + int(place)
             offset += content.size - HEAD.size + 1
-            block = min(2 * block, _MOST_BLOCK)
+            block = min(2 * block, _MAX_BLOCK)
         return self.end
 
     def _begins_records(self, offset: int, targets: frozenset[int]) -> bool:
-        """Return whether a record that is a target begins at an offset, and others follow it."""
-        record = self.record(offset)
+        """Return whether a record that is a target begins at an offset, and known ones follow it."""
+        record = self._record(offset)
         if record is None or record.opcode not in targets:
             return False
         for _ in range(_FOLLOWING):
             if record.end == self.end:
                 return True
-            record = self.record(record.end)
-            if record is None:
+            record = self._record(record.end)
+            if record is None or not is_known(record.opcode):
                 return False
         return True
 
-    def summary(self) -> list[tuple[int, bytes]]:
-        """Return opcode and content of the records of the summary at the end of a finished file, as far as it goes."""
+    def summary(self) -> Summary:
+        """Return the summary at the end of a finished file, as far as it can be read."""
         offset = self.end - _FOOTER.size
         opcode, _, position, _, crc = _FOOTER.unpack(self.read(offset, _FOOTER.size))
         if opcode != Opcode.FOOTER or not position:  # without a summary, none needs to be looked for
-            return []
-        if found := self._summary_from(position, offset, crc):
-            return found
+            return Summary()
+        stated, is_whole = self._summary_from(position, crc)
+        if is_whole:
+            return stated
         # Bytes were lost or added before it: it lies elsewhere, and so do the chunks of its index. The end of it fits
         # without a checksum too, so what starts first is the whole.
-        for start in range(position - _MOST_SHIFT, position + _MOST_SHIFT):
-            if found := self._summary_from(start, offset, crc):
-                return [(kind, content) for kind, content in found if kind != Opcode.CHUNK_INDEX]
-        return [] if crc else self._contents(position, offset)[0]
+        for start in range(max(position - _MAX_SHIFT, len(MAGIC)), min(position + _MAX_SHIFT, offset)):
+            first = self._record(start)
+            if first is None or first.opcode not in _SUMMARY:
+                continue
+            moved, is_whole = self._summary_from(start, crc)
+            if is_whole:
+                moved.chunk_indexes.clear()
+                return moved
+        return stated
 
-    def _summary_from(self, start: int, end: int, crc: int) -> list[tuple[int, bytes]]:
-        """Return opcode and content of the records between two offsets; none if they or their checksum do not fit."""
-        if not 0 < start < end or self.record(start) is None:
-            return []
-        if crc and end - start <= _MOST_SUMMARY and self.crc(start, self.end - _CRC.size) != crc:
-            return []
-        found, reached = self._contents(start, end)
-        return found if reached == end else []
-
-    def _contents(self, start: int, end: int) -> tuple[list[tuple[int, bytes]], int]:
-        """Return opcode and content of the records from an offset on, and where the last one ends."""
-        found: list[tuple[int, bytes]] = []
-        if not 0 < start < end or end - start > _MOST_SUMMARY:
-            return found, start
-        while start < end and (record := self.record(start)) is not None:
-            found.append((record.opcode, self.read(record.start, record.end - record.start)))
-            start = record.end
-        return found, start
+    def _summary_from(self, start: int, crc: int) -> tuple[Summary, bool]:
+        """Return what can be read of a summary that starts at an offset, and whether that is all of it."""
+        found = Summary()
+        if not 0 < start < self.end or self.size - start > _MAX_SUMMARY:
+            return found, False
+        content = self.read(start, self.size - start)
+        if crc and zlib.crc32(content[: -_CRC.size - len(MAGIC)]) != crc:
+            return found, False
+        try:
+            for record in StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True).records:
+                match record:
+                    case Schema():
+                        found.schemas[record.id] = record
+                    case Channel():
+                        found.channels[record.id] = record
+                    case ChunkIndex():
+                        found.chunk_indexes.append(record)
+                    case Statistics():
+                        found.statistics = record
+        except UNREADABLE:
+            return found, False
+        return found, True
 
     def crc_fits(self, data_end: Record) -> bool:
         """Return whether the bytes before a record have the checksum that it states, if it states one."""
@@ -183,19 +291,24 @@ class RecordFile:
     def crc(self, start: int, end: int) -> int:
         """Return the checksum of the bytes between two offsets."""
         crc = 0
-        for offset in range(start, end, _MOST_BLOCK):
-            crc = zlib.crc32(self.read(offset, min(_MOST_BLOCK, end - offset)), crc)
+        for offset in range(start, end, _MAX_BLOCK):
+            crc = zlib.crc32(self.read(offset, min(_MAX_BLOCK, end - offset)), crc)
         return crc
 
     def _end_of_zeros(self) -> int:
         """Return where the zeros at the end of the file start."""
         end = self.size
         while end:
-            start = max(0, end - _MOST_BLOCK)
+            start = max(0, end - _MAX_BLOCK)
             if content := self.read(start, end - start).rstrip(b'\0'):
                 return start + len(content)
             end = start
         return 0
+
+
+def is_known(opcode: int) -> bool:
+    """Return whether the kind of a record is that of the specification, or private."""
+    return opcode in _MIN_BYTES or opcode >= _PRIVATE
 
 
 def values_at(data: bytes | NDArray[np.uint8], at: NDArray[np.intp], kind: np.dtype[Any]) -> NDArray[Any]:
@@ -204,11 +317,6 @@ def values_at(data: bytes | NDArray[np.uint8], at: NDArray[np.intp], kind: np.dt
         return np.empty(0, dtype=kind)
     everywhere: NDArray[Any] = np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))
     return everywhere[at]
-
-
-def _fits(opcode: int, length: int) -> bool:
-    """Return whether a record of this kind may have this length."""
-    return opcode in _SHORTEST and length >= _SHORTEST[opcode] and length == _SIZES.get(opcode, length)
 
 
 def _candidates(content: NDArray[np.uint8]) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from trainid_ros.interface.records import Row
 
@@ -34,6 +34,25 @@ _FORMS: Final = ((_STAMP.newbyteorder('>'), _NUMBER.newbyteorder('>')), (_STAMP,
 # A serializer may pad to a multiple of four bytes.
 _MOST_PADDING: Final = 3
 _ROWS_AT_ONCE: Final = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBlock:
+    """The messages of one segment, in the order of the file, without a copy of any of them."""
+
+    data: Bytes  # The bytes they lie in, shape (m,)
+    start: Places  # Where their payloads start in ``data``, shape (n,)
+    end: Places  # Where they end, shape (n,)
+    channel: NDArray[np.integer[Any]]  # Numbers of their channels, shape (n,)
+    log_ns: NDArray[np.uint64]  # Log times, shape (n,)
+
+
+class Segment(NamedTuple):
+    """A part of a file with messages of needed topics."""
+
+    first_ns: int  # First log time [ns]
+    last_ns: int  # Last log time [ns]
+    read: Callable[[], MessageBlock]  # Returns its messages; InputError if the file cannot be read any more
 
 
 @dataclass(frozen=True, slots=True)

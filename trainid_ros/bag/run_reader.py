@@ -8,10 +8,8 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.bag.chunk import MAX_CHUNK
-from trainid_ros.bag.opening_progress import in_two
-from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.required_topics import require_topics
+from trainid_ros.bag.reader import BagReader, in_two, require_topics
+from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.explain.dataset import RunCollector
 from trainid_ros.interface.errors import InputError

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ``trainid_msgs`` for rosbags, and their conversion from and to the records of the core.
+"""Message types: ours, for rosbags and from and to the records of the core, and those of others by their definitions.
 
 The definitions are the packaged ``.msg`` files, the same ones that ROS compiles, so a RIHS01 digest
 computed here equals the type hash that ROS uses. rosbags is imported only to write, and to read messages or
@@ -9,6 +9,8 @@ definitions that are not in the usual form.
 from __future__ import annotations
 
 import re
+import struct
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -19,6 +21,8 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record, input_topic, output_topic, output_values, record_values
 
 if TYPE_CHECKING:
+    from mcap.records import Schema
+    from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
     from trainid_ros.interface.records import OutputLike
@@ -33,6 +37,20 @@ _CONTAINED: Final = {
     'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
 }
 _SEPARATOR: Final = '=' * 80 + '\n'
+_TITLE: Final = re.compile(r'(MSG|IDL):[ \t]*(\S*)[ \t]*\n')
+_IDL: Final = ('ros2idl', 'omgidl')
+_MAX_REASON: Final = 200  # characters
+# Strings of wide characters, which rosbags does not know, with two bytes a character in Jazzy or four before.
+_WIDE_NAME: Final = 'wide_text/msg/WideText'
+WIDE_CHARACTERS: Final = 'wide_characters'
+_WIDE: Final = (f'uint16[] {WIDE_CHARACTERS}', f'uint32[] {WIDE_CHARACTERS}')
+_WIDE_FIELD: Final = re.compile(r'^[ \t]*wstring(?:<=\d+)?(\[[^\]]*\])?[ \t]+(\w+)(?![ \t]*=)[^\n]*$', re.MULTILINE)
+# What rosbags does not read of IDL, and what has the same bytes: includes, wide strings, arrays of two dimensions.
+_SAME_IDL: Final = (
+    (re.compile(r'^[ \t]*#[^\n]*$', re.MULTILINE), ''),
+    (re.compile(r'\bwstring\b(?:\s*<[^>]*>)?'), _WIDE_NAME.replace('/', '::')),
+    (re.compile(r'\[\s*(\d+)\s*\]\s*\[\s*(\d+)\s*\]'), lambda found: f'[{int(found[1]) * int(found[2])}]'),
+)
 _CONSTANT: Final = re.compile(r'\S+\s+[A-Z][A-Z0-9_]*\s*=')
 
 
@@ -63,6 +81,16 @@ def is_packaged(text: str, message: str) -> bool:
     contained = {name: fields_of(body) for name, body in bodies.items()}
     expected = {name: fields_of(body) for name, body in _CONTAINED.items()}
     return fields_of(first) == fields_of(definition(message)) and contained == expected
+
+
+def plain_text(data: bytes) -> str:
+    """Return the text of a definition without the line ends and marks of Windows."""
+    return data.decode('utf-8', errors='replace').replace('\r\n', '\n').replace('\ufeff', '')
+
+
+def type_name(name: str) -> str:
+    """Return the full name of a type, which may be written without ``msg``."""
+    return '/msg/'.join(name.split('/')) if name.count('/') == 1 else name
 
 
 @cache
@@ -125,3 +153,117 @@ def estimate_message(output: OutputLike) -> Any:
 def _build(name: str, stamp_ns: int, values: dict[str, Any]) -> Any:
     arrays = {key: np.array(value, dtype=np.float64) for key, value in values.items() if isinstance(value, list)}
     return typestore().types[full_type(name)](header=header(stamp_ns), **(values | arrays))
+
+
+class StoredType:
+    """A message type by the definition that a bag holds; without one it must be a standard type of ROS 2.
+
+    What rosbags does not know but has the same bytes as something else is read as that. A field of an unknown type is
+    left out, and so are those after it.
+    """
+
+    def __init__(self, path: Path, schema: Schema) -> None:
+        """Read the definition; InputError, naming the file, if nothing of it can be read."""
+        from rosbags.typesys import Stores, TypesysError, get_typestore  # noqa: PLC0415 - rarely needed
+
+        self.name = type_name(schema.name)
+        text = plain_text(schema.data)
+        self._is_whole = True
+        try:
+            if not text.strip():
+                self._stores = [_standard()]
+            else:
+                self._stores = [get_typestore(Stores.EMPTY) for _ in (_WIDE if 'wstring' in text else _WIDE[:1])]
+            for store, wide in zip(self._stores, _WIDE, strict=False) if text.strip() else ():
+                types = _parse(text, self.name, schema.encoding) | _parse(wide, _WIDE_NAME, 'ros2msg')
+                self._is_whole = _complete(types, self.name)
+                store.register(types)
+            self._stores[0].get_msgdef(self.name)
+        except (TypesysError, KeyError) as error:
+            raise InputError(
+                f'{path}: unreadable definition of {self.name} ({" ".join(str(error).split())[:_MAX_REASON]})'
+            ) from None
+
+    @property
+    def digest(self) -> str:
+        """RIHS01 digest of the type."""
+        return str(self._stores[0].hash_rihs01(self.name))
+
+    def decode(self, payload: bytes) -> Any:
+        """Return a message; SerdeError if it cannot be read."""
+        from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
+
+        for store in self._stores[:-1]:
+            with suppress(SerdeError):
+                return self._decoded(store, payload)
+        return self._decoded(self._stores[-1], payload)
+
+    def _decoded(self, store: Typestore, payload: bytes) -> Any:
+        from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
+
+        if self._is_whole:
+            return store.deserialize_cdr(payload, self.name)
+        kind = store.get_msgdef(self.name)
+        try:
+            decode = kind.deserialize_cdr_le if payload[1] else kind.deserialize_cdr_be
+            return decode(payload[4:], 0, kind.cls, store)[0]  # more follows, which is not known
+        except (struct.error, ValueError, IndexError) as error:
+            raise SerdeError(str(error)) from error
+
+
+def _parse(text: str, name: str, encoding: str) -> Typesdict:
+    """Return the fields by type of a definition, followed by those it contains, in any mix of both languages."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg  # noqa: PLC0415 - rarely needed
+
+    types: Typesdict = {}
+    for part in text.split(_SEPARATOR):
+        title = _TITLE.match(part)
+        kind, contained = title.groups() if title else ('IDL' if encoding in _IDL else 'MSG', name)
+        body = part[title.end() :] if title else part
+        if kind == 'IDL':
+            for pattern, same in _SAME_IDL:
+                body = pattern.sub(same, body)
+            if body.strip():
+                types |= get_types_from_idl(body)
+        elif contained:  # rosbag2 writes an empty title before the IDL of a service
+            body = _WIDE_FIELD.sub(rf'{_WIDE_NAME}\1 \2', body).replace('wstring', 'string')  # of a constant
+            types |= get_types_from_msg(body, contained)
+    return types
+
+
+def _complete(types: Typesdict, name: str) -> bool:
+    """Add the standard types that a type contains, and cut it at the first field that is not known.
+
+    Returns:
+        Whether all of it is known.
+
+    Raises:
+        KeyError: Nothing is.
+    """
+    from rosbags.interfaces import Nodetype  # noqa: PLC0415 - rarely needed
+
+    constants, fields = types[name]
+    for place, (_, description) in enumerate(fields):
+        item: Any = description
+        while item[0] in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+            item = item[1][0]
+        if item[0] is not Nodetype.NAME:
+            continue
+        inner = item[1]
+        if inner not in types and inner in _standard().fielddefs:
+            types[inner] = _standard().fielddefs[inner]
+        if inner in types and _complete(types, inner):
+            continue
+        known = fields[: place + (inner in types and description[0] is Nodetype.NAME)]
+        if not known:
+            raise KeyError(inner)
+        types[name] = constants, known
+        return False
+    return True
+
+
+@cache
+def _standard() -> Typestore:
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - rarely needed
+
+    return get_typestore(Stores.ROS2_JAZZY)

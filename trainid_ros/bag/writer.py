@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import shutil
+import struct
+import sys
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from mcap.opcode import Opcode
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from trainid_ros.bag.checksums import Checksums
+from trainid_ros.bag.record_file import HEAD, MAGIC, RecordFile
 from trainid_ros.bag.types import (
     PACKAGE,
     digest,
@@ -25,13 +29,25 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import OUTPUT_TOPICS, input_topic, output_topic
 from trainid_ros.interface.results import Status
 
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
 if TYPE_CHECKING:
     from types import TracebackType
 
     from rosbags.interfaces import Connection
 
+    from trainid_ros.bag.bag_replay import AnyOutput
+    from trainid_ros.bag.reader import LoggedRecord
     from trainid_ros.interface.records import OutputLike, Record
 
+_CRC: Final = struct.Struct('<I')
+_IN_CHUNK: Final = HEAD.size + 24  # after two log times and the size
+_SUMMARY_START: Final = struct.Struct('<Q')
+# zstd can check its own data, which also serves files that were never finished.
+_OPTIONS: Final = {int(zstd.CompressionParameter.checksum_flag): 1}
 _VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
@@ -56,6 +72,43 @@ STREAM_QOS: Final = _qos(10, QosDurability.VOLATILE)
 LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)
 
 
+class _Checksums:
+    """Notes the checksum of each chunk as it is written, and stores all at the end; rosbags leaves them at 0."""
+
+    def __init__(self, storage: McapWriter) -> None:
+        """Follow the chunks that a storage writes."""
+        self._storage = storage
+        self._chunks: list[tuple[int, int]] = []
+        storage.compressor = self._compress
+
+    def _compress(self, records: bytes) -> bytes:
+        # The chunk starts where the file ends now.
+        self._chunks.append((self._storage.bio.tell() + _IN_CHUNK, zlib.crc32(records)))
+        return zstd.compress(records, options=_OPTIONS) if self._storage.compression else records
+
+    def store(self) -> None:
+        """Write the checksums into the finished file."""
+        path = self._storage.path
+        with path.open('r+b') as file:
+
+            def put(offset: int, value: int) -> None:
+                file.seek(offset)
+                file.write(_CRC.pack(value))
+                file.flush()
+
+            for offset, crc in self._chunks:
+                put(offset, crc)
+            written = RecordFile(path)
+            position = len(MAGIC)
+            while (record := written.record(position)) is not None and record.opcode != Opcode.DATA_END:
+                position = record.end
+            put(position + HEAD.size, written.crc(0, position))
+            end = written.end - _CRC.size
+            (summary,) = _SUMMARY_START.unpack(written.read(end - 2 * _SUMMARY_START.size, _SUMMARY_START.size))
+            put(end, written.crc(summary, end))
+            written.close()
+
+
 class BagWriter:
     """Writes one new bag; use as a context manager.
 
@@ -73,7 +126,7 @@ class BagWriter:
         self.message_count = 0
         self._compress = compress
         self._writer: Writer | None = None
-        self._checksums: Checksums | None = None
+        self._checksums: _Checksums | None = None
         self._connections: dict[str, Connection] = {}
         self._types = typestore()
 
@@ -94,7 +147,7 @@ class BagWriter:
             raise InputError(f'{self.path}: cannot be written ({error.strerror})') from None
         storage = self._writer.storage
         if isinstance(storage, McapWriter):
-            self._checksums = Checksums(storage)
+            self._checksums = _Checksums(storage)
         return self
 
     def __exit__(
@@ -163,3 +216,18 @@ class BagWriter:
         )
         self._connections[topic] = connection
         return connection
+
+
+class BagRecorder:
+    """Writes inputs and estimates to a bag, logged when they arrived or would have been published."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self._writer = writer
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """Write an input with its own log time, so that the new bag replays in the same order."""
+        self._writer.write_record(entry.record, entry.log_ns)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:
+        """Write an estimate, and its latched copy if it is valid."""
+        self._writer.write_estimate(output, log_ns)

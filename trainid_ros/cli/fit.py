@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.required_topics import require_topics
+from trainid_ros.bag.reader import require_topics
 from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import print_json, progress, show, table, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.bag_info import inspect
-from trainid_ros.bag.required_topics import NAMESPACE
+from trainid_ros.bag.reader import NAMESPACE
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.interface.errors import InputError

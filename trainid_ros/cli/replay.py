@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.input_check import brake_sign
-from trainid_ros.bag.opening_progress import in_two
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
@@ -170,8 +169,8 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     if out is None and report is None:
         return observers, None
     # Imported here because most replays only print.
-    from trainid_ros.bag.observers import BagRecorder, TraceObserver  # noqa: PLC0415
-    from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
+    from trainid_ros.bag.observers import TraceObserver  # noqa: PLC0415
+    from trainid_ros.bag.writer import BagRecorder, BagWriter  # noqa: PLC0415
 
     if out is not None and out.suffix in TABLE_SUFFIXES:
         observers.append(stack.enter_context(estimate_table(out)))

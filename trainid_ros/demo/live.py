@@ -13,8 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.required_topics import require_topics
+from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.demo.comparison import Fingerprint, fingerprint_of_message
 from trainid_ros.demo.processes import Child, ProcessGroup
 from trainid_ros.demo.view import Snapshot, View

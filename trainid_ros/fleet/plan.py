@@ -17,13 +17,8 @@ from dataclasses import asdict, dataclass, fields
 from datetime import UTC, date, datetime
 from glob import glob, has_magic
 from hashlib import sha256
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Statistics
 
 import trainid_ros
 from trainid_ros.bag.bag_files import METADATA, SUFFIXES, bags_below, locate
@@ -297,12 +292,11 @@ def _statistics(files: Iterable[Path]) -> tuple[float | None, int | None]:
     for path in files:
         file = RecordFile(path)
         try:
-            records = dict(file.summary()) if file.is_closed else {}
+            statistics = file.summary().statistics if file.is_closed else None
         finally:
             file.close()
-        if (content := records.get(Opcode.STATISTICS)) is None:
+        if statistics is None:
             return None, None
-        statistics = Statistics.read(ReadDataStream(BytesIO(content)))
         messages += statistics.message_count
         if statistics.message_count:
             first_ns.append(statistics.message_start_time)

@@ -28,8 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
-from trainid_ros.bag.opening_progress import in_two
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.worker_pool import each_bag, killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.estimators.observability import resistance_std
