@@ -74,7 +74,7 @@ setup(
     cmdclass={'build_ext': BuildModules},
     ext_modules=compiled_modules(),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed'], f'{NAME}.bag': ['msg/*.msg']},
+    package_data={NAME: ['py.typed'], f'{NAME}.bag': ['msg/*.msg'], f'{NAME}.report': ['*.html.j2']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -83,6 +83,7 @@ setup(
     python_requires='>=3.11',
     install_requires=[
         'setuptools',
+        'Jinja2',
         'PyYAML',
         'matplotlib',
         'numpy',

@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import ast
 import os
+import runpy
 from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+
+import pytest
 
 from tools.setup_env import SHARED, link_shared
 from trainid_ros.bag import PACKAGES
@@ -28,6 +31,20 @@ def test_shared_folders_exist_and_are_those_of_the_set_up() -> None:
     folders = setup_value('SHARED_FOLDERS')
     assert all(any((ROOT / folder).iterdir()) for folder in folders)
     assert {*folders, 'package.xml'} == set(SHARED)
+
+
+def test_every_data_file_is_packaged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    given: dict[str, Any] = {}
+    monkeypatch.setattr('setuptools.setup', given.update)
+    runpy.run_path('setup.py')
+    declared: dict[str, list[str]] = given['package_data']
+    folders = {name: ROOT / name.replace('.', '/') for name in declared}
+    packaged = {path for name, patterns in declared.items() for text in patterns for path in folders[name].glob(text)}
+    made = {'.py', '.pyc', '.so', '.sha256'}
+    found = {path for path in (ROOT / 'trainid_ros').rglob('*') if path.is_file() and path.suffix not in made}
+    assert found <= packaged
+    assert ROOT / 'trainid_ros' / 'report' / 'page.html.j2' in packaged
 
 
 def test_packages_for_bags_are_an_extra() -> None:

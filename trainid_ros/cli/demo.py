@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from trainid_ros.demo.comparison import ComparisonOutcome
     from trainid_ros.demo.hidden import HiddenCase
     from trainid_ros.demo.view import View
-    from trainid_ros.report.accuracy_scores import AccuracyScore
+    from trainid_ros.report.chapter import AccuracyScore
 
 _CHECK_FAILED: Final = 1
 
@@ -85,15 +85,14 @@ def _is_played(chapter: str, args: argparse.Namespace) -> bool:
 def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[ComparisonOutcome]:
     """Play all bags through the live nodes and write the report."""
     from trainid_ros.demo.processes import isolate  # noqa: PLC0415
-    from trainid_ros.report.content import Report  # noqa: PLC0415
-    from trainid_ros.report.page import write_report  # noqa: PLC0415
+    from trainid_ros.report.drive_report import write_report  # noqa: PLC0415
 
     logs: Path = args.out / 'log'
     logs.mkdir(parents=True, exist_ok=True)
     domain = isolate(logs)
     view.say(f'ROS 2 domain {domain}, logs in {logs}')
     outcomes = [_play(bag, args, logs, view) for bag in bags]
-    write_report(Report('trainid demo', tuple(outcome.chapter for outcome in outcomes)), report)
+    write_report('trainid demo', [outcome.chapter for outcome in outcomes], report)
     return outcomes
 
 
@@ -138,7 +137,7 @@ def _outcome_lines(outcome: ComparisonOutcome) -> list[str]:
     chapter = outcome.chapter
     w, f = chapter.resistance, chapter.brake_rate
     return [
-        f'{chapter.traces.duration_s / 60.0:.0f} min of driving, {chapter.how}',
+        f'{chapter.recording.duration_s / 60.0:.0f} min of driving, {chapter.how}',
         f'w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
         f'{w.status.name}, {w.used} samples used, {w.rejected} rejected',
         f'brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}',
@@ -170,7 +169,7 @@ def _to_json(
         'bags': [
             {
                 'bag': outcome.chapter.bag,
-                'duration_s': outcome.chapter.traces.duration_s,
+                'duration_s': outcome.chapter.recording.duration_s,
                 'rate': outcome.rate,
                 'resistance': outcome.chapter.resistance,
                 'speed_model': outcome.chapter.speed_model,

@@ -15,15 +15,14 @@ from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.demo.view import LABELS
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.report.accuracy_scores import AccuracyScore, score_brake_rate, score_resistance
-from trainid_ros.report.content import Chapter, RejectionCounts
+from trainid_ros.report.chapter import AccuracyScore, Chapter, RejectionCounts, score_brake_rate, score_resistance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.live import LiveRun
-    from trainid_ros.report.traces import TraceRecorder
+    from trainid_ros.recording import Recorder
 
 
 class Fingerprint(NamedTuple):
@@ -119,14 +118,14 @@ class ComparisonOutcome:
 
 
 class _Check:
-    """Takes fingerprints of a replay, and traces its inputs, which are those of the live run."""
+    """Takes fingerprints of a replay, and records its inputs, which are those of the live run."""
 
-    def __init__(self, recorder: TraceRecorder) -> None:
+    def __init__(self, recorder: Recorder) -> None:
         self.fingerprints: dict[type, list[Fingerprint]] = {kind: [] for kind in LABELS}
         self._recorder = recorder
 
     def on_record(self, entry: LoggedRecord) -> None:
-        self._recorder.on_record(entry.record)
+        self._recorder.on_record(entry)
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - only stamps are compared
         self.fingerprints[type(output.estimate)].append(fingerprint_of_output(output))
@@ -147,15 +146,15 @@ def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[
         replayed = replay(reader, bag.train_file, EstimatorSettings(), progress, (check,), duration_s=limit_s)
     pairs = ((label, live.fingerprints[kind], check.fingerprints[kind]) for kind, label in LABELS.items())
     comparisons = tuple((label, compare(received, expected)) for label, received, expected in pairs)
-    traces = live.recorder.finish()
-    rate = traces.duration_s / live.wall_s if live.wall_s > 0.0 else math.nan
+    recording = live.recorder.finish()
+    rate = recording.duration_s / live.wall_s if live.wall_s > 0.0 else math.nan
     notes = tuple(describe_comparison(label, comparison) for label, comparison in comparisons)
     chapter = _chapter(bag, live, replayed, notes, f'live over ROS 2 at {rate:.0f} x real time, then off line')
     return ComparisonOutcome(
         chapter=chapter,
         comparisons=comparisons,
-        resistance=None if bag.truth is None else score_resistance(traces, bag.truth),
-        brake_rate=None if bag.truth is None else score_brake_rate(traces, bag.truth),
+        resistance=None if bag.truth is None else score_resistance(recording, bag.truth),
+        brake_rate=None if bag.truth is None else score_brake_rate(recording, bag.truth),
         rate=rate,
     )
 
@@ -194,7 +193,7 @@ def _chapter(bag: DemoBag, live: LiveRun, replayed: Replay, notes: tuple[str, ..
         train_file_name=str(bag.train_path),
         train_file=bag.train_file,
         how=how,
-        traces=live.recorder.finish(),
+        recording=live.recorder.finish(),
         resistance=newest[ResistanceEstimate],
         speed_model=newest[SpeedModelEstimate],
         brake_rate=newest[BrakeRateEstimate],

@@ -20,7 +20,7 @@ from trainid_ros.demo.view import Snapshot, View
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, OutputTopic
 from trainid_ros.interface.results import Estimate, Output, Reason, Status
-from trainid_ros.report.traces import TraceRecorder
+from trainid_ros.recording import Recorder
 from trainid_ros.ros.jobs import JOBS
 from trainid_ros.ros.topics import message_class
 
@@ -53,7 +53,7 @@ class LiveRun:
     fingerprints: dict[type, list[Fingerprint]]
     newest: dict[type, AnyOutput]  # Last output of each estimator
     rejections: dict[type, dict[Reason, int]]  # Rejected samples by reason, from the last diagnostics
-    recorder: TraceRecorder  # Traces of the estimates; the inputs are traced later
+    recorder: Recorder  # What recorded the estimates; the inputs are recorded later
     wall_s: float  # Time from the first to the last message [s]
 
 
@@ -112,7 +112,7 @@ class _Session:
         self._listener = listener
         self._snapshot = snapshot
         self._view = view
-        self._recorder = TraceRecorder()
+        self._recorder = Recorder()
         self._fingerprints: dict[type, list[Fingerprint]] = {kind: [] for kind in KINDS.values()}
         self._first_s = self._last_s = 0.0
 

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.report.content import Report
-from trainid_ros.report.page import render, write_report
+from trainid_ros.recording import Recorder
+from trainid_ros.report.drive_report import render_report, write_report
 from trainid_ros.report.style import styled_figure, to_svg
-from trainid_ros.report.traces import TraceRecorder
 from trainid_ros.sim.truth import Truth
 
 pytestmark = pytest.mark.slow  # drawing takes seconds
@@ -56,7 +55,7 @@ class Balance(HTMLParser):
 
 @pytest.fixture(scope='module')
 def text(make_chapter: Callable[..., Any]) -> str:
-    return render(Report('Two <trials>', (make_chapter(240), replace(make_chapter(120), title='Second'))))
+    return render_report('Two <trials>', (make_chapter(240), replace(make_chapter(120), title='Second')))
 
 
 def test_every_chapter_has_each_figure_once(text: str) -> None:
@@ -104,47 +103,47 @@ def test_figures_use_the_colours_of_the_page(text: str) -> None:
 
 
 def test_without_truth_none_is_shown(make_chapter: Callable[..., Any]) -> None:
-    text = render(Report('r', (make_chapter(120, truth=None),)))
+    text = render_report('r', (make_chapter(120, truth=None),))
     assert 'truth' not in text
     assert 'nan' not in words(text)
 
 
 def test_truth_without_brake_rate(make_chapter: Callable[..., Any]) -> None:
     truth = Truth(0, ((0.0, 1.5, 0.02, 0.001),))
-    text = render(Report('r', (make_chapter(120, truth=truth),)))
+    text = render_report('r', (make_chapter(120, truth=truth),))
     assert 'error / std' in text
     assert 'nan' not in words(text)
 
 
 def test_drive_without_braking(make_chapter: Callable[..., Any]) -> None:
-    text = render(Report('r', (make_chapter(50, braking=False),)))
+    text = render_report('r', (make_chapter(50, braking=False),))
     assert text.count('<svg') == len(FIGURES)
     assert 'nan' not in words(text)
 
 
 def test_empty_traces_give_tables_without_figures(make_chapter: Callable[..., Any]) -> None:
-    chapter = replace(make_chapter(30), traces=TraceRecorder().finish())
-    text = render(Report('r', (chapter,)))
+    chapter = replace(make_chapter(30), recording=Recorder().finish())
+    text = render_report('r', (chapter,))
     assert '<svg' not in text
     assert 'nan' not in words(text)
 
 
 def test_single_sample_is_plotted(make_chapter: Callable[..., Any]) -> None:
-    assert '<svg' in render(Report('r', (make_chapter(1),)))
+    assert '<svg' in render_report('r', (make_chapter(1),))
 
 
 def test_output_is_deterministic(make_chapter: Callable[..., Any]) -> None:
-    report = Report('r', (make_chapter(60),))
-    assert render(report) == render(report)
+    chapters = (make_chapter(60),)
+    assert render_report('r', chapters) == render_report('r', chapters)
 
 
 def test_folders_are_created_and_write_errors_reported(make_chapter: Callable[..., Any], tmp_path: Path) -> None:
-    report = Report('r', (replace(make_chapter(30), traces=TraceRecorder().finish()),))
-    write_report(report, tmp_path / 'a' / 'b' / 'report.html')
-    assert (tmp_path / 'a' / 'b' / 'report.html').read_text(encoding='utf-8') == render(report)
+    chapters = (replace(make_chapter(30), recording=Recorder().finish()),)
+    write_report('r', chapters, tmp_path / 'a' / 'b' / 'report.html')
+    assert (tmp_path / 'a' / 'b' / 'report.html').read_text(encoding='utf-8') == render_report('r', chapters)
     (tmp_path / 'file').write_text('x', encoding='utf-8')
     with pytest.raises(InputError, match=r'file.*cannot be written'):
-        write_report(report, tmp_path / 'file' / 'report.html')
+        write_report('r', chapters, tmp_path / 'file' / 'report.html')
 
 
 def words(text: str) -> set[str]:
@@ -156,7 +155,7 @@ def words(text: str) -> set[str]:
 def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -> None:
     bad = '<img src=x onerror=alert(1)>&"'
     chapter = replace(make_chapter(60), title=bad, bag=bad, train_file_name=bad, how=bad, notes=(bad,))
-    text = render(Report(bad, (chapter, chapter)))
+    text = render_report(bad, (chapter, chapter))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;&amp;') >= 10
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import socket
@@ -21,16 +22,25 @@ import pytest
 
 from test.chromium import Chromium, find_chromium, ink
 from test.hang import HANG_S
+from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay, replay_through
+from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.cli.main import main
-from trainid_ros.view import telemetry
-from trainid_ros.view.tracks import Series
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.monitor.shown_estimates import SHOWN, resistance_at
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.recording import input_panels
+from trainid_ros.report.viewer import SHARES, USED, ViewRecorder, estimate_panel, switch_off_telemetry, time_range
+from trainid_ros.train.train_file import load_train_file
 
-telemetry.switch_off()
+switch_off_telemetry()
 pytest.importorskip('rerun')
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
 PLOTS = ('inputs/speed', 'inputs/force', 'inputs/gradient', 'inputs/brake_command')
 ESTIMATES = ('resistance', 'speed_model', 'brake_rate')
+NAMES = {ResistanceEstimate: 'resistance', SpeedModelEstimate: 'speed model', BrakeRateEstimate: 'brake rate'}
+START = 1_700_000_000 * NS_PER_S
 
 
 @pytest.fixture(scope='module')
@@ -98,15 +108,119 @@ def test_recordings_of_one_name_are_not_merged(recording: Path, tmp_path: Path) 
 
 
 def test_the_axis_begins_with_the_earliest_stamp_although_stamps_jump_back() -> None:
-    from trainid_ros.view.recording import time_range  # noqa: PLC0415 - after the telemetry is off
-
-    series = Series()
+    recorder, _ = empty()
+    assert time_range(recorder.finish()) == (0, 0)
     for stamp in (5_000, 6_000, 1_000, 2_000):
-        series.add(stamp, 0.0)
-    tracks: Any = SimpleNamespace(inputs={'speed': series, 'force': Series()})
-    assert time_range(tracks) == (1_000, 6_000)
-    nothing: Any = SimpleNamespace(inputs={'force': Series()})
-    assert time_range(nothing) == (0, 0)
+        recorder.add_record(SpeedRecord(stamp, 0.0, 0.0))
+    assert time_range(recorder.finish()) == (-4_000, 1_000)
+
+
+class Outputs:
+    """Collects the outputs of a replay."""
+
+    def __init__(self) -> None:
+        self.seen: list[AnyOutput] = []
+
+    def on_record(self, entry: LoggedRecord) -> None: ...
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002
+        self.seen.append(output)
+
+
+@pytest.fixture(scope='module')
+def recorder() -> ViewRecorder:
+    file, settings = load_train_file(BAG / 'train.yaml'), EstimatorSettings()
+    factories: Any = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+    pipelines = Pipelines(*(make(file, settings) for make in factories))
+    collected = ViewRecorder(pipelines)
+    with BagReader(BAG) as reader:
+        replay_through(pipelines, reader, None, (collected,))
+    return collected
+
+
+@pytest.fixture(scope='module')
+def outputs() -> list[AnyOutput]:
+    observer = Outputs()
+    with BagReader(BAG) as reader:
+        replay(reader, load_train_file(BAG / 'train.yaml'), EstimatorSettings(), None, (observer,))
+    return [output for output in observer.seen if output.stamp_ns > 0]
+
+
+def test_estimates_are_those_of_the_replay_to_the_bit(recorder: ViewRecorder, outputs: list[AnyOutput]) -> None:
+    recording = recorder.finish()
+    for kind, track in zip(NAMES, (recording.resistance, recording.speed_model, recording.brake_rate), strict=True):
+        expected = [(item.stamp_ns, item.estimate) for item in outputs if isinstance(item.estimate, kind)]
+        assert [*zip((recording.start_ns + track.time_ns).tolist(), track.estimates, strict=True)] == expected
+
+
+def test_the_band_is_that_of_one_speed(recorder: ViewRecorder, outputs: list[AnyOutput]) -> None:
+    panel = estimate_panel(SHOWN[0], recorder.finish().resistance)
+    assert panel.label == 'resistance: w at 45 km/h [N/kN]'
+    last = [item.estimate for item in outputs if isinstance(item.estimate, ResistanceEstimate)][-1]
+    assert panel.std is not None
+    assert (panel.value[-1], panel.std[-1]) == resistance_at(last, 45.0 / 3.6)
+
+
+def test_status_changes_are_states_and_events(recorder: ViewRecorder, outputs: list[AnyOutput]) -> None:
+    statuses = [item.status.name for item in outputs if isinstance(item.estimate, BrakeRateEstimate)]
+    changes = [after for before, after in zip(['', *statuses], statuses, strict=False) if before != after]
+    assert [text for _, text in recorder.outputs[BrakeRateEstimate].statuses.changes] == changes
+    events = [item.text for item in recorder.events if item.text.startswith('brake rate: ')]
+    assert len(events) == len(changes) > 3
+    assert events[0] == f'brake rate: {changes[0]}'
+    assert events[1] == f'brake rate: {changes[0]} to {changes[1]}'
+
+
+def test_samples_are_used_or_rejected_for_a_reason(recorder: ViewRecorder) -> None:
+    texts = {text for _, text in recorder.rejected['resistance'].changes}
+    assert {USED, 'BRAKING', 'STANDSTILL'} <= texts
+
+
+def test_inputs_have_the_units_of_the_plots(recorder: ViewRecorder) -> None:
+    panels = input_panels(recorder.finish())
+    assert 70.0 < panels['speed'].value.max() < 90.0
+    assert 100.0 < panels['force'].value.max() < 400.0
+    assert panels['brake_command'].value.min() < -0.3
+
+
+def empty(finding: str = '') -> tuple[ViewRecorder, Any]:
+    stream = SimpleNamespace(finding=finding)
+    pipelines: Any = SimpleNamespace(resistance=SimpleNamespace(stream=stream))
+    return ViewRecorder(pipelines), stream
+
+
+def test_wrong_stamps_do_not_stretch_the_axis() -> None:
+    recorder, _ = empty()
+    for stamp in (START, 0, START + 10**15, START + NS_PER_S):
+        recorder.on_record(LoggedRecord(START, 'ato/speed', SpeedRecord(stamp, 10.0, math.nan)))
+    assert recorder.finish().speed.time_ns.tolist() == [0, NS_PER_S]
+
+
+def test_findings_are_events() -> None:
+    recorder, stream = empty()
+    estimate = BrakeRateEstimate(0.9, 0.05, 0.0, 10.0, 0.0, 0.0, 100.0, False, 0.0, 0.0, 0.0)
+    for k, finding in enumerate(('', 'ato/speed looks like km/h', 'ato/speed looks like km/h', '')):
+        stream.finding = finding
+        recorder.on_output(Output(START + k, estimate, Status.CONVERGING, 0, 0, None), START)
+    found = [(item.stamp_ns - START, item.is_bad, item.text) for item in recorder.events[1:]]
+    assert found == [
+        (1, True, 'inputs contradict each other: ato/speed looks like km/h'),
+        (3, False, 'inputs agree again: ato/speed looks like km/h'),
+    ]
+
+
+def test_without_estimates_there_is_no_line() -> None:
+    panel = estimate_panel(SHOWN[0], empty()[0].finish().resistance)
+    assert (panel.label, panel.value.tolist()) == ('resistance', [])
+
+
+def test_telemetry_is_off_for_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {'FORCE_RERUN_ANALYTICS': '1', 'CI': '', 'TELEMETRY_ENABLED': 'true'}
+    monkeypatch.setattr(os, 'environ', os.environ | before)
+    switch_off_telemetry()
+    assert os.environ['CI'] == 'true'
+    assert os.environ['TELEMETRY_ENABLED'] == 'false'
+    assert 'FORCE_RERUN_ANALYTICS' not in os.environ
 
 
 def free_port() -> int:
@@ -158,8 +272,6 @@ def test_a_browser_draws_every_view(recording: Path, tmp_path: Path) -> None:
 
 def views_with_line(picture: Any) -> list[float]:
     """Return the share of the pixels with the colour of lines in each plot: four on the left, three on the right."""
-    from trainid_ros.view.recording import SHARES  # noqa: PLC0415 - after the telemetry is off
-
     top, middle = 40, picture.shape[1] // 2
     bottom = top + int((picture.shape[0] - 80) * SHARES[0] / sum(SHARES))
     line = np.all(np.abs(picture[top:bottom] * 255.0 - np.array((31, 119, 180))) < 40.0, axis=2)

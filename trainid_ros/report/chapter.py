@@ -1,25 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of estimates against a known truth, and coverage of their standard deviations."""
+"""A drive as a chapter of a report: its recording with the last estimates, and their accuracy if the truth is known."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.report.traces import Array, Traces
+    from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
+    from trainid_ros.recording import Array, Recording
     from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import Davis, TrainFile
 
 # Two-sided normal quantile of 95 %.
 SIGMA_95: Final = 1.959964
+
+
+class RejectionCounts(NamedTuple):
+    """Records and samples that one estimator did not use: its name, and their number by reason."""
+
+    estimator: str
+    counts: tuple[tuple[Reason, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """One drive in a report."""
+
+    title: str  # Heading
+    bag: str  # Name of the bag
+    train_file_name: str  # Name of the train file
+    train_file: TrainFile  # The train file, whose values are the priors
+    how: str  # How the estimators were run, as text
+    recording: Recording  # Columns to plot
+    resistance: Output[ResistanceEstimate]  # Last output of the resistance estimator
+    speed_model: Output[SpeedModelEstimate]  # Last output of AM-VFF-RLS
+    brake_rate: Output[BrakeRateEstimate]  # Last output of GSMA
+    rejections: tuple[RejectionCounts, ...]  # Rejected samples by estimator
+    truth: Truth | None = None  # True parameters, None if unknown
+    notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +89,26 @@ def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
     return np.array([math.nan if rate is None else rate for rate in rates])
 
 
-def score_resistance(traces: Traces, truth: Truth) -> AccuracyScore | None:
+def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None:
     """Score w [N/kN] at the current speed, None if no output was usable."""
-    trace = traces.resistance
-    w = resistance_at(trace.theta, trace.speed)
-    true = resistance_at(true_theta(truth, traces.start_ns, trace.time_s), trace.speed)
-    return _score(w - true, resistance_std(trace.covariance, trace.speed), trace.usable)
+    track = recording.resistance
+    speed = track.column('speed')
+    w = resistance_at(track.theta, speed)
+    true = resistance_at(true_theta(truth, recording.start_ns, track.time_s), speed)
+    return _score(w - true, resistance_std(track.covariance, speed), track.usable)
 
 
-def score_brake_rate(traces: Traces, truth: Truth) -> AccuracyScore | None:
+def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None:
     """Score the brake rate [1], None if the truth is unknown or no output was usable."""
-    trace = traces.brake_rate
-    if (true := true_rate(truth, traces.start_ns, trace.time_s)) is None:
+    track = recording.brake_rate
+    if (true := true_rate(truth, recording.start_ns, track.time_s)) is None:
         return None
-    return _score(trace.rate - true, trace.std, trace.usable)
+    return _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
 
 
-def final_truth(traces: Traces, truth: Truth) -> tuple[Davis, float | None]:
-    """Return the true resistance and brake rate [1] at the end of the traces."""
-    point = truth.truth_at_ns(traces.start_ns + round(traces.duration_s * NS_PER_S))
+def final_truth(recording: Recording, truth: Truth) -> tuple[Davis, float | None]:
+    """Return the true resistance and brake rate [1] at the end of the recording."""
+    point = truth.truth_at_ns(recording.start_ns + round(recording.duration_s * NS_PER_S))
     return point.resistance, point.brake_rate
 
 
