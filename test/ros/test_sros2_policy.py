@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from trainid_ros.client import TrainModel
-from trainid_ros.mapping.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping_file import parse_mapping
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.sros2_policy import policy

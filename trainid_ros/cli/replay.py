@@ -18,17 +18,17 @@ from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.estimators.observability import observe, resistance_std
+from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
-from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.cli.opening import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report.viewer import RRD_START, ViewRecorder, switch_off_telemetry, write_recording
 from trainid_ros.ros.jobs import mapping_in
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag import missing_package_error
+from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapping import OWN
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.parameter_specs import ParameterSpec
 from trainid_ros.ros.playback import (
     ForeignOutput,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.bag.reader import BagReader
-    from trainid_ros.mapping.mapping import Mapping
+    from trainid_ros.inputs.mapping import Mapping
 
 NAME: Final = 'bag_player'
 _PARAMETERS: Final = (

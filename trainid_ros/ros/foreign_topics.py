@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from trainid_ros.inputs.mapping import OWN, Signal
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     BRAKE_TOPIC,
@@ -22,14 +23,13 @@ from trainid_ros.interface.records import (
     SPEED_TOPIC,
     InputTopic,
 )
-from trainid_ros.mapping.mapping import OWN, Signal
 from trainid_ros.ros.publishers import Publishers
 from trainid_ros.ros.topics import input_qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from trainid_ros.mapping.mapping import Mapping
+    from trainid_ros.inputs.mapping import Mapping
 
 # What is read, and the input that does not come without it; positions may come now and then.
 _INPUTS: Final[dict[str, InputTopic | None]] = {

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.mapping.mapping import Mapping as InputMapping
+    from trainid_ros.inputs.mapping import Mapping as InputMapping
     from trainid_ros.train.train_file import TrainFile
 
 

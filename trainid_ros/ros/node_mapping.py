@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.mapping.mapping import OWN
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.parameter_specs import MAPPING_FILE
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 

@@ -11,17 +11,17 @@ import sys
 from typing import TYPE_CHECKING, Final, NamedTuple
 from xml.etree import ElementTree
 
+from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, INPUT_TOPICS, OUTPUT_TOPICS, RESISTANCE_TOPIC
-from trainid_ros.mapping.mapping import OWN
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.foreign_topics import subscribed_topics
 from trainid_ros.ros.jobs import JOBS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.ros.jobs import Job
 
 _HEAD: Final = """\

@@ -7,8 +7,7 @@ import codecs
 from pathlib import Path
 from typing import Final
 
-from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapping import (
+from trainid_ros.inputs.mapping import (
     UNKNOWN_EFFORT,
     Constant,
     CsvFormat,
@@ -19,10 +18,13 @@ from trainid_ros.mapping.mapping import (
     SpeedIntegral,
     StampSource,
     TimeColumn,
+    Unit,
+    UserFunction,
+    date_time_ns,
+    find_unit,
+    user_function,
 )
-from trainid_ros.mapping.times import date_time_ns
-from trainid_ros.mapping.units import Unit, find_unit
-from trainid_ros.mapping.user_function import UserFunction, user_function
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
 QUANTITIES: Final = {
@@ -36,15 +38,6 @@ QUANTITIES: Final = {
 """Keys, each with the quantity of its unit and the unit unless another is stated."""
 _COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
 _SOURCE_KEYS: Final = ('topic', 'stamp', *_COLUMN_KEYS)
-_FROM: Final = 'from'
-_SUM: Final = 'sum'
-_VALUE: Final = 'value'
-_FUNCTION: Final = 'function'
-_OF: Final = 'of'
-_ON_CHANGE: Final = 'on_change'
-_TIME: Final = 'time'
-_BRAKE: Final = 'brake_command'
-_CSV: Final = 'csv'
 # Of what a function is given, in its own unit.
 _RAW: Final = Unit('', 1.0)
 
@@ -67,7 +60,7 @@ def load_table_mapping(path: str | Path) -> Mapping:
     """Read a mapping file of a table; raises as :func:`load_mapping`."""
     text = read_text(path)
     top = _top(text, str(path))
-    for name in (_TIME, 'speed'):  # first, as without a time the fields are those of messages
+    for name in ('time', 'speed'):  # first, as without a time the fields are those of messages
         if name not in top.data:
             raise InputError(
                 f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
@@ -84,23 +77,23 @@ def parse_mapping(text: str, source: str) -> Mapping:
         position=_position(top),
         force=_signal(top, 'force'),
         gradient=_gradient(top),
-        brake_command=_constant(brake) or _signal(top, 'brake_command', _ON_CHANGE),
+        brake_command=_constant(brake) or _signal(top, 'brake_command', 'on_change'),
         mass=_signal(top, 'mass'),
-        on_change=brake.boolean(_ON_CHANGE, default=False),
+        on_change=brake.boolean('on_change', default=False),
         time=_time(top),
-        csv=_csv(top.section(_CSV)),
+        csv=_csv(top.section('csv')),
     )
 
 
 def _top(text: str, source: str) -> Section:
-    return parse_yaml(text, source).only((*QUANTITIES, _TIME, _CSV))
+    return parse_yaml(text, source).only((*QUANTITIES, 'time', 'csv'))
 
 
 def _position(top: Section) -> Signal | SpeedIntegral | None:
     section = top.section('position')
-    if _FROM not in section.data:
+    if 'from' not in section.data:
         return _signal(top, 'position')
-    section.only((_FROM, 'start', 'direction')).choice(_FROM, ('speed',))
+    section.only(('from', 'start', 'direction')).choice('from', ('speed',))
     direction = section.integer('direction', 1, low=-1, high=1)
     if direction == 0:
         section.fail('direction', '= 0 must be 1 (positions rise) or -1')
@@ -109,35 +102,35 @@ def _position(top: Section) -> Signal | SpeedIntegral | None:
 
 def _gradient(top: Section) -> Signal | LineLookup | Constant | None:
     section = top.section('gradient')
-    if _FROM not in section.data:
+    if 'from' not in section.data:
         return _constant(section) or _signal(top, 'gradient')
-    section.only((_FROM,)).choice(_FROM, ('line',))
+    section.only(('from',)).choice('from', ('line',))
     return LineLookup()
 
 
 def _constant(section: Section) -> Constant | None:
-    if _VALUE not in section.data:
+    if 'value' not in section.data:
         return None
-    section.only((_VALUE, 'unit'))
+    section.only(('value', 'unit'))
     unit = _unit(section, section.path)
-    value = unit.convert(section.number(_VALUE, unit.name))
-    if section.path == _BRAKE:
-        _check_braking(section, _VALUE, value)
+    value = unit.convert(section.number('value', unit.name))
+    if section.path == 'brake_command':
+        _check_braking(section, 'value', value)
     return Constant(value)
 
 
 def _signal(top: Section, key: str, *more: str) -> Signal | None:
     if key not in top.data:
         return None
-    section, is_table = top.section(key, required=True), _TIME in top.data
-    if _FUNCTION in section.data:
-        section.only((_FUNCTION, _OF, 'unit', *more))
-        sources = tuple(_raw(part, is_table=is_table) for part in _parts(section, _OF))
+    section, is_table = top.section(key, required=True), 'time' in top.data
+    if 'function' in section.data:
+        section.only(('function', 'of', 'unit', *more))
+        sources = tuple(_raw(part, is_table=is_table) for part in _parts(section, 'of'))
         return Signal(sources, _function(section, _unit(section, key)))
-    if _SUM not in section.data:
+    if 'sum' not in section.data:
         return Signal((_source(section, key, *more, is_table=is_table),))
-    section.only((_SUM, *more))
-    parts = _parts(section, _SUM)
+    section.only(('sum', *more))
+    parts = _parts(section, 'sum')
     sources = tuple(_source(part, key, is_table=is_table) for part in parts)
     for place, source in enumerate(sources):
         if any((source.topic, source.path) == (other.topic, other.path) for other in sources[:place]):
@@ -156,9 +149,9 @@ def _parts(section: Section, key: str) -> list[Section]:
 
 def _function(section: Section, unit: Unit) -> UserFunction:
     try:
-        return user_function(Path(section.source).parent, section.text(_FUNCTION), unit)
+        return user_function(Path(section.source).parent, section.text('function'), unit)
     except ValueError as error:
-        section.fail(_FUNCTION, f'= {shown(section.data[_FUNCTION])} {error}')
+        section.fail('function', f'= {shown(section.data["function"])} {error}')
 
 
 def _unit(section: Section, key: str) -> Unit:
@@ -179,7 +172,7 @@ def _raw(section: Section, *, is_table: bool) -> Source:
 
 def _topic(section: Section) -> str:
     if 'topic' not in section.data:
-        section.fail('topic', f'is missing; where the field is a column of a table, {_TIME}: {{field: ...}} is missing')
+        section.fail('topic', 'is missing; where the field is a column of a table, time: {field: ...} is missing')
     return section.text('topic')
 
 
@@ -203,7 +196,7 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
         table=_table(section, unit.name),
         stamp=_stamp(section),
     )
-    if key == _BRAKE:
+    if key == 'brake_command':
         for raw, _ in source.table:
             _check_braking(section, f'table.{raw:g}', source.value(raw))
     return source
@@ -241,19 +234,19 @@ def _table(section: Section, unit: str) -> tuple[tuple[float, float], ...]:
 
 
 def _time(top: Section) -> TimeColumn | None:
-    if _TIME not in top.data:
+    if 'time' not in top.data:
         return None
-    section = top.section(_TIME, required=True)
+    section = top.section('time', required=True)
     try:
         unit = find_unit(section.text('unit', 's'), 'time')
     except ValueError as error:
         section.fail('unit', f'= {shown(section.data["unit"])} {error}')
     start_ns = _start(section)
-    if _FUNCTION not in section.data:
+    if 'function' not in section.data:
         section.only(('field', 'unit', 'start'))
         return TimeColumn((section.text('field'),), unit, start_ns)
-    section.only((_FUNCTION, _OF, 'unit', 'start'))
-    columns = tuple(_raw(part, is_table=True).field for part in _parts(section, _OF))
+    section.only(('function', 'of', 'unit', 'start'))
+    columns = tuple(_raw(part, is_table=True).field for part in _parts(section, 'of'))
     return TimeColumn(columns, unit, start_ns, _function(section, unit))
 
 
@@ -268,7 +261,7 @@ def _start(section: Section) -> int | None:
 
 
 def _csv(section: Section) -> CsvFormat:
-    section.only(('separator', 'decimal', 'header_rows', 'encoding'))
+    section.only(('separator', 'decimal', 'header_rows', 'encoding', 'comments'))
     for key in ('separator', 'decimal'):
         if key in section.data and len(section.text(key)) != 1:
             section.fail(key, f'= {shown(section.data[key])} must be one character')
@@ -284,4 +277,5 @@ def _csv(section: Section) -> CsvFormat:
         decimal=section.text('decimal', '') or None,
         header_rows=section.integer('header_rows', 1, low=1, high=1000) if 'header_rows' in section.data else None,
         encoding=section.text('encoding', '') or None,
+        comments=section.boolean('comments', default=True) if 'comments' in section.data else None,
     )

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, insort
 from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.inputs.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource, type_of
+from trainid_ros.inputs.mapping_file import QUANTITIES, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     NS_PER_S,
@@ -20,10 +23,6 @@ from trainid_ros.interface.records import (
     stamp_of,
 )
 from trainid_ros.interface.text import pluralise
-from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource
-from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.mapping.message_fields import type_of
-from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line
 
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.mapping.mapping import Mapping, Source
+    from trainid_ros.inputs.mapping import Mapping, Source
     from trainid_ros.train.train_file import TrainFile
+
 
 # Over a longer time without a speed the distance is not known [s].
 _LONGEST_S: Final = 1.0
@@ -41,7 +41,6 @@ _LEAST_M: Final = 10.0
 _SOME_EFFORT: Final = -0.1
 # Numbers that are not in a table and are named.
 _MOST_NAMED: Final = 5
-_QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
 class MappedInputs:
@@ -71,7 +70,7 @@ class MappedInputs:
             raise InputError(f'mapping: gradient is to come from the line, but no {missing}')
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
         self._series: dict[str, JoinedSeries] = {}
-        for quantity in _QUANTITIES:
+        for quantity in QUANTITIES:
             signal = getattr(mapping, quantity)
             if isinstance(signal, Signal):
                 self._series[quantity] = JoinedSeries(len(signal.sources))
@@ -277,3 +276,65 @@ def _stamp(source: Source, message: Any, received_ns: int) -> int:
         return stamp_of(message)
     except AttributeError:
         raise InputError(f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive') from None
+
+
+# Numbers farther apart are not interpolated, and nothing waits longer for one of the series.
+_LONGEST_NS: Final = NS_PER_S
+
+
+class JoinedSeries:
+    """The numbers of several series at the stamps of the first one; the others are interpolated linearly.
+
+    They are ready as soon as all series have reached the stamp. One that is missing is NaN.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Prepare for a number of series."""
+        # Stamps [ns] and numbers of each series, by stamp, over the last second.
+        self._series: list[list[tuple[int, float]]] = [[] for _ in range(count)]
+        self._open: list[tuple[int, float]] = []
+
+    def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, list[float]]]:
+        """Add a number of a series; return those of all series that are ready, each with their stamp [ns]."""
+        if len(self._series) == 1:
+            return [(stamp_ns, [value])]
+        self._follow_jump(index, stamp_ns)
+        insort(self._series[index], (stamp_ns, value))
+        if index == 0:
+            insort(self._open, (stamp_ns, value))
+        newest_ns = max(series[-1][0] for series in self._series if series)
+        ready = []
+        while self._open and self._is_ready(self._open[0][0], newest_ns):
+            at_ns, first = self._open.pop(0)
+            ready.append((at_ns, [first, *(_interpolated(series, at_ns) for series in self._series[1:])]))
+        self._prune(newest_ns)
+        return ready
+
+    def _follow_jump(self, index: int, stamp_ns: int) -> None:
+        """Forget everything if the stamps of a series begin anew, as in a loop, or if its last one was wrong."""
+        series = self._series[index]
+        if series and stamp_ns < series[-1][0] - _LONGEST_NS:
+            self._series = [[] for _ in self._series]
+            self._open = []
+
+    def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
+        reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
+        return reached or newest_ns - at_ns > _LONGEST_NS
+
+    def _prune(self, newest_ns: int) -> None:
+        needed_ns = newest_ns - _LONGEST_NS  # older ones are not open any more, and newer ones may still come
+        for series in self._series:
+            del series[: max(0, bisect_left(series, (needed_ns, -math.inf)) - 1)]
+
+
+def _interpolated(series: list[tuple[int, float]], at_ns: int) -> float:
+    """Return the number of a series at a stamp, NaN outside it or in a long gap."""
+    right = bisect_left(series, (at_ns, -math.inf))
+    if right < len(series) and series[right][0] == at_ns:
+        return series[right][1]
+    if not 0 < right < len(series):
+        return math.nan
+    (start_ns, before), (end_ns, after) = series[right - 1], series[right]
+    if end_ns - start_ns > _LONGEST_NS:
+        return math.nan
+    return before + (after - before) * (at_ns - start_ns) / (end_ns - start_ns)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from trainid_ros.inputs.mapping import UNKNOWN_EFFORT, Signal, find_unit, spelled
+from trainid_ros.inputs.mapping_file import QUANTITIES
+from trainid_ros.inputs.tables import ROWS_AT_ONCE, Block, joined, open_table
 from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Signal
-from trainid_ros.mapping.mapping_file import QUANTITIES
-from trainid_ros.mapping.units import find_unit, spelled
-from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Clock, joined, numbers
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:
@@ -24,18 +24,103 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import TimeColumn
+    from trainid_ros.inputs.tables import Column
     from trainid_ros.interface.records import Record
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.mapping.mapping import Mapping
-    from trainid_ros.tables.columns import Column, Table
 
-CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
+
 _UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
-_PARQUET_SUFFIXES: Final = ('.parquet', '.pq')
 # Share of the speeds that may have the time of the one before [1].
 _MOST_REPEATED: Final = 0.3
 # A position at the stamp of a speed must be known before that.
 _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command', 'mass')
+_DATE_TIMES: Final = np.dtype('datetime64[ns]')
+_DAY_NS: Final = 86400 * NS_PER_S
+_YEAR_NS: Final = 366 * 86400 * NS_PER_S
+_RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
+"""Where times that count from the start of a recording are put unless the mapping says when that was: 2000-01-01."""
+_LAST_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
+_MOST_NS: Final = 2**61
+
+
+class Clock:
+    """Turns the times of a table into stamps.
+
+    Attributes:
+        start_ns: What numbers count from [ns]; None before the first one.
+    """
+
+    def __init__(self, time: TimeColumn) -> None:
+        self.start_ns = time.start_ns
+        self._time = time
+        self._midnights = 0
+        self._time_of_day_ns = 0
+
+    def stamps(
+        self, columns: dict[str, Column], where: object, rows_before: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the stamps of rows [ns], shape (n,), and which rows have one, shape (n,).
+
+        Args:
+            columns: Columns of the time, each of shape (n,).
+            where: The file, for errors.
+            rows_before: Number of rows before these.
+
+        Raises:
+            InputError: ROS cannot hold a time.
+        """
+        values = self._values(columns)
+        known = np.isfinite(values)
+        since_ns = self._since_ns(values, known)
+        if values.dtype.kind != 'M' and self.start_ns is None and known.any():
+            relative = abs(int(since_ns[known][0])) < _YEAR_NS
+            self.start_ns = _RELATIVE_START_NS if relative else 0
+        stamps = since_ns + (0 if values.dtype.kind == 'M' else self.start_ns or 0)
+        wrong = known & ((stamps <= 0) | (stamps >= _LAST_NS))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f'{where}: row {rows_before + row + 1}: column {shown(", ".join(self._time.columns))} = {values[row]} '
+                'is no time between 1970 and 2038; time: {unit, start} in the mapping may be wrong'
+            )
+        return stamps, known
+
+    def _values(self, columns: dict[str, Column]) -> Column:
+        """Return the times of rows as they are in the file, or as the function of the mapping makes them."""
+        if self._time.function is None:
+            return columns[self._time.columns[0]]
+        return self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
+
+    def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        if values.dtype.kind == 'M':
+            return np.where(known, values.astype(_DATE_TIMES).astype(np.int64), 0)
+        if values.dtype.kind == 'm':
+            return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
+        # A function returns seconds.
+        ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
+        limit = _MOST_NS // round(ns)
+        if values.dtype.kind == 'i':
+            return np.asarray(np.clip(values, -limit, limit) * round(ns))
+        return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
+
+    def _through_midnight(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight."""
+        times = since_ns[known]
+        passed = np.diff(times, prepend=self._time_of_day_ns) < -_DAY_NS // 2
+        days = self._midnights + np.cumsum(passed)
+        if times.size:
+            self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
+        since_ns[known] = times + _DAY_NS * days
+        return since_ns
+
+
+def numbers(column: Column) -> NDArray[np.float64]:
+    """Return a column as numbers; times in seconds since 1970, times of day since midnight."""
+    if column.dtype.kind not in {'M', 'm'}:
+        return np.asarray(column, dtype=np.float64)
+    seconds = column.astype(f'{column.dtype.kind}8[ns]').astype(np.int64) / NS_PER_S
+    return np.where(np.isnat(column), np.nan, seconds)
 
 
 class _Feed(NamedTuple):
@@ -44,30 +129,6 @@ class _Feed(NamedTuple):
     quantity: str
     place: int
     values: NDArray[np.float64]
-
-
-def open_table(path: Path, mapping: Mapping) -> Table:
-    """Return the table in a file, by its suffix.
-
-    Raises:
-        InputError: There is no such file, or its suffix is not known.
-    """
-    if not path.is_file():
-        raise InputError(f'{path}: is not a file' if path.exists() else f'{path}: no such file')
-    # Imported here because Parquet needs an optional package.
-    if path.suffix.lower() in CSV_SUFFIXES:
-        from trainid_ros.tables.csv_table import CsvTable  # noqa: PLC0415
-
-        return CsvTable(path, mapping.csv)
-    if path.suffix.lower() in _PARQUET_SUFFIXES:
-        from trainid_ros.tables.parquet_table import ParquetTable  # noqa: PLC0415
-
-        return ParquetTable(path)
-    if path.suffix.lower() == '.npz':
-        from trainid_ros.tables.npz_table import NpzTable  # noqa: PLC0415
-
-        return NpzTable(path)
-    raise InputError(f'{path}: not a table: {", ".join((*CSV_SUFFIXES, *_PARQUET_SUFFIXES, ".npz"))} expected')
 
 
 class TableRecords:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from trainid_ros.bag.bag_replay import AnyOutput
-    from trainid_ros.bag.reader import LoggedRecord
+    from trainid_ros.interface.results import Output
+
 
 TABLE_SUFFIXES: Final = ('.parquet', '.csv')
 Row: TypeAlias = 'list[Any]'
@@ -95,10 +95,10 @@ class EstimateTable:
         self._open: dict[int, dict[str, dict[str, Any]]] = {}
         self._rows: list[Row] = []
 
-    def on_record(self, entry: LoggedRecord) -> None:
+    def on_record(self, entry: object) -> None:
         """Receive an input, which the table does not hold."""
 
-    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - rows have stamps
+    def on_output(self, output: Output[Any], log_ns: int) -> None:  # noqa: ARG002 - rows have stamps
         """Take an estimate."""
         topic = output_topic(output.estimate).name
         self._open.setdefault(output.stamp_ns, {})[topic] = _values(topic, output)
@@ -122,7 +122,7 @@ class EstimateTable:
             self._rows = []
 
 
-def _values(topic: str, output: AnyOutput) -> dict[str, Any]:
+def _values(topic: str, output: Output[Any]) -> dict[str, Any]:
     """Return the fields of an estimate with standard deviations; status and reason as words."""
     values: dict[str, Any] = output_values(output)
     values['status'] = Status(values['status']).name
@@ -163,6 +163,40 @@ def _cell(value: Any) -> Any:
     return '' if value is None or (isinstance(value, float) and math.isnan(value)) else value
 
 
+class ParquetSink:
+    """A Parquet file, with units in the metadata of the fields."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file."""
+        import pyarrow as pa  # noqa: PLC0415 - an optional package
+        from pyarrow import parquet  # noqa: PLC0415
+
+        words, count = pa.dictionary(pa.int8(), pa.string()), pa.uint64()
+        types = {'covariance': pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
+        types |= {'used': count, 'rejected': count, 'observable': pa.bool_()}
+        columns = [
+            pa.field(
+                item.name, types.get(item.field, pa.float64()), metadata={'unit': item.unit} if item.unit else None
+            )
+            for item in COLUMNS
+        ]
+        self._schema = pa.schema([pa.field('time', pa.timestamp('ns', tz='UTC')), *columns])
+        self._writer = parquet.ParquetWriter(path, self._schema)
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Write rows as one row group."""
+        if rows:
+            import pyarrow as pa  # noqa: PLC0415
+
+            cells = zip(*rows, strict=True)
+            arrays = [pa.array(column, field.type) for column, field in zip(cells, self._schema, strict=True)]
+            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
 @contextmanager
 def estimate_table(path: Path) -> Iterator[EstimateTable]:
     """Write a table, Parquet or CSV by the suffix of its path; it is there once the block ends without an error.
@@ -188,9 +222,4 @@ def estimate_table(path: Path) -> Iterator[EstimateTable]:
 
 
 def _sink(path: Path, suffix: str) -> Sink:
-    if suffix == '.csv':
-        return CsvSink(path)
-    # Imported here because it is an optional package.
-    from trainid_ros.tables.parquet_sink import ParquetSink  # noqa: PLC0415
-
-    return ParquetSink(path)
+    return CsvSink(path) if suffix == '.csv' else ParquetSink(path)

@@ -18,6 +18,11 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping import Mapping, Signal, Source
+from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.suggest import suggest
+from trainid_ros.inputs.suggestion import Suggestion, comment
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     BrakeRecord,
@@ -27,11 +32,6 @@ from trainid_ros.interface.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.mapping.mapped_inputs import MappedInputs
-from trainid_ros.mapping.mapping import Mapping, Signal, Source
-from trainid_ros.mapping.mapping_file import parse_mapping
-from trainid_ros.mapping.suggest import suggest
-from trainid_ros.mapping.suggestion import Suggestion, comment
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import TrainFile

@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapping import (
+from trainid_ros.inputs.mapping import (
     OWN,
     UNKNOWN_EFFORT,
     Constant,
@@ -20,7 +19,8 @@ from trainid_ros.mapping.mapping import (
     SpeedIntegral,
     StampSource,
 )
-from trainid_ros.mapping.mapping_file import load_mapping, load_table_mapping, parse_mapping
+from trainid_ros.inputs.mapping_file import load_mapping, load_table_mapping, parse_mapping
+from trainid_ros.interface.errors import InputError
 from trainid_ros.stream.alignment import AlignmentConfig
 
 WHOLE = """
@@ -62,7 +62,7 @@ def test_only_a_brake_may_be_unknown() -> None:
 
 TABLE = """
 time: {field: 't [ms]', unit: ms, start: 2024-03-08T12:00:00Z}
-csv: {separator: ';', decimal: ',', header_rows: 2, encoding: latin-1}
+csv: {separator: ';', decimal: ',', header_rows: 2, encoding: latin-1, comments: false}
 speed: {field: v, unit: km/h}
 force: {sum: [{field: F 1, unit: kN}, {field: F.2, unit: kN, sign: -1}]}
 brake_command: {value: -10.0, unit: percent_of 1.2 m/s^2}
@@ -77,7 +77,7 @@ def test_a_whole_mapping_of_a_table_is_read(tmp_path: Path) -> None:
     assert mapping.time is not None
     assert mapping.time.columns == ('t [ms]',)
     assert (mapping.time.unit.factor, mapping.time.start_ns) == (1e-3, 1_709_899_200 * 10**9)
-    assert mapping.csv == CsvFormat(';', ',', 2, 'latin-1')
+    assert mapping.csv == CsvFormat(';', ',', 2, 'latin-1', comments=False)
     assert [source.field for source in mapping.sources] == ['v', 'F 1', 'F.2']
     assert isinstance(mapping.brake_command, Constant)
     assert mapping.brake_command.value == pytest.approx(-0.12)
@@ -201,6 +201,7 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('{time: {field: t, start: now}}', "time.start = 'now' must be a date and time"),
         ('time: {unit: s}', 'time.field is missing'),
         ('csv: {separator: ab}', "csv.separator = 'ab' must be one character"),
+        ('csv: {comments: x}', "csv.comments = 'x' must be true or false"),
         ('csv: {decimal: x}', "csv.decimal = 'x' must be . or ,"),
         ('csv: {encoding: none}', "csv.encoding = 'none' is not known"),
         ('csv: {header_rows: 0}', 'csv.header_rows = 0 must be >= 1'),
