@@ -21,9 +21,9 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.vectors import vec
 from trainid_ros.state import (
     State,
-    covariance,
     declare,
     decode,
+    definite,
     encode,
     is_covariance,
     packed,
@@ -86,8 +86,8 @@ class Whole:
     """Everything that a state may hold."""
 
     STATE: ClassVar[State] = declare(
-        'number', 'count', 'flag', 'name', 'colour', unknown('later'), 'vector', 'array', covariance('P'),
-        covariance('upper'), 'stamps', 'queue', 'kept', 'inner', 'item', several('items', lambda: Item(0.0, 0)),
+        'number', 'count', 'flag', 'name', 'colour', unknown('later'), 'vector', 'array', definite('P'),
+        definite('upper'), 'stamps', 'queue', 'kept', 'inner', 'item', several('items', lambda: Item(0.0, 0)),
         several('maybe', lambda: Item(0.0, 0)), several('changes', Inner), several('parts', vec[float]),
         several('counted', Colour), 'rng', 'text',
     )  # fmt: skip
@@ -163,6 +163,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     'asymmetric': (put('P', packed(np.array([1.0, 0.5, 0, 0, 1, 0, 0, 0, 1]))), r'Whole\.P is not a covariance'),
     'correlation above one': (put('upper', packed(np.array([1.0, 2, 0, 1, 0, 1]))), r'Whole\.upper is not a cov'),
     'NaN in a list': (put('stamps', [1, math.nan]), r'Whole\.stamps = nan is not finite'),
+    'object in a list': (put('stamps', [{}]), r'Whole\.stamps holds objects that are not declared'),
     'number for a list': (put('queue', 3), r'Whole\.queue = 3 must be of type list'),
     'field of a dataclass': (lambda s: s['inner'].update(value='x'), r"Whole\.inner\.value = 'x'"),
     'lost field': (lambda s: s['inner'].pop('count'), r'Whole\.inner has other fields than in this version'),

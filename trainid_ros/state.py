@@ -3,7 +3,7 @@
 
 A class declares its state in a class attribute::
 
-    STATE: ClassVar[State] = declare('count', covariance('P'), several('ticks', Tick))
+    STATE: ClassVar[State] = declare('count', definite('P'), several('ticks', Tick))
 
 Such an object is restored in place, so that what refers to it still does; its present values state the type, and the
 size of vectors and arrays. The state of another dataclass is all its fields; it is made anew. A part with ``save`` and
@@ -76,7 +76,7 @@ def unknown(name: str) -> Field:
     return Field(name, may_be_nan=True)
 
 
-def covariance(name: str) -> Field:
+def definite(name: str) -> Field:
     """Declare a covariance."""
     return Field(name, is_covariance=True)
 
@@ -130,12 +130,16 @@ def _as_json(value: Any) -> Any:
         return sorted(value)
     if isinstance(value, deque):
         return list(value)
-    return packed(value)
+    return packed(value) if isinstance(value, np.ndarray) or len(value) else []
 
 
 def _shortened(value: Any) -> Any:
-    """Return a list of floats as a vector is written, which it is where the modules are not compiled."""
-    return packed(value) if type(value) is list and value and all(type(x) is float for x in value) else value
+    """Return lists of floats as vectors are written, which they are where the modules are not compiled."""
+    if type(value) is not list or not value:
+        return value
+    if type(value[0]) is list:
+        return [_shortened(item) for item in value]
+    return packed(value) if all(type(x) is float for x in value) else value
 
 
 def packed(numbers: Any) -> dict[str, Any]:
@@ -298,6 +302,8 @@ def _plain_items(item: Field, data: Any, name: str) -> Any:
     if isinstance(data, dict):
         return _array(item, None, data, name).tolist()
     _check_is(data, list, name)
+    if any(isinstance(part, dict) for part in data):
+        _refuse(name, 'holds objects that are not declared')
     return tuple(
         _plain_items(item, part, name) if isinstance(part, list) else _scalar(item, type(part), part, name)
         for part in data
@@ -308,6 +314,8 @@ def _vector(item: Field, like: Any, data: Any, name: str) -> Any:
     """Return a vector, or a list in its place; one that is not empty keeps its size."""
     if isinstance(data, list):  # an empty one, or a list of something else where modules are not compiled
         items = _plain_items(item, data, name)
+        if not (isinstance(like, list) or all(isinstance(x, int | float) for x in items)):
+            _refuse(name, 'holds something else than numbers')
         return list(items) if isinstance(like, list) else vec[float](items)
     numbers = _array(item, None, data, name)
     is_sized = bool(like) and type(like[0]) is float

@@ -34,7 +34,7 @@ from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Error
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import State, covariance, declare
+from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
@@ -52,7 +52,7 @@ class Covariance:
         K: Gain of the last measured speed, eq. (20), shape (n,).
     """
 
-    STATE: ClassVar[State] = declare(covariance('P'))
+    STATE: ClassVar[State] = declare(definite('P'))
 
     def __init__(self) -> None:
         self.P, self.K = vec[float]([0.0] * (STATES * STATES)), vec[float]([0.0] * STATES)

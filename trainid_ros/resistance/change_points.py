@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Final
 
 import numpy as np
@@ -67,15 +67,13 @@ class ChangePointConfig:
     lockout: int
 
 
-@dataclass(slots=True)
 class RunLengthHypothesis:
     """The parameters if they stepped ``age`` observations ago, and the log Bayes factor against the long memory."""
 
     STATE: ClassVar[State] = declare('normal', 'evidence', 'age')
 
-    normal: Normal
-    evidence: float = 0.0
-    age: int = 0
+    def __init__(self, normal: Normal, evidence: float = 0.0, age: int = 0) -> None:
+        self.normal, self.evidence, self.age = normal, evidence, age
 
 
 def _blank() -> RunLengthHypothesis:
@@ -168,7 +166,10 @@ class Tracker:
     def widen(self, variances: Array, limits: Array) -> None:
         """Add the variances of random steps of the parameters, see :func:`normal.widened`."""
         self._set_memory(information_of(widened(self._long, variances, limits)))
-        self._hypotheses = [replace(item, normal=widened(item.normal, variances, limits)) for item in self._hypotheses]
+        self._hypotheses = [
+            RunLengthHypothesis(widened(item.normal, variances, limits), item.evidence, item.age)
+            for item in self._hypotheses
+        ]
         self._mix()
 
     def _add_hypothesis(self) -> None:
@@ -196,7 +197,9 @@ class Tracker:
     def _take_over(self, chosen: RunLengthHypothesis) -> None:
         younger = [item for item in self._hypotheses if item.age < chosen.age]
         self.begin(chosen.normal)
-        self._hypotheses = [replace(item, evidence=item.evidence - chosen.evidence) for item in younger]
+        self._hypotheses = [
+            RunLengthHypothesis(item.normal, item.evidence - chosen.evidence, item.age) for item in younger
+        ]
         self.steps_found += 1
 
     def _restart_from_latest(self) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.vectors import append, i64, vec
-from trainid_ros.state import State, covariance, declare
+from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +68,7 @@ class Normal:
         covariance: P, n^2 numbers, row by row.
     """
 
-    STATE: ClassVar[State] = declare('mean', covariance('covariance'))
+    STATE: ClassVar[State] = declare('mean', definite('covariance'))
 
     def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
         self.mean, self.covariance = mean, covariance

@@ -29,7 +29,7 @@ import numpy as np
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.resistance.davis_posterior import MAX_DELAY, MIN_DELAY
-from trainid_ros.state import State, covariance, declare
+from trainid_ros.state import State, declare, definite
 from trainid_ros.stream.intervals import FAST_NS
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ class SpeedFilter:
         map_var: Stationary variance of the map error [(N/kN)^2].
     """
 
-    STATE: ClassVar[State] = declare('x', covariance('P'), 'gust_var', 'map_var')
+    STATE: ClassVar[State] = declare('x', definite('P'), 'gust_var', 'map_var')
 
     def __init__(self, x: vec[float], P: vec[float], gust_var: float, map_var: float) -> None:
         self.x, self.P, self.gust_var, self.map_var = x, P, gust_var, map_var

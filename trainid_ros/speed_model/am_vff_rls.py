@@ -45,7 +45,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Protocol, TypeAlias
 
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.vectors import i64, vec
-from trainid_ros.state import State, covariance, declare
+from trainid_ros.state import State, declare, definite
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ class AuxiliaryModel:
         mean_error: Running mean of the errors, in standard deviations [1].
     """
 
-    STATE: ClassVar[State] = declare('z', covariance('P'), 'mean_error')
+    STATE: ClassVar[State] = declare('z', definite('P'), 'mean_error')
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
         self.tuning = tuning

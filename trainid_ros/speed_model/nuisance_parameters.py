@@ -19,8 +19,6 @@ _FIELDS: Final = 4
 _LEAST_DELAY_STD: Final = 0.003
 # One update leaves at least this share of the variance, so that rounding cannot make it negative.
 _LEAST_SHARE: Final = 1e-3
-# Limit of a squared correlation in a restored state: one, with a margin for rounding.
-_MOST_CORRELATED: Final = 1.01
 # Longest window of the disturbances, and shortest one that is used [s].
 _LONGEST: Final = 30.0
 _SHORTEST: Final = 8.0

@@ -15,7 +15,7 @@ from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import State, covariance, declare
+from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -35,7 +35,7 @@ class KalmanPosterior:
 
     """
 
-    STATE: ClassVar[State] = declare('m', covariance('P'))
+    STATE: ClassVar[State] = declare('m', definite('P'))
 
     def __init__(self, config: KalmanConfig) -> None:
         self._q = config.drift**2

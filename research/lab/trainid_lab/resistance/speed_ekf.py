@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 _MAX_PRIOR_DISTANCE: Final = 30.0
 # Number of equal speeds without detection after which the state before a possible fault advances.
 _MAX_HELD: Final = 50
-_MAX_SPEED: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import is_fit, largest_std, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
-from trainid_ros.state import State, declare, encode, restore
+from trainid_ros.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class WindowedState:
     regression: RegressionState
     scale: float
     residuals: Residuals = field(default_factory=Residuals)
-    ticks: tuple[WindowTick, ...] = ()
+    ticks: tuple[WindowTick, ...] = stored((), kind=WindowTick)
     braked_ns: int = 0
     innovation: float = 0.0
     innovation_variance: float = 0.0
