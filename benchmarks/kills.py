@@ -25,7 +25,7 @@ from rclpy.executors import SingleThreadedExecutor
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.checkpoint import Checkpoint, parse_checkpoint
-from trainid_ros.demo.processes import free_domain
+from trainid_ros.cli.processes import free_domain
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.ros.jobs import JOBS
