@@ -149,7 +149,7 @@ def _predicted(estimator: object, drive: SuggestedDrive, seed: int) -> Iterator[
         rng = np.random.default_rng([seed, drive.times])
         for _ in range(_PREDICTED):
             deviations = rng.standard_normal((1, drive.times, len(drive.run.steps)))
-            *_, then = (item for item in estimator.foreseen(drive.run, drive.times, deviations) if item is not None)
+            *_, then = estimator.foreseen(drive.run, drive.times, deviations)
             yield _ratios(drive, then)
 
 

@@ -20,7 +20,6 @@ from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.diagnostics import EstimatorSpec
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
@@ -78,22 +77,6 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     assert 'use_sim_time' in diagnosed.by_name[speed].message
     mass = diagnosed.by_name['resistance_estimator: input ato/mass']
     assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter is used')
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize('spec', [RESISTANCE, BRAKE_RATE], ids=['resistance', 'brake rate'])
-def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str, spec: EstimatorSpec) -> None:
-    diagnosed = Diagnosed(graph)
-    few = {'estimator.hypotheses': 8} if spec is RESISTANCE else {}  # the search is quick
-    settings = {'diagnostic_period': 0.1, 'stale_after': 60.0, **few}
-    node = graph.make(partial(EstimatorNode, spec), train_file=train_file, **settings)
-    own = f'{node.get_name()}: estimator'
-    node.bring_up()
-    graph.until(lambda: own in diagnosed.by_name)
-    assert 'to drive' not in diagnosed.values(own)
-    graph.feed(node, graph.coasting(150))
-    graph.until(lambda: 'to drive' in diagnosed.values(own))
-    assert 'km/h' in diagnosed.values(own)['to drive']
 
 
 @pytest.mark.ros

@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from trainid_ros.brake_rate.brake_findings import brake_findings
-from trainid_ros.brake_rate.suggested_braking import braking_search
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
-from trainid_ros.resistance.suggested_drive import DriveSearch, drive_search
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.publishers import Publishers, is_hash, sort_publishers
@@ -22,16 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.interface.results import Output
-    from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.ros.foreign_topics import AnyTopic
 
-# Time from the start of one search for what to drive to the next [ns].
-_SEARCH_EVERY_NS: Final = 60 * NS_PER_S
-# The search goes on so often [s], each time for this long and one step [s]: messages wait no longer.
-_SLICE_PERIOD_S: Final = 0.01
-_SLICE_S: Final = 0.003
 # A node that comes later than this to its diagnostics has kept its inputs waiting, too [s].
 _BUSY_S: Final = 0.8
 
@@ -49,11 +38,6 @@ class DiagnosticsPublisher:
         self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
         self._began: dict[Problem, int] = {}
-        self._search: DriveSearch | None = None
-        self._steps: Iterator[None] = iter(())
-        self._search_timer = node.create_timer(_SLICE_PERIOD_S, self._go_on, clock=node.steady_clock, autostart=False)
-        self._searched_ns = -_SEARCH_EVERY_NS
-        self._drive: SuggestedDrive | None = None
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
     def publish(self) -> None:
@@ -67,8 +51,6 @@ class DiagnosticsPublisher:
         array.header.stamp = time_message(health.now_ns)
         if node.pipeline is None:
             self._known.clear()
-            self._end_search()
-            self._searched_ns, self._drive = -_SEARCH_EVERY_NS, None
             array.status = [idle_status(health)]
         else:
             array.status = [self._estimator(health, node.pipeline), *self._inputs(health)]
@@ -104,7 +86,6 @@ class DiagnosticsPublisher:
     def _estimator(self, health: NodeHealth, pipeline: EstimatorPipeline[Any]) -> DiagnosticStatus:
         node = self._node
         details = node.spec.details(node.prior, pipeline.current().estimate)
-        details = (*details, *self._to_drive(pipeline, health.now_ns))
         steps = node.step_times.summary()
         return estimator_status(health, pipeline, node.spec.shown, node.prior, steps, details)
 
@@ -112,40 +93,6 @@ class DiagnosticsPublisher:
         for monitor in self._node.monitors.by_topic.values():
             topic = self._node.resolve_topic_name(monitor.topic.name)
             yield input_status(health, monitor, topic, self._judge(monitor, topic, health.now_ns))
-
-    def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
-        """Yield what to drive for a better estimate; begin a search if none is on, the last result stands meanwhile."""
-        if not _has_learned(pipeline.current()):
-            return
-        if self._search is None and not 0 <= now_ns - self._searched_ns < _SEARCH_EVERY_NS:
-            self._search, self._searched_ns = self._new_search(pipeline), now_ns
-            if self._search is not None:
-                self._steps = self._search.steps()
-                self._search_timer.reset()
-        if self._drive is not None and not pipeline.stream.finding:
-            yield 'to drive', self._drive.text
-
-    def _new_search(self, pipeline: EstimatorPipeline[Any]) -> DriveSearch | None:
-        """Return a search for what to drive, None for an estimate that has none."""
-        live, train_file = pipeline.current().estimate, pipeline.stream.config.train_file
-        if isinstance(live, ResistanceEstimate):
-            return drive_search(pipeline.estimator, train_file, self._node.prior, live)
-        if isinstance(live, BrakeRateEstimate) and not brake_findings(pipeline):
-            return braking_search(pipeline.estimator, train_file, live)
-        return None
-
-    def _go_on(self) -> None:
-        """Search for a short while."""
-        end_s = time.perf_counter() + _SLICE_S
-        for _ in self._steps:
-            if time.perf_counter() >= end_s:
-                return
-        self._drive = None if self._search is None else self._search.result
-        self._end_search()
-
-    def _end_search(self) -> None:
-        self._search_timer.cancel()
-        self._search, self._steps = None, iter(())
 
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:
         """Note when each present problem began."""
@@ -212,9 +159,3 @@ class DiagnosticsPublisher:
         if now_ns == 0:
             return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
         return '/clock has stopped: resume its publisher' if now_ns == before else ''
-
-
-def _has_learned(output: Output[Any]) -> bool:
-    """Return whether the train has run: a brake rate can be asked for before the first braking."""
-    live = output.estimate
-    return live.speed_max > 0.0 if isinstance(live, ResistanceEstimate) else output.used + output.rejected > 0
