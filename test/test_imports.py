@@ -85,7 +85,7 @@ def test_a_folder_imports_only_from_lower_ones(folder: str) -> None:
 
 
 def test_the_pipeline_loads_nothing_slow() -> None:
-    loaded = run('import sys, trainid_ros.pipelines; print(*{n.split(".")[0] for n in sys.modules})').split()
+    loaded = run('import sys, trainid_ros.setup.pipelines; print(*{n.split(".")[0] for n in sys.modules})').split()
     assert not set(loaded) & set(SLOW)
 
 
@@ -96,11 +96,11 @@ def test_the_pipeline_imports_within_its_budget(tmp_path: Path) -> None:
         'from calls import count\n'
         'import importlib, numpy\n'
         'before = len(sys.modules)\n'
-        'calls = count(lambda: importlib.import_module("trainid_ros.pipelines"))\n'
+        'calls = count(lambda: importlib.import_module("trainid_ros.setup.pipelines"))\n'
         'print(len(sys.modules) - before, calls)\n'
     )
     run(code, tmp_path)
     loaded, calls = map(int, run(code, tmp_path).split())
-    print(f'trainid_ros.pipelines: {loaded} modules, {calls} calls')
+    print(f'trainid_ros.setup.pipelines: {loaded} modules, {calls} calls')
     assert loaded <= MOST_MODULES
     assert calls <= MOST_CALLS

@@ -15,7 +15,7 @@ from trainid_ros.bag.plausible_stamps import PlausibleStamps
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
-from trainid_ros.pipelines import (
+from trainid_ros.setup.pipelines import (
     EstimatorSettings,
     brake_rate_pipeline,
     resistance_pipeline,

@@ -31,8 +31,13 @@ from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.ros.topics import LEASE_S, fill_estimate, latched_qos, time_message
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 

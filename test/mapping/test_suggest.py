@@ -32,7 +32,12 @@ from trainid_ros.mapping.mapping import Mapping, Signal, Source
 from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.mapping.suggest import suggest
 from trainid_ros.mapping.suggestion import Suggestion, comment
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import TrainFile
 

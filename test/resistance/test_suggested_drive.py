@@ -13,11 +13,11 @@ import pytest
 from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_drive
 from trainid_ros.resistance.vmils import VMils
+from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import G

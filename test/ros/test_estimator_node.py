@@ -18,10 +18,10 @@ from trainid_msgs.msg import AtoSpeed, ResistanceEstimate, TrainMass
 
 from trainid_ros.interface.records import NS_PER_S, InputTopic
 from trainid_ros.interface.results import Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.topics import message_from_record, time_message
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline
 
 pytestmark = pytest.mark.ros
 
@@ -100,7 +100,7 @@ def test_a_bad_train_file_fails_with_one_reason_and_the_node_stays_usable(
     node = graph.make(RESISTANCE_NODE, train_file=str(bad))
     assert node.trigger_configure() == FAILURE
     assert node.state == 'unconfigured'
-    assert 'bad.yaml: train.mass = -1 kg must be > 0' in node.failure
+    assert 'bad.yaml: train.mass = -1 kg must be >= 1' in node.failure
     bad.write_text(Path(train_file).read_text(encoding='utf-8'), encoding='utf-8')
     assert node.bring_up(), node.failure
 
@@ -293,7 +293,7 @@ def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: 
 def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     graph: Graph, train_file: str, tmp_path: Path, field: str, factory: Any
 ) -> None:
-    from trainid_ros.ros.jobs import node_setups  # noqa: PLC0415
+    from trainid_ros.setup.jobs import node_setups  # noqa: PLC0415
     from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
 
     path = tmp_path / 'params.yaml'

@@ -53,8 +53,8 @@ IMPORTS = 'import trainid_ros.ros.estimator_nodes'
 DRIVE = f"""
 {IMPORTS}
 import numpy
-from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.ros.jobs import JOBS
+from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.setup.jobs import JOBS
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 file = load_train_file({str(ROOT / 'config/trains/yizhuang.yaml')!r})

@@ -14,7 +14,7 @@ from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import OUTPUT_TOPICS
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.tables.estimate_table import COLUMNS, EstimateTable, Row, estimate_table
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 

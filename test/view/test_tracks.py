@@ -15,7 +15,12 @@ from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.monitor.shown_estimates import resistance_at
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.train.train_file import load_train_file
 from trainid_ros.view.tracks import USED, Series, Tracks
 

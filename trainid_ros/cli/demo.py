@@ -198,7 +198,7 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
         NoAnswerError: A process failed; the message gives the end of its log.
     """
     from trainid_ros.bag.reader import BagReader, require_topics  # noqa: PLC0415
-    from trainid_ros.ros.jobs import JOBS  # noqa: PLC0415
+    from trainid_ros.setup.jobs import JOBS  # noqa: PLC0415
 
     with BagReader(bag.path) as reader:
         require_topics(reader)
@@ -232,7 +232,7 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
 
 def lossless_parameters() -> str:
     """Return a ROS parameter file with QoS overrides: no message may be lost at any playback rate."""
-    from trainid_ros.ros.jobs import JOBS  # noqa: PLC0415
+    from trainid_ros.setup.jobs import JOBS  # noqa: PLC0415
 
     def overrides(output: str) -> dict[str, Any]:
         topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS] + [(output, 'publisher')]
@@ -405,9 +405,9 @@ def _conclude(bag: DemoBag, live: LiveRun, duration_s: float) -> Played:
     """Replay a bag off line, compare, and score what the nodes published."""
     from trainid_ros.bag.bag_replay import replay  # noqa: PLC0415
     from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
-    from trainid_ros.pipelines import EstimatorSettings  # noqa: PLC0415
     from trainid_ros.report.accuracy_scores import score_brake_rate, score_resistance  # noqa: PLC0415
     from trainid_ros.report.content import chapter_of  # noqa: PLC0415
+    from trainid_ros.setup.pipelines import EstimatorSettings  # noqa: PLC0415
 
     replayed = _Replayed(live)
     with BagReader(bag.path) as reader, progress('replay for comparison') as advance:

@@ -26,7 +26,7 @@ from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.setup.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.ros.jobs import Setup
+    from trainid_ros.setup.jobs import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 

@@ -16,7 +16,7 @@ from trainid_ros.cli.opening import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.setup.jobs import mapping_in
 from trainid_ros.view.recording import RRD_START, write_recording
 from trainid_ros.view.telemetry import switch_off
 from trainid_ros.view.tracks import Tracks

@@ -48,7 +48,7 @@ from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.resistance.force_findings import force_findings
-from trainid_ros.ros.jobs import node_setups
+from trainid_ros.setup.jobs import node_setups
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.table_file import Row
     from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.ros.jobs import Setup as NodeSetup
+    from trainid_ros.setup.jobs import Setup as NodeSetup
 
     Found = Generator[tuple[int, Row], None, None]
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Found]

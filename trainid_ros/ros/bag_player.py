@@ -10,7 +10,6 @@ from trainid_ros.bag import missing_package_error
 from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.ros.parameter_specs import ParameterSpec
 from trainid_ros.ros.playback import (
     ForeignOutput,
     PlaybackNode,
@@ -20,6 +19,7 @@ from trainid_ros.ros.playback import (
     playback_parameters,
 )
 from trainid_ros.ros.runner import run_node
+from trainid_ros.setup.parameter_specs import ParameterSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -27,8 +27,8 @@ from trainid_ros.ros.services import NUMERICAL_ERRORS
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 

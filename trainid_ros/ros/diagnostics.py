@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import Output
     from trainid_ros.ros.input_monitor import InputMonitor
-    from trainid_ros.ros.jobs import Job
+    from trainid_ros.setup.jobs import Job
 
 _LEVELS: Final = {
     Status.UNINITIALIZED: DiagnosticStatus.WARN,

@@ -21,7 +21,6 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, Status
-from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
@@ -31,7 +30,11 @@ from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.node_mapping import NodeMapping
-from trainid_ros.ros.parameter_specs import (
+from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
+from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges
+from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
+from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.setup.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
     ParameterSpec,
@@ -41,10 +44,7 @@ from trainid_ros.ros.parameter_specs import (
     qos_overrides,
     requested_algorithm,
 )
-from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
-from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges
-from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
-from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
@@ -80,7 +80,7 @@ class EstimatorNode(ManagedNode):
         self.job = spec.job
         self._message = message_class(spec.job.topic)
         self.mapping = NodeMapping(self)
-        expected = qos_overrides(self.job, self.resolve_topic_name, self.mapping.topics)
+        expected = qos_overrides(self.job.topic, self.resolve_topic_name, self.mapping.topics)
         self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
         self.parameters.check_sections(arguments, self.job.node_name)
         self._preload_train_file()

@@ -10,8 +10,8 @@ from trainid_ros.estimators.observability import observe
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.ros.diagnostics import EstimatorSpec, ShownValue
 from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB
 from trainid_ros.ros.runner import run_node
+from trainid_ros.setup.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

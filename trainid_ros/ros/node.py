@@ -20,7 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.ros.parameter_specs import (
+from trainid_ros.setup.parameter_specs import (
     LIVE,
     TAKEN,
     TRAIN_FILE,
@@ -34,7 +34,7 @@ from trainid_ros.ros.parameter_specs import (
     taken_values,
     validate_overrides,
 )
-from trainid_ros.ros.params_file import find_mismatch, params_files
+from trainid_ros.setup.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

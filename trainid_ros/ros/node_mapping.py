@@ -12,7 +12,7 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.ros.parameter_specs import MAPPING_FILE
+from trainid_ros.setup.parameter_specs import MAPPING_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.pipelines import EstimatorSettings
+    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 

@@ -17,9 +17,9 @@ from trainid_ros.interface.text import pluralise
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
-from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
 from trainid_ros.ros.publishers import is_hash
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
+from trainid_ros.setup.parameter_specs import AUTOSTART, ParameterSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -30,7 +30,7 @@ from trainid_ros.interface.records import (
     record_values,
 )
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.parameter_specs import QOS_POLICIES
+from trainid_ros.setup.parameter_specs import QOS_POLICIES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.ros.parameter_specs import TRAIN_FILE, ParameterSpec
 from trainid_ros.ros.playback import PlaybackNode, TimedRecord, Timeline, playback_parameters
 from trainid_ros.ros.runner import run_node
+from trainid_ros.setup.parameter_specs import TRAIN_FILE, ParameterSpec
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
 from trainid_ros.train.train_file import load_train_file
