@@ -20,8 +20,7 @@ from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
+from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, EstimatorNode
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.stream.brake_checks import ShapeChange
@@ -226,7 +225,7 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
     assert 'not saved' not in message_at(301)
     stale = Changed(node.pipeline.current(), status=Status.STALE)
     stream = SimpleNamespace(finding='ato/speed looks like km/h')
-    node.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
+    node.shared.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
     finding = f'inputs contradict each other: ato/speed looks like km/h, since {clock_time(clock_ns(400))}: check units'
     assert message_at(400).startswith(finding)
     assert '; STALE: ' in diagnosed.by_name[own].message
@@ -240,7 +239,7 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
     node.bring_up()
     own, messages = 'brake_rate_estimator: estimator', []
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
-    node.pipeline = Changed(node.pipeline, current=lambda: converging)
+    node.shared.pipeline = Changed(node.pipeline, current=lambda: converging)
     check = node.pipeline.stream.brake_delay
     check.max_speed, check.shape.found = 22.0, ShapeChange(least=0.5, most=-0.5, size=0.4, std=0.01)
     for is_wrong in (False, True):

@@ -11,8 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from trainid_ros.client import TrainModel
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.train_monitor import TrainMonitor
 
 Graph: TypeAlias = Any  # the fixture of conftest.py

@@ -125,7 +125,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
+        pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start

@@ -88,7 +88,7 @@ def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
     """Replay the bag as ``trainid replay`` does, and write the recording."""
     setups = load_setups(args, train, warn)
     with opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
-        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
+        pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
         tracks = Tracks(pipelines)
         with progress(f'replaying {args.bag.name}', reader.input_count) as advance:
             replay_through(pipelines, reader, advance, (tracks,))

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.mapping.mapping import Mapping as InputMapping
+    from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -133,10 +133,9 @@ class Setup:
         """Return the pipeline that the node would run."""
         return self.job.pipeline(self.train_file, self.settings)
 
-    def mapped(self, mapping: InputMapping) -> Setup:
-        """Return the setup whose alignment fits a mapping."""
-        alignment = mapping.alignment(self.settings.alignment)
-        return replace(self, settings=replace(self.settings, alignment=alignment))
+    def realigned(self, change: Callable[[AlignmentConfig], AlignmentConfig]) -> Setup:
+        """Return the setup with a changed alignment, such as that which fits a mapping."""
+        return replace(self, settings=replace(self.settings, alignment=change(self.settings.alignment)))
 
 
 def node_setups(
