@@ -11,8 +11,9 @@ help: ## list the targets
 setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, research/lab (PYTHON=... selects the interpreter)
 	@PYTHON='$(PYTHON)' tools/setup
 
-demo: setup ## play a bag through the three live nodes and write a report
-	.venv/bin/trainid demo
+demo: ## play a bag through the three live nodes and write a report; what else there is to set up follows beside it
+	@PYTHON='$(PYTHON)' tools/setup --sources
+	@nice tools/setup >.venv/setup_beside_demo.log 2>&1 & .venv/bin/trainid demo; code=$$?; wait; exit $$code
 
 test: setup ## everything that must pass before a change lands
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel

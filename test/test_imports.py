@@ -25,7 +25,6 @@ PURE = (
     'sim',
     'explain',
     'monitor',
-    'view',
 )
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # What each folder may build on.
@@ -54,7 +53,7 @@ def run(code: str, bytecode: Path | None = None) -> str:
 
 def modules() -> list[str]:
     inner = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
-    found = (*sorted(PACKAGE.glob('*.py')), *inner)
+    found = (*sorted(PACKAGE.glob('*.py')), PACKAGE / 'report' / 'viewer.py', *inner)
     parts = (path.relative_to(PACKAGE.parent).with_suffix('').parts for path in found if path.stem != '__init__')
     return ['.'.join(names) for names in parts]
 

@@ -8,6 +8,7 @@ run takes well under a second. The environment needs no sourcing: its Python fin
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import hashlib
 import json
@@ -28,6 +29,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from concurrent.futures import Future
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'
@@ -38,6 +40,8 @@ LAB = ROOT / 'research' / 'lab'
 LOG = VENV / 'setup.log'
 COMPILER_LOG = VENV / 'compiler.log'
 STAMP = VENV / 'setup.stamp.json'
+COMPILED = VENV / 'compiled'
+BUILDS_KEPT = 8
 INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
 SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
 PYTHON = VENV / 'bin' / 'python'
@@ -151,23 +155,32 @@ def make_environment() -> None:
     marker.write_text(wanted)
 
 
-def install_packages() -> None:
-    """Install the locked wheels of Python packages, which is all that compiling trainid_ros takes."""
-    install('bootstrap')
+def install_bootstrap() -> None:
+    """Install the locked wheels that install others."""
+    install('bootstrap', options=())
+
+
+def install_libraries() -> None:
+    """Install the locked wheels that trainid_ros and building its messages need."""
     tools = () if shutil.which('cmake') and shutil.which('ninja') else ('build',)
-    install('runtime', 'dev', *tools, options=('--no-build-isolation',))
+    install('runtime', *tools)
+
+
+def install_development() -> None:
+    """Install the locked wheels of what checks, tests and compiles."""
+    install('dev')
 
 
 def install_ros() -> None:
     """Install the locked wheels of ROS 2, then undo the build machine's paths in their CMake files."""
-    install('ros', options=('--no-build-isolation',))
+    install('ros')
     correct_paths()
     write_environment_files()
 
 
-def install(*groups: str, options: tuple[str, ...] = ()) -> None:
-    """Install the wheels of groups of requirements."""
-    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--progress-bar', 'off']
+def install(*groups: str, options: tuple[str, ...] = ('--no-build-isolation',)) -> None:
+    """Install the wheels of groups of requirements; Python compiles to byte code what is imported, and only that."""
+    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--progress-bar', 'off', '--no-compile']
     pip += ['--no-deps', '--require-hashes', *options]
     words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]
     run([*pip, *words], 'cannot install the locked packages')
@@ -271,12 +284,35 @@ def compiled_sources() -> list[Path]:
     return [package / f'{name}.py' for name in runpy.run_path(str(package / 'compiled.py'))['MODULES']]
 
 
-def compile_modules() -> None:
-    """Compile modules of trainid_ros, beside their sources."""
-    for library in (ROOT / 'trainid_ros').rglob('*.cpython-*.so'):
-        library.unlink()
-    command: list[str | Path] = [PYTHON, 'setup.py', '--quiet', 'build_ext', '--inplace']
-    run(command, 'cannot compile trainid_ros', log_file=COMPILER_LOG)
+def compile_modules(stamp: str) -> None:
+    """Compile modules of trainid_ros beside their sources, or take back what was compiled of the same sources before.
+
+    Args:
+        stamp: Fingerprint of the sources and of what compiles them.
+    """
+    remove_compiled()
+    package = ROOT / 'trainid_ros'
+    kept = COMPILED / stamp
+    if not kept.is_dir():
+        part = COMPILED / 'part'
+        shutil.rmtree(part, ignore_errors=True)
+        command: list[str | Path] = [PYTHON, 'setup.py', '--quiet', 'build_ext', '--build-lib', part]
+        run(command, 'cannot compile trainid_ros', log_file=COMPILER_LOG)
+        (part / 'trainid_ros').rename(kept)
+        part.rmdir()
+        for old in sorted(COMPILED.iterdir(), key=lambda path: path.stat().st_mtime)[:-BUILDS_KEPT]:
+            shutil.rmtree(old)
+    # The digest last: without it the sources run.
+    for file in sorted(kept.rglob('*'), key=lambda path: path.suffix != '.so'):
+        if file.is_file():
+            shutil.copy2(file, package / file.relative_to(kept))
+
+
+def remove_compiled() -> None:
+    """Delete the compiled modules beside their sources, so that the sources run."""
+    for pattern in ('modules.sha256', '*.cpython-*.so'):
+        for file in (ROOT / 'trainid_ros').rglob(pattern):
+            file.unlink()
 
 
 def existing_shared() -> list[str]:
@@ -327,8 +363,18 @@ def keep_stamp(name: str, stamp: str) -> None:
         STAMP.write_text(json.dumps(stamps() | {name: stamp}))
 
 
-def refresh() -> bool:
-    """Run the steps whose inputs have changed; the compiler runs beside the steps that need only ROS.
+def do_after(earlier: Future[None], *steps: Step) -> None:
+    """Do steps in order, once an earlier one has succeeded."""
+    earlier.result()
+    for step in steps:
+        step.do()
+
+
+def refresh(*, whole: bool) -> bool:
+    """Run the steps whose inputs have changed, those that need not wait for each other side by side.
+
+    Args:
+        whole: False to leave out development tools and compiler: the sources run where modules are not compiled.
 
     Returns:
         True if anything had to be done.
@@ -338,22 +384,27 @@ def refresh() -> bool:
     messages = fingerprint([MESSAGES], packages)
     launch_files = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
     project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared(), *launch_files)
-    compiled = fingerprint([*compiled_sources(), ROOT / 'setup.py'], packages)
-    first = Step('packages', packages, install_packages, 'Python packages')
-    compiler = Step('compiled', compiled, compile_modules, 'compiled modules of trainid_ros (about two minutes)')
-    beside = (
-        Step('ros', packages, install_ros, 'ROS 2 Jazzy (about a minute)'),
-        Step('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
+    compiled = fingerprint([*compiled_sources(), ROOT / 'setup.py', ROOT / 'pyproject.toml'], packages)
+    bootstrap = Step('bootstrap', packages, install_bootstrap, 'pip and setuptools')
+    libraries = Step('libraries', packages, install_libraries, 'Python packages')
+    ros = Step('ros', packages, install_ros, 'ROS 2 Jazzy')
+    interface = Step('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)')
+    source_tree = Step('project', project, install_project, 'trainid_ros and research/lab, from the source tree')
+    tools = Step('development', packages, install_development, 'development tools')
+    compiler = Step(
+        'compiled', compiled, lambda: compile_modules(compiled), 'compiled modules of trainid_ros (a minute)'
     )
-    last = Step('project', project, install_project, 'trainid_ros and research/lab, from the source tree')
-    worked = any(step.is_due for step in (first, compiler, *beside, last))
-    first.do()
+    needed = (bootstrap, libraries, ros, interface, source_tree, *((tools, compiler) if whole else ()))
+    worked = any(step.is_due for step in needed)
+    bootstrap.do()
+    if compiler.is_due:
+        remove_compiled()
     with ThreadPoolExecutor() as pool:
-        compilation = pool.submit(compiler.do)
-        for step in beside:
-            step.do()
+        imported = pool.submit(libraries.do)
+        compilation = pool.submit(do_after, imported, *((tools, compiler) if whole else ()))
+        ros.do()
+        do_after(imported, interface, source_tree)
         compilation.result()
-    last.do()
     return worked
 
 
@@ -363,12 +414,15 @@ def main() -> int:
     Returns:
         Exit code.
     """
+    parser = argparse.ArgumentParser(description='Make or refresh .venv.')
+    parser.add_argument('--sources', action='store_true', help='leave out development tools and compiled modules')
+    whole = not parser.parse_args().sources
     began = time.monotonic()
     lock = os.open(ROOT, os.O_RDONLY)
     fcntl.flock(lock, fcntl.LOCK_EX)
     try:
         check_machine()
-        if refresh():
+        if refresh(whole=whole):
             say(f'.venv is ready ({time.monotonic() - began:.0f} s)')
     except SetupError as error:
         print(error, file=sys.stderr)

@@ -137,12 +137,13 @@ def take_over_compiled(source: Path) -> None:
     """Copy what was compiled in the repository, with its times: what has not changed is not compiled again."""
     modules = ('modules__mypyc', *runpy.run_path(str(ROOT / 'trainid_ros' / 'compiled.py'))['MODULES'])
     suffix = sysconfig.get_config_var('EXT_SUFFIX')
-    libraries = tuple(f'/trainid_ros/{name}{suffix}' for name in modules)
-    for path in (ROOT / 'build').rglob('*'):
-        if path.suffix in {'.c', '.h'} or str(path).endswith(libraries):
-            target = source / path.relative_to(ROOT)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(path, target)
+    built = f'build/lib.{sysconfig.get_platform()}-{sys.implementation.cache_tag}'
+    places = {path: path.relative_to(ROOT) for path in (ROOT / 'build').rglob('*') if path.suffix in {'.c', '.h'}}
+    libraries = (Path('trainid_ros', f'{name}{suffix}') for name in modules)
+    places |= {ROOT / library: built / library for library in libraries if (ROOT / library).exists()}
+    for path, place in places.items():
+        (source / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(path, source / place)
 
 
 def try_out(clean: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:

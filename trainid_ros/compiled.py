@@ -95,17 +95,18 @@ def uses_sources() -> bool:
     # Installed sources do not change.
     if not (folder.parent / 'setup.py').exists():
         return False
-    stated = folder / DIGEST
-    if stated.exists() and stated.read_text(encoding='utf-8') == digest(folder):
+    if (folder / DIGEST).read_text(encoding='utf-8') == digest(folder):
         return False
     warnings.warn('sources differ from their compiled form and run instead: make setup', RuntimeWarning, stacklevel=2)
     return True
 
 
 def _is_complete(folder: Path) -> bool:
-    """Return whether all modules were compiled, for this interpreter."""
+    """Return whether all modules were compiled, for this interpreter; the digest is written last."""
     suffix = EXTENSION_SUFFIXES[0]
-    return all((folder / f'{name}{suffix}').exists() for name in ('modules__mypyc', *MODULES))
+    return (folder / DIGEST).exists() and all(
+        (folder / f'{name}{suffix}').exists() for name in ('modules__mypyc', *MODULES)
+    )
 
 
 def _can_import(*names: str) -> bool:

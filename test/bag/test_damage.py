@@ -16,12 +16,10 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from trainid_ros.bag.chunk import ChunkHead, unpack
 
 from benchmarks.damage import campaign
-from trainid_ros.bag import mcap_file
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.record_file import MAGIC, RecordFile
+from trainid_ros.bag.record_file import MAGIC, ChunkHead, RecordFile
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MassRecord
@@ -258,7 +256,8 @@ def test_many_chunks_that_unpack_to_much_are_left_out_without_unpacking_them(
         unpacked.append(head)
         return unpack(head, stored)
 
-    monkeypatch.setattr(mcap_file, 'unpack', note)
+    unpack = ChunkHead.unpack
+    monkeypatch.setattr(ChunkHead, 'unpack', note)
     assert 'nothing of it can be used' in error_of(path)
     assert len(unpacked) == 1
 

@@ -16,10 +16,10 @@ from trainid_ros.bag import db3_file
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import digest, full_definition, full_type, message_from_record, typestore
 from trainid_ros.cli.main import main
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping_file import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import Record, input_topic
-from trainid_ros.mapping.mapped_inputs import MappedInputs
-from trainid_ros.mapping.mapping_file import parse_mapping
 
 
 @pytest.fixture

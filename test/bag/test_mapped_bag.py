@@ -16,10 +16,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping_file import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import REQUIRED_TOPICS, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.mapping.mapped_inputs import MappedInputs
-from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Train, TrainFile, load_train_file
 

@@ -154,7 +154,7 @@ def test_info_imports_only_what_it_needs(driven_bag: Path) -> None:
 def test_replay_imports_only_what_it_needs(driven_bag: Path) -> None:
     found = imported_by(['replay', str(driven_bag), '--train', str(driven_bag / 'train.yaml')])
     assert 'trainid_ros.estimators.pipeline' in found
-    assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.report.traces'})
+    assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.recording'})
 
 
 def test_closed_pipe_is_quiet(driven_bag: Path) -> None:

@@ -12,9 +12,9 @@ from pyarrow import parquet
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
+from trainid_ros.inputs.mapping import date_time_ns
 from trainid_ros.interface.records import stamp_of
 from trainid_ros.interface.results import Status
-from trainid_ros.mapping.times import date_time_ns
 
 
 @pytest.fixture(scope='module')

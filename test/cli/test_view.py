@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from trainid_ros.cli.main import main
-from trainid_ros.view import telemetry
+from trainid_ros.report.viewer import switch_off_telemetry
 
 
 def test_without_rerun_one_line_names_the_extra(driven_bag: Path, tmp_path: Path) -> None:
@@ -33,7 +33,7 @@ class TestWithRerun:
 
     @pytest.fixture(autouse=True)
     def _needs_rerun(self) -> None:
-        telemetry.switch_off()
+        switch_off_telemetry()
         pytest.importorskip('rerun')
 
     def test_without_a_display_it_says_what_to_do(

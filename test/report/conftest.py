@@ -17,8 +17,8 @@ from trainid_ros.interface.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.report.content import Chapter, RejectionCounts
-from trainid_ros.report.traces import TraceRecorder
+from trainid_ros.recording import Recorder
+from trainid_ros.report.chapter import Chapter, RejectionCounts
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
@@ -60,10 +60,10 @@ def make_chapter() -> Callable[..., Chapter]:
     """Return a function that makes the chapter of a drive of a given duration [s]."""
 
     def make(seconds: int = 240, *, truth: Truth | None = TRUTH, braking: bool = True) -> Chapter:
-        recorder = TraceRecorder()
+        recorder = Recorder()
         for i in range(seconds):
             for record in inputs(i):
-                recorder.on_record(record)
+                recorder.add_record(record)
             status = Status.CONVERGING if i < 20 else Status.VALID if i // 30 % 4 < 2 else Status.HOLDING
             recorder.on_output(output(i, replace(RESISTANCE, innovation=0.001 * i), status))
             recorder.on_output(output(i, MODEL, status))
@@ -75,7 +75,7 @@ def make_chapter() -> Callable[..., Chapter]:
             train_file_name='train.yaml',
             train_file=TRAIN,
             how='off line',
-            traces=recorder.finish(),
+            recording=recorder.finish(),
             resistance=output(seconds, RESISTANCE, Status.HOLDING),
             speed_model=output(seconds, MODEL, Status.HOLDING),
             brake_rate=output(seconds, BRAKE, Status.HOLDING),

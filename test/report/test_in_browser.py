@@ -15,9 +15,9 @@ from test.fleet.surrogate import fleet_rows
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.fleet.table_file import write_table
-from trainid_ros.report.content import Chapter, Report
+from trainid_ros.report.chapter import Chapter
+from trainid_ros.report.drive_report import write_report
 from trainid_ros.report.explained import Explained, write_explained
-from trainid_ros.report.page import write_report
 from trainid_ros.train.train_file import TrainFile
 
 pytestmark = pytest.mark.slow  # a browser starts, and drawing takes seconds
@@ -38,7 +38,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 def replayed(make_chapter: Callable[..., Chapter], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the report of a replay; that of the demo is the same with more chapters."""
     path = tmp_path_factory.mktemp('pages') / 'replay.html'
-    write_report(Report('One', (make_chapter(240),)), path)
+    write_report('One', (make_chapter(240),), path)
     return path
 
 

@@ -304,7 +304,9 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
     arguments = ('--params-file', str(dump), '-p', f'train_file:={tmp_path / "other.yaml"}')
     other = graph.make(partial(EstimatorNode, SPECS['resistance_estimator']), arguments=arguments)
     assert other.bring_up(), other.failure
-    mixed = [other.shared.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')]
+    mixed = [
+        other.shared.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')
+    ]
     assert mixed == [210000.0, 60.0, 2.5, 0.9]
     log = capfd.readouterr().err
     assert (

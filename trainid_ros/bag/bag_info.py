@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import InputTopic
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.train.train_file import TrainFile
 
 GAP_S: Final = 1.0

@@ -11,10 +11,9 @@ import numpy as np
 
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.types import WIDE_CHARACTERS, full_type
+from trainid_ros.inputs.mapping import Mapping, Signal, Source, Unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
-from trainid_ros.mapping.mapping import Mapping, Signal, Source
-from trainid_ros.mapping.units import Unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -18,6 +18,7 @@ from trainid_ros.bag.bag_files import locate, open_file
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
 from trainid_ros.bag.types import StoredType, digest, full_type, is_packaged, plain_text, type_name, typestore
+from trainid_ros.inputs.mapping import OWN
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
@@ -28,7 +29,6 @@ from trainid_ros.interface.records import (
     record_of,
 )
 from trainid_ros.interface.text import pluralise
-from trainid_ros.mapping.mapping import OWN
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_files import BagFile
     from trainid_ros.bag.record_table import RecordTable, Segment
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import Record, Row
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 OPENING: Final = 0.3

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.explain.dataset import Run
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.train.train_file import TrainFile
 
 POOL_FROM: Final = 100_000

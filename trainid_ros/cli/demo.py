@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.bag.reader import LoggedRecord
     from trainid_ros.explain.result import Explanation
-    from trainid_ros.report.accuracy_scores import AccuracyScore
-    from trainid_ros.report.content import Chapter
+    from trainid_ros.report.chapter import AccuracyScore, Chapter
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -147,7 +146,7 @@ class Played:
         w, f = self.chapter.resistance, self.chapter.brake_rate
         lines = (
             self.chapter.title,
-            f'{self.chapter.traces.duration_s / 60.0:.0f} min of driving, {self.chapter.how}',
+            f'{self.chapter.recording.duration_s / 60.0:.0f} min of driving, {self.chapter.how}',
             f'w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
             f'{w.status.name}, {w.used} samples used, {w.rejected} rejected',
             f'brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}',
@@ -164,8 +163,7 @@ class Played:
 
 def _live(bags: Iterable[DemoBag], args: argparse.Namespace, report: Path, say: Say) -> list[Played]:
     """Play all bags through the live nodes and write the report."""
-    from trainid_ros.report.content import Report  # noqa: PLC0415
-    from trainid_ros.report.page import write_report  # noqa: PLC0415
+    from trainid_ros.report.drive_report import write_report  # noqa: PLC0415
 
     logs: Path = args.out / 'log'
     logs.mkdir(parents=True, exist_ok=True)
@@ -179,7 +177,7 @@ def _live(bags: Iterable[DemoBag], args: argparse.Namespace, report: Path, say: 
         played.append(_conclude(bag, play_live(bag, args.rate, duration_s, folder, say), duration_s))
         for note in played[-1].chapter.notes:
             say(note)
-    write_report(Report('trainid demo', tuple(one.chapter for one in played)), report)
+    write_report('trainid demo', [one.chapter for one in played], report)
     return played
 
 
@@ -279,11 +277,11 @@ class LiveRun:
     """What the nodes publish while a bag is played."""
 
     def __init__(self, truth: Truth | None, say: Say) -> None:
-        from trainid_ros.report.traces import TraceRecorder  # noqa: PLC0415
+        from trainid_ros.recording import Recorder  # noqa: PLC0415
 
         self.estimates = Estimates()
         self.newest: dict[type, AnyOutput] = {}
-        self.recorder = TraceRecorder()
+        self.recorder = Recorder()
         self.first_s = self.last_s = 0.0
         self._truth, self._say, self._next_s = truth, say, 0.0
 
@@ -388,14 +386,14 @@ def compare(received: list[tuple[int, int]], replayed: list[tuple[int, int]]) ->
 
 
 class _Replayed:
-    """Observer of the replay: its estimates, and the inputs in the traces of the live run."""
+    """Observer of the replay: its estimates, and the inputs in the recording of the live run."""
 
     def __init__(self, live: LiveRun) -> None:
         self.estimates = Estimates()
         self._recorder = live.recorder
 
     def on_record(self, entry: LoggedRecord) -> None:
-        self._recorder.on_record(entry.record)
+        self._recorder.on_record(entry)
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - only stamps are compared
         self.estimates.add(output.stamp_ns, output.estimate, output.status)
@@ -405,8 +403,12 @@ def _conclude(bag: DemoBag, live: LiveRun, duration_s: float) -> Played:
     """Replay a bag off line, compare, and score what the nodes published."""
     from trainid_ros.bag.bag_replay import replay  # noqa: PLC0415
     from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
-    from trainid_ros.report.accuracy_scores import score_brake_rate, score_resistance  # noqa: PLC0415
-    from trainid_ros.report.content import chapter_of  # noqa: PLC0415
+    from trainid_ros.report.chapter import (  # noqa: PLC0415
+        Chapter,
+        RejectionCounts,
+        score_brake_rate,
+        score_resistance,
+    )
     from trainid_ros.setup.pipelines import EstimatorSettings  # noqa: PLC0415
 
     replayed = _Replayed(live)
@@ -415,28 +417,30 @@ def _conclude(bag: DemoBag, live: LiveRun, duration_s: float) -> Played:
     comparisons = {
         label: compare(live.estimates.of[kind], replayed.estimates.of[kind]) for kind, label in LABELS.items()
     }
-    traces = live.recorder.finish()
-    rate = traces.duration_s / (live.last_s - live.first_s) if live.last_s > live.first_s else math.nan
-    chapter = chapter_of(
-        outcome,
-        traces,
+    recording = live.recorder.finish()
+    rate = recording.duration_s / (live.last_s - live.first_s) if live.last_s > live.first_s else math.nan
+    results: dict[type, Any] = {kind: getattr(outcome, field) for kind, field in _FIELDS.items()}
+    # A node that published nothing live still has its prior, which the replay shows too.
+    newest: dict[str, Any] = {_FIELDS[kind]: live.newest.get(kind, result.output) for kind, result in results.items()}
+    chapter = Chapter(
         title=bag.title,
         bag=str(bag.path),
         train_file_name=str(bag.train_path),
         train_file=bag.train_file,
         how=f'live over ROS 2 at {rate:.0f} x real time, then off line',
+        recording=recording,
+        **newest,
+        rejections=tuple(RejectionCounts(LABELS[kind], result.rejections) for kind, result in results.items()),
         truth=bag.truth,
         notes=tuple(f'{label}: {comparison}' for label, comparison in comparisons.items()),
     )
-    # A node that published nothing live still has its prior, which the replay shows too.
-    newest: dict[str, Any] = {_FIELDS[kind]: output for kind, output in live.newest.items()}
     scores: dict[str, AccuracyScore | None] = {'resistance': None, 'brake_rate': None}
     if bag.truth is not None:
         scores = {
-            'resistance': score_resistance(traces, bag.truth),
-            'brake_rate': score_brake_rate(traces, bag.truth),
+            'resistance': score_resistance(recording, bag.truth),
+            'brake_rate': score_brake_rate(recording, bag.truth),
         }
-    return Played(replace(chapter, **newest), comparisons, scores, rate)
+    return Played(chapter, comparisons, scores, rate)
 
 
 # A hidden effect
@@ -499,7 +503,7 @@ def _to_json(played: list[Played], found: tuple[TrainFile, Explanation] | None, 
         'bags': [
             {
                 'bag': one.chapter.bag,
-                'duration_s': one.chapter.traces.duration_s,
+                'duration_s': one.chapter.recording.duration_s,
                 'rate': one.rate,
                 'resistance': one.chapter.resistance,
                 'speed_model': one.chapter.speed_model,

@@ -20,9 +20,9 @@ from trainid_ros.cli.output import (
     to_plain,
     warn,
 )
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise, printable
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 

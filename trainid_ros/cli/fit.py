@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.reader import require_topics
 from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import print_json, progress, show, table, warn
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, PieceCollector, check_plausible, fit_davis
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig

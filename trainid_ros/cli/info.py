@@ -11,9 +11,9 @@ from trainid_ros.bag.bag_info import inspect
 from trainid_ros.bag.reader import NAMESPACE
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
     """
     # Imported here because other uses need not load it.
     from trainid_ros.bag.number_series import read_numbers  # noqa: PLC0415
-    from trainid_ros.mapping.suggest import suggest  # noqa: PLC0415
-    from trainid_ros.mapping.suggest_trains import trains_in  # noqa: PLC0415
+    from trainid_ros.inputs.suggest import suggest, trains_in  # noqa: PLC0415
 
     numbers = read_numbers(bag, args.namespace, args.max_chunk, advance)
     if trains := trains_in(numbers.series):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.output import progress
-from trainid_ros.mapping.mapping import OWN
-from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.setup.jobs import Setup, node_setups
 from trainid_ros.train.train_file import load_train_file
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.mapping.mapping import Mapping
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import Mapping
 
 
 def load_setups(

@@ -18,17 +18,17 @@ from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.estimators.observability import observe, resistance_std
+from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.setup.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
-from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
-    from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.report.traces import Traces
+    from trainid_ros.recording import Recorder, Recording
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.setup.jobs import Setup
     from trainid_ros.sim.truth import Truth
@@ -123,7 +122,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         inputs = mapped_inputs(args.map, setups[0].train_file)
         opening, reading = in_two(advance)
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
-        observers, traces = _observers(stack, out, report)
+        observers, recorder = _observers(stack, out, report)
         start = time.perf_counter()
         pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
@@ -132,8 +131,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         warnings += unweighed(reader, setups[0].train_file)
         if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):
             warnings.append(reader.mapping.named(wrong))
-    if report is not None and traces is not None:
-        _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
+    if report is not None and recorder is not None:
+        _write_report(args, bag, outcome, recorder.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
     drives = NO_DRIVES
     if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
@@ -163,14 +162,14 @@ def unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
     ]
 
 
-def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], TraceObserver | None]:
-    """Return what writes the new bag or table and what collects the traces of the report, and the latter alone."""
+def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], Recorder | None]:
+    """Return what writes the new bag or table and what collects the columns of the report, and the latter alone."""
     observers: list[Observer] = []
     if out is None and report is None:
         return observers, None
     # Imported here because most replays only print.
-    from trainid_ros.bag.observers import TraceObserver  # noqa: PLC0415
     from trainid_ros.bag.writer import BagRecorder, BagWriter  # noqa: PLC0415
+    from trainid_ros.recording import Recorder  # noqa: PLC0415
 
     if out is not None and out.suffix in TABLE_SUFFIXES:
         observers.append(stack.enter_context(estimate_table(out)))
@@ -178,8 +177,8 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
         observers.append(BagRecorder(stack.enter_context(BagWriter(out))))
     if report is None:
         return observers, None
-    traces = TraceObserver()
-    return [*observers, traces], traces
+    recorder = Recorder()
+    return [*observers, recorder], recorder
 
 
 def find_truth(bag: Path, given: Path | None) -> Truth | None:
@@ -329,23 +328,36 @@ def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
 
 
 def _write_report(
-    args: argparse.Namespace, bag: Path, outcome: Replay, traces: Traces, truth: Truth | None, how: str, path: Path
+    args: argparse.Namespace,
+    bag: Path,
+    outcome: Replay,
+    recording: Recording,
+    truth: Truth | None,
+    how: str,
+    path: Path,
 ) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
-    from trainid_ros.report.content import Report, chapter_of  # noqa: PLC0415
-    from trainid_ros.report.page import write_report  # noqa: PLC0415
+    from trainid_ros.report.chapter import Chapter, RejectionCounts  # noqa: PLC0415
+    from trainid_ros.report.drive_report import write_report  # noqa: PLC0415
 
-    chapter = chapter_of(
-        outcome,
-        traces,
+    chapter = Chapter(
         title=bag.name,
         bag=str(bag),
         train_file_name=str(args.train),
         train_file=load_train_file(args.train),
         how=how,
+        recording=recording,
+        resistance=outcome.resistance.output,
+        speed_model=outcome.speed_model.output,
+        brake_rate=outcome.brake_rate.output,
+        rejections=(
+            RejectionCounts('resistance', outcome.resistance.rejections),
+            RejectionCounts('speed model', outcome.speed_model.rejections),
+            RejectionCounts('brake rate', outcome.brake_rate.rejections),
+        ),
         truth=truth,
     )
-    write_report(Report(f'trainid replay: {bag.name}', (chapter,)), path)
+    write_report(f'trainid replay: {bag.name}', (chapter,), path)
 
 
 def _pace(outcome: Replay, wall_s: float) -> str:

@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.cli.opening import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.report.viewer import RRD_START, ViewRecorder, switch_off_telemetry, write_recording
 from trainid_ros.setup.jobs import mapping_in
-from trainid_ros.view.recording import RRD_START, write_recording
-from trainid_ros.view.telemetry import switch_off
-from trainid_ros.view.tracks import Tracks
 
 if TYPE_CHECKING:
     import argparse
@@ -40,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.suffix != _RECORDING:
         raise InputError(f'{args.out}: the name of a recording must end in {_RECORDING}, or Rerun does not open it')
     args.map = args.map or mapping_in(args.params, args.namespace)
-    switch_off()
+    switch_off_telemetry()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
 
     train = _train_file(args)
@@ -89,9 +87,9 @@ def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
     setups = load_setups(args, train, warn)
     with opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
         pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
-        tracks = Tracks(pipelines)
+        recorder = ViewRecorder(pipelines)
         with progress(f'replaying {args.bag.name}', reader.input_count) as advance:
-            replay_through(pipelines, reader, advance, (tracks,))
+            replay_through(pipelines, reader, advance, (recorder,))
         for text in reader.warnings:
             warn(text)
-    write_recording(tracks, args.bag.resolve().stem, out)
+    write_recording(recorder, args.bag.resolve().stem, out)

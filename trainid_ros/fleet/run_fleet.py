@@ -43,10 +43,10 @@ from trainid_ros.fleet.table_file import (
     share_column,
     write_table,
 )
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.setup.jobs import node_setups
 from trainid_ros.train.train_file import load_train_file
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.fleet.plan import Plan, PlannedBag, Setup
     from trainid_ros.fleet.table_file import Row
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.setup.jobs import Setup as NodeSetup
 
     Found = Generator[tuple[int, Row], None, None]

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.bag.run_reader import read_runs
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

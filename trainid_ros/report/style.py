@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Style of reports: colours for light and dark pages, figures as inline SVG, and elements shared by the figures."""
+"""Figures as inline SVG in the colours of light and dark pages, the panels of a recording, and shared elements."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from trainid_ros.report.accuracy_scores import SIGMA_95
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.report.chapter import SIGMA_95
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,9 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-    from trainid_ros.report.traces import Array, Span
+    from trainid_ros.recording import Array, Panel, Span
 
-# Figures are drawn in these colours, which are then replaced by CSS variables: (colour, variable, dark colour).
 INK: Final = '#1b1f24'
 MUTED: Final = '#6b7280'
 GRID: Final = '#d9dde3'
@@ -39,7 +40,7 @@ STAND: Final = '#aab0b8'
 GOOD: Final = '#2f8f5b'
 WAIT: Final = '#e0b23c'
 BAD: Final = '#c0392f'
-_COLOURS: Final = (
+COLOURS: Final = (
     (INK, 'ink', '#e8eaee'),
     (MUTED, 'muted', '#98a1ad'),
     (GRID, 'grid', '#3a414b'),
@@ -54,6 +55,7 @@ _COLOURS: Final = (
     (WAIT, 'wait', '#e3bd5a'),
     (BAD, 'bad', '#ee7a70'),
 )
+"""Figures are drawn in a colour, which a CSS variable then replaces; the last one is that of dark pages."""
 # Any: rcParams takes only the literal names it knows.
 _RC: Final[Any] = {
     'svg.fonttype': 'none',
@@ -104,7 +106,7 @@ def styled_figure(height: float) -> Iterator[Figure]:
         yield Figure(figsize=(_WIDTH, height), layout='constrained')
 
 
-def to_svg(figure: Figure, label: str) -> str:
+def to_svg(figure: Figure, label: str) -> Markup:
     """Return a figure as an SVG element for a page; ``label`` is its description for screen readers."""
     buffer = StringIO()
     figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None, 'Format': None, 'Type': None})
@@ -116,56 +118,9 @@ def to_svg(figure: Figure, label: str) -> str:
     text = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r'\1', text, count=1)
     text = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r'\1', text, count=1)
     text = text.replace('<svg', f'<svg role="img" aria-label="{escape(label)}"', 1)
-    for colour, variable, _ in _COLOURS:
+    for colour, variable, _ in COLOURS:
         text = text.replace(colour, f'var(--{variable})')
-    return text
-
-
-def css() -> str:
-    """Return the style sheet of a report."""
-    light = ''.join(f'--{name}:{colour};' for colour, name, _ in _COLOURS)
-    dark = ''.join(f'--{name}:{colour};' for _, name, colour in _COLOURS)
-    return (
-        f':root{{color-scheme:light dark;{light}}}'
-        f'@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}' + _RULES
-    )
-
-
-_RULES: Final = """
-*{box-sizing:border-box}
-body{margin:0 auto;max-width:1120px;padding:28px 24px 60px;background:var(--paper);color:var(--ink);
- font:15px/1.5 system-ui,"Segoe UI","DejaVu Sans",Arial,sans-serif}
-h1{font-size:27px;line-height:1.2;margin:0 0 4px}
-h2{font-size:21px;margin:44px 0 6px;padding-top:14px;border-top:3px solid var(--estimate)}
-h3{font-size:16px;margin:30px 0 2px}
-p{margin:4px 0 10px;max-width:85ch}
-.sub,.caption{color:var(--muted)}
-.caption{font-size:13.5px;margin:0 0 6px}
-dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 18px;margin:10px 0 14px}
-dt{color:var(--muted)}dd{margin:0;overflow-wrap:anywhere}
-.wide{overflow-x:auto}
-table{border-collapse:collapse;margin:10px 0 16px;font-variant-numeric:tabular-nums}
-caption{text-align:left;color:var(--muted);font-size:13.5px;padding-bottom:4px}
-th,td{padding:4px 14px 4px 0;text-align:right;border-bottom:1px solid var(--grid);vertical-align:baseline}
-th{font-weight:600;font-size:13px}
-th:first-child,td:first-child{text-align:left}
-td.text,th.text{text-align:left}
-.cards{display:flex;flex-wrap:wrap;gap:12px;margin:14px 0 18px}
-.card{flex:1 1 220px;border:1px solid var(--grid);border-radius:6px;padding:10px 14px}
-.card .name{color:var(--muted);font-size:13px}
-.card .value{font-size:23px;font-weight:600;line-height:1.3;font-variant-numeric:tabular-nums}
-.card .value small{font-size:14px;font-weight:400;color:var(--muted)}
-.card .more{font-size:13px;color:var(--muted)}
-.tag{display:inline-block;border-radius:3px;padding:0 7px;font-size:12.5px;font-weight:600;color:var(--paper)}
-.VALID{background:var(--good)}.HOLDING{background:var(--coast);color:#10202e}.CONVERGING,.UNINITIALIZED{background:var(--wait)}
-.STALE,.FAULT{background:var(--bad)}
-ul{margin:6px 0 12px;padding-left:20px}
-figure{margin:6px 0 10px;break-inside:avoid;overflow-x:auto}
-svg{display:block;width:100%;min-width:640px;height:auto}
-nav a{margin-right:18px;color:var(--estimate)}
-footer{margin-top:50px;color:var(--muted);font-size:13px}
-@media print{body{max-width:none;padding:0;font-size:12px}svg{min-width:0}h2{break-before:page}nav{display:none}}
-"""
+    return Markup(text)
 
 
 # More points than a figure has pixels add no information.
@@ -173,21 +128,20 @@ POINTS: Final = 700
 _LIGHT: Final = 0.16
 _DARK: Final = 0.3
 
+DASHES: Final = (0, (5, 2))
+"""Line style of a truth."""
+PRIOR_DASHES: Final = (0, (1, 1.5))
+"""Line style of the values of the train file."""
 ESTIMATE_LINE: Final = Line2D([], [], color=ESTIMATE, label='estimate')
 BAND_68: Final = Patch(color=ESTIMATE, alpha=_LIGHT + _DARK, linewidth=0, label='68 %')
 BAND_95: Final = Patch(color=ESTIMATE, alpha=_LIGHT, linewidth=0, label='95 %')
-TRUTH_LINE: Final = Line2D([], [], color=INK, linestyle=(0, (5, 2)), label='truth')
-PRIOR_LINE: Final = Line2D([], [], color=MUTED, linestyle=(0, (1, 1.5)), label='train file (prior)')
+TRUTH_LINE: Final = Line2D([], [], color=INK, linestyle=DASHES, label='truth')
+PRIOR_LINE: Final = Line2D([], [], color=MUTED, linestyle=PRIOR_DASHES, label='train file (prior)')
 
 
 def pick(length: int) -> slice:
     """Return a slice that thins ``length`` points to at most :data:`POINTS`."""
     return slice(None, None, max(1, -(-length // POINTS)))
-
-
-def minutes(time_s: Array) -> Array:
-    """Convert seconds to minutes, the unit of all time axes."""
-    return time_s / 60.0
 
 
 def draw_band(axes: Axes, x: Array, value: Array, std: Array, colour: str = ESTIMATE) -> None:
@@ -198,29 +152,46 @@ def draw_band(axes: Axes, x: Array, value: Array, std: Array, colour: str = ESTI
     axes.plot(x, value, color=colour)
 
 
-def draw_steps(axes: Axes, x: Array, value: Array) -> None:
-    """Draw a truth that changes in steps."""
-    axes.plot(x, value, color=INK, linestyle=(0, (5, 2)), linewidth=1.2, drawstyle='steps-post')
+def draw_panel(axes: Axes, panel: Panel, colour: str = ESTIMATE, width: float | None = None) -> None:
+    """Draw a panel of a recording, with its band, the value of the train file and the truth if there are any."""
+    time_min = panel.time_ns / NS_PER_S / 60.0
+    if panel.std is None:
+        axes.plot(time_min, panel.value, color=colour, linewidth=width)
+    else:
+        draw_band(axes, time_min, panel.value, panel.std, colour)
+    if panel.prior is not None:
+        axes.axhline(panel.prior, color=MUTED, linestyle=PRIOR_DASHES, linewidth=1.2)
+    if panel.truth is not None:
+        axes.plot(time_min, panel.truth, color=INK, linestyle=DASHES, linewidth=1.2, drawstyle='steps-post')
+    if panel.std is not None:
+        limit(axes, _shown(panel, panel.std))
+    axes.set_title(panel.title)
+    axes.set_ylabel(panel.label)
 
 
-def draw_prior(axes: Axes, value: float) -> None:
-    """Draw the value of the train file."""
-    axes.axhline(value, color=MUTED, linestyle=(0, (1, 1.5)), linewidth=1.2)
+def _shown(panel: Panel, std: Array) -> list[Array]:
+    """Return the values that the axis must show: the band where the estimate is usable, otherwise the estimate."""
+    shown, usable = [panel.value], panel.usable
+    if usable is not None and usable.any():
+        shown = [(panel.value - SIGMA_95 * std)[usable], (panel.value + SIGMA_95 * std)[usable]]
+    others = (panel.prior, panel.truth)
+    return [*shown, *(np.atleast_1d(other) for other in others if other is not None)]
 
 
-def draw_spans(axes: Axes, spans: Iterable[Span], colours: Mapping[str, str], alpha: float = 0.25) -> None:
-    """Shade spans of time behind a plot, over its whole height."""
+def draw_spans(
+    axes: Axes,
+    spans: Iterable[Span],
+    colours: Mapping[str, str],
+    *,
+    alpha: float | None = None,
+    lane: tuple[float, float] | None = None,
+) -> None:
+    """Shade spans of time: by default over the whole height, behind a plot; otherwise from a height on, and how far."""
+    place: dict[str, Any] = {'transform': axes.get_xaxis_transform()} if lane is None else {}
     for label, colour in colours.items():
         bars = [(span.start_s / 60.0, (span.end_s - span.start_s) / 60.0) for span in spans if span.label == label]
         if bars:
-            axes.broken_barh(
-                bars,
-                (0.0, 1.0),
-                facecolors=colour,
-                alpha=alpha,
-                linewidth=0,
-                transform=axes.get_xaxis_transform(),
-            )
+            axes.broken_barh(bars, lane or (0.0, 1.0), facecolors=colour, alpha=alpha, linewidth=0, **place)
 
 
 def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_text
 from trainid_ros.interface.text import pluralise
-from trainid_ros.report.tables import number
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.train.train_file import TrainFile
 
+DASH: Final = '–'
 DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
 _CLEAR: Final = 3.0
 _STRONGEST: Final = 3
@@ -33,6 +33,11 @@ class Strong(NamedTuple):
     where: str
     missing: float
     std: float
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number as text, a dash if it is not finite."""
+    return f'{value:.{digits}g}' if math.isfinite(value) else DASH
 
 
 def headline(explanation: Explanation) -> str:

@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.inputs.mapping import OWN, Signal
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     BRAKE_TOPIC,
@@ -27,9 +30,6 @@ from trainid_ros.interface.records import (
     SPEED_TOPIC,
     InputTopic,
 )
-from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.mapping.mapping import OWN, Signal
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.topics import Publishers, input_qos
 from trainid_ros.setup.parameter_specs import MAPPING_FILE
 
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from trainid_ros.mapping.mapped_inputs import MappedInputs
-    from trainid_ros.mapping.mapping import Mapping
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 

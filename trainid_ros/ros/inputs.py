@@ -16,9 +16,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.inputs.mapping import OWN
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import InputTopic, record_from_message
-from trainid_ros.mapping.mapping import OWN
 from trainid_ros.ros.foreign_topics import ForeignSubscription, ForeignTopic, subscribed_topics
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, Publishers, input_qos, message_class, overridable, type_name
 

@@ -19,11 +19,11 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from trainid_ros.bag import missing_package_error
+from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Record
 from trainid_ros.interface.text import pluralise
-from trainid_ros.mapping.mapping import OWN
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import is_hash, message_class, message_from_record, source_qos, time_message
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from trainid_ros.bag.reader import BagReader
+    from trainid_ros.inputs.mapping import Mapping as InputMapping
     from trainid_ros.interface.records import Record
-    from trainid_ros.mapping.mapping import Mapping as InputMapping
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
 _TICK_NS: Final = NS_PER_S // 20

@@ -1,0 +1,421 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suggested mappings of bags of several makers: what is found, in which unit, and that the replay is the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
+from trainid_ros.bag.bag_replay import Pipelines, replay_through
+from trainid_ros.bag.number_series import read_numbers
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import message_from_record
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.main import main
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping import Mapping, Signal, Source
+from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.suggest import suggest
+from trainid_ros.inputs.suggestion import Suggestion, comment
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.train_file import TrainFile
+
+ROOT = Path(__file__).parents[2]
+TRAIN = str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')
+NOTCHES = (0.0, -0.3, -0.6, -0.9)
+Write = Callable[[ForeignBag, Record], None]
+
+
+@pytest.fixture(scope='module')
+def ride(metro: TrainFile) -> list[Record]:
+    """Return five minutes of driving, without curves and tunnels, which no topic of others carries."""
+    records = simulate(Scenario(metro, runs=2), np.random.default_rng(3)).records
+    return [
+        GradientRecord(record.stamp_ns, record.gradient, 0.0, tunnel=False)
+        if isinstance(record, GradientRecord)
+        else record
+        for record in records
+    ]
+
+
+def written(path: Path, records: Iterable[Record], write: Write) -> Path:
+    with ForeignBag(path) as bag:
+        for record in records:
+            write(bag, record)
+    return path
+
+
+def stamped(bag: ForeignBag, record: Record) -> None:
+    """Write what a maker with headers writes: km/h, kN of two cars, a gradient in percent, m/s^2 with + for braking."""
+    now = record.stamp_ns
+    match record:
+        case SpeedRecord(_, speed, position):
+            bag.write('/odo/twist', TWIST, now, twist__linear__x=3.6 * speed, twist__linear__z=0.01)
+            bag.write('/odo/chainage', FLOAT, now, data=position / 1e3)
+        case ForceRecord(_, force):
+            for car, share in ((1, 0.5e-3), (2, 0.5e-3)):
+                bag.write(f'/car{car}/force', WRENCH, now, wrench__force__x=-share * force)
+        case GradientRecord(_, gradient):
+            bag.write('/track/slope', FLOAT, now, data=0.1 * gradient)
+        case BrakeRecord(_, target):
+            bag.write('/brake/deceleration', FLOAT, now, data=-target)
+        case MassRecord(_, mass):
+            bag.write('/train/load', FLOAT, now, data=mass / 1e3)
+
+
+class Plain:
+    """Writes what a maker of robots writes: Odometry, forces as plain numbers, notches only when they change."""
+
+    def __init__(self) -> None:
+        self._notch = -1
+        self._rng = np.random.default_rng(4)
+        self._speed = (0, 0.0)
+
+    def __call__(self, bag: ForeignBag, record: Record) -> None:
+        now = record.stamp_ns
+        match record:
+            case SpeedRecord(_, speed, position):
+                noise = self._rng.normal(0.0, 0.1, 3)
+                slope = (speed - self._speed[1]) / max((now - self._speed[0]) / 1e9, 0.1)
+                self._speed = now, speed
+                bag.write('/odom', ODOMETRY, now, twist__twist__linear__x=speed, pose__pose__position__x=position)
+                bag.write('/gps/velocity', TWIST, now, twist__linear__x=speed + noise[0])
+                bag.write('/motor/temperature', FLOAT, now, data=60.0 + 0.2 * speed + noise[1])
+                bag.write('/imu', 'sensor_msgs/msg/Imu', now, linear_acceleration__x=slope + noise[2])
+                bag.write('/cam', 'sensor_msgs/msg/Image', now, data=np.zeros(5000, dtype=np.uint8))
+                bag.write('/lidar', 'sensor_msgs/msg/MagneticField', now, magnetic_field__x=noise[0])
+            case ForceRecord(_, force):
+                for end in ('front', 'rear'):
+                    bag.write(f'/traction_{end}/effort', FLOAT, now, data=0.5e-3 * force)
+            case GradientRecord(_, gradient):
+                bag.write('/map/gradient_permille', FLOAT, now, data=gradient)
+            case BrakeRecord(_, target) if (notch := notch_of(target)) != self._notch:
+                self._notch = notch
+                bag.write('/desk/brake_notch', INT, now, data=notch)
+
+
+def notch_of(target: float) -> int:
+    return min(range(len(NOTCHES)), key=lambda k: abs(NOTCHES[k] - target))
+
+
+def suggested(path: Path, train: TrainFile | None = None, namespace: str = '/') -> Suggestion:
+    return suggest(read_numbers(path, namespace, 64 << 20), path.name, train)
+
+
+def mapping_of(suggestion: Suggestion) -> Mapping:
+    return parse_mapping(suggestion.text(), 'map.yaml')
+
+
+def sources(signal: object) -> dict[str, Source]:
+    assert isinstance(signal, Signal)
+    return {f'{source.topic} {source.field}': source for source in signal.sources}
+
+
+def estimates(path: Path, train: TrainFile, mapping: Mapping | None = None) -> list[float]:
+    """Return what the three estimators learn from a bag."""
+    inputs = None if mapping is None else partial(MappedInputs, mapping, train)
+    settings = EstimatorSettings()
+    if mapping is not None:
+        settings = replace(settings, alignment=mapping.alignment(settings.alignment))
+    pipelines = Pipelines(
+        resistance_pipeline(train, settings),
+        speed_model_pipeline(train, settings),
+        brake_rate_pipeline(train, settings),
+    )
+    with BagReader(path, inputs=inputs) as reader:
+        outcome = replay_through(pipelines, reader)
+    w, m, f = outcome.resistance.output, outcome.speed_model.output, outcome.brake_rate.output
+    return [
+        *(w.estimate.a, w.estimate.b, w.estimate.c, w.used),
+        *(m.estimate.a1, m.estimate.b1, m.used),
+        *(f.estimate.brake_rate, f.estimate.brake_rate_std, f.used),
+    ]
+
+
+def test_a_bag_with_headers_is_mapped_and_gives_the_same_estimates(
+    ride: list[Record], metro: TrainFile, tmp_path: Path
+) -> None:
+    foreign = written(tmp_path / 'foreign', ride, stamped)
+    suggestion = suggested(foreign, metro)
+    mapping = mapping_of(suggestion)
+    assert suggestion.missing == ()
+    assert sources(mapping.speed)['/odo/twist twist.linear.x'].unit.name == 'km/h'
+    assert sources(mapping.position)['/odo/chainage data'].unit.name == 'km'
+    forces = sources(mapping.force)
+    assert {(name, item.unit.name, item.sign) for name, item in forces.items()} == {
+        ('/car1/force wrench.force.x', 'kN', -1.0),
+        ('/car2/force wrench.force.x', 'kN', -1.0),
+    }
+    assert sources(mapping.gradient)['/track/slope data'].unit.name == 'percent'
+    assert sources(mapping.brake_command)['/brake/deceleration data'].sign == -1.0
+    assert sources(mapping.mass)['/train/load data'].unit.name == 't'
+    text = suggestion.text()
+    assert 'with d(speed)/dt over' in text
+    assert 'mass x acceleration is' in text
+    with BagWriter(tmp_path / 'own') as writer:
+        for record in ride:
+            writer.write_record(record)
+    assert estimates(foreign, metro, mapping) == pytest.approx(estimates(tmp_path / 'own', metro), rel=1e-6)
+
+
+def test_a_bag_with_other_sensors_is_mapped_to_those_of_the_train(
+    ride: list[Record], metro: TrainFile, tmp_path: Path
+) -> None:
+    foreign = written(tmp_path / 'foreign', ride, Plain())
+    suggestion = suggested(foreign, metro)
+    mapping, text = mapping_of(suggestion), suggestion.text()
+    assert sources(mapping.speed)['/odom twist.twist.linear.x'].unit.name == 'm/s'
+    assert sources(mapping.position)['/odom pose.pose.position.x'].unit.name == 'm'
+    assert {(name, item.unit.name) for name, item in sources(mapping.force).items()} == {
+        ('/traction_front/effort data', 'kN'),
+        ('/traction_rear/effort data', 'kN'),
+    }
+    assert sources(mapping.gradient)['/map/gradient_permille data'].unit.name == 'per_mille'
+    assert mapping.on_change
+    (notches,) = sources(mapping.brake_command).values()
+    assert dict(notches.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
+    assert 'decide: the nominal deceleration of each notch' in text
+    assert 'notch 3 was not seen on the move and would be rejected' in text
+    assert 'also like a speed: /gps/velocity twist.linear.x' in text
+    assert '/cam (sensor_msgs/msg/Image)' in text
+    assert '/motor/temperature' in text.partition('not used')[2]
+    assert mapping.mass is None
+    (by_motion,) = sources(mapping_of(suggested(foreign)).brake_command).values()
+    assert dict(by_motion.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
+    # The reader decides on the notches.
+    with BagWriter(tmp_path / 'own') as writer:
+        for record in ride:
+            if isinstance(record, BrakeRecord):
+                writer.write_record(replace(record, target_acceleration=NOTCHES[notch_of(record.target_acceleration)]))
+            elif not isinstance(record, MassRecord):
+                writer.write_record(record)
+    decided = replace(notches, table=tuple((float(k), value) for k, value in enumerate(NOTCHES)))
+    found = estimates(foreign, metro, replace(mapping, brake_command=Signal((decided,))))
+    assert found[:7] == pytest.approx(estimates(tmp_path / 'own', metro)[:7], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ('speed_unit', 'speed_factor', 'unit', 'factor'),
+    [('mph', 1.0 / 0.44704, 'm', 1.0), ('m/s', 1.0, 'km', 1e-3), ('km/h', 3.6, 'm', 1.0)],
+)
+def test_units_of_speed_and_position_follow_from_their_ratio(
+    ride: list[Record], tmp_path: Path, speed_unit: str, speed_factor: float, unit: str, factor: float
+) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/a/velocity', FLOAT, record.stamp_ns, data=speed_factor * record.speed)
+            # As by balises: now and then, and set back once.
+            if record.stamp_ns // 10**9 % 30 == 0:
+                offset = 500.0 * (record.position > 1000.0)
+                bag.write('/a/balise_position', FLOAT, record.stamp_ns, data=factor * (record.position - offset))
+
+    mapping = mapping_of(suggested(written(tmp_path / 'foreign', ride, write)))
+    assert sources(mapping.speed)['/a/velocity data'].unit.name == speed_unit
+    assert sources(mapping.position)['/a/balise_position data'].unit.name == unit
+
+
+def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: TrainFile, tmp_path: Path) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/tacho', FLOAT, record.stamp_ns, data=3.6 * record.speed)
+        if isinstance(record, ForceRecord):
+            bag.write('/percent/force', FLOAT, record.stamp_ns, data=record.force / 4e3)
+
+    path = written(tmp_path / 'foreign', ride, write)
+    suggestion = suggested(path)
+    assert suggestion.missing == ('gradient', 'brake_command')
+    assert 'gradient: nothing found; {from: line} takes it from the line' in suggestion.text()
+    assert 'unit km/h: up to' in suggestion.text()
+    mapping = mapping_of(suggested(path, metro))
+    assert mapping.position is not None
+    assert mapping.gradient is not None
+    (force,) = sources(mapping.force).values()
+    assert force.unit.name.startswith('percent_of ')
+    assert force.unit.factor == pytest.approx(4e3, rel=0.15)
+
+
+def test_traction_and_brake_effort_with_signs_of_their_own_are_summed(
+    ride: list[Record], metro: TrainFile, tmp_path: Path
+) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/speed', FLOAT, record.stamp_ns, data=record.speed)
+        if isinstance(record, ForceRecord):
+            bag.write('/drive/tractive_effort', FLOAT, record.stamp_ns, data=max(record.force, 0.0))
+            bag.write('/brakes/effort', FLOAT, record.stamp_ns, data=max(-record.force, 0.0))
+            bag.write('/total/force', FLOAT, record.stamp_ns, data=1e-3 * record.force)
+
+    def without_total(bag: ForeignBag, record: Record) -> None:
+        class Some:
+            def write(self, topic: str, *args: object, **values: object) -> None:
+                if topic != '/total/force':
+                    bag.write(topic, *args, **values)  # type: ignore[arg-type]
+
+        write(Some(), record)  # type: ignore[arg-type]
+
+    both = mapping_of(suggested(written(tmp_path / 'both', ride, without_total), metro))
+    assert {(name, item.unit.name, item.sign) for name, item in sources(both.force).items()} == {
+        ('/drive/tractive_effort data', 'N', 1.0),
+        ('/brakes/effort data', 'N', -1.0),
+    }
+    total = mapping_of(suggested(written(tmp_path / 'total', ride, write), metro))
+    assert list(sources(total.force)) == ['/total/force data']
+
+
+def test_a_train_of_several_is_mapped_in_its_namespace(
+    ride: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ForeignBag(tmp_path / 'foreign') as bag:
+        for record in ride[: len(ride) // 2]:
+            if isinstance(record, SpeedRecord):
+                for name, factor in (('/train_1', 3.6), ('/train_2', 1.0)):
+                    bag.write(f'{name}/odo', TWIST, record.stamp_ns, twist__linear__x=factor * record.speed)
+                    bag.write(f'{name}/distance', FLOAT, record.stamp_ns, data=record.position)
+    assert main(['info', str(tmp_path / 'foreign'), '--suggest-map']) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    assert captured.err.endswith('foreign: two trains here: /train_1, /train_2; use --namespace\n')
+    for name, unit in (('/train_1', 'km/h'), ('/train_2', 'm/s')):
+        assert main(['info', str(tmp_path / 'foreign'), '--suggest-map', '--namespace', name]) == 1
+        captured = capsys.readouterr()
+        assert 'nothing found for force, gradient, brake_command' in captured.err
+        mapping = parse_mapping(captured.out, 'map.yaml')
+        assert sources(mapping.speed)['odo twist.linear.x'].unit.name == unit
+        assert list(sources(mapping.position)) == ['distance data']
+
+
+@pytest.mark.parametrize(('delay_s', 'code'), [(0, 1), (40, 2)])
+def test_parts_that_drive_apart_are_trains(
+    ride: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str], delay_s: int, code: int
+) -> None:
+    with ForeignBag(tmp_path / 'foreign') as bag:
+        for record in ride:
+            for name, delay_ns in (('/depot/front', 0), ('/depot/rear', delay_s * 10**9)):
+                if isinstance(record, SpeedRecord):
+                    bag.write(f'{name}/odo', TWIST, record.stamp_ns + delay_ns, twist__linear__x=record.speed)
+                elif isinstance(record, ForceRecord):
+                    bag.write(f'{name}/force', FLOAT, record.stamp_ns + delay_ns, data=record.force)
+    for namespace in ('/', '/depot'):
+        assert main(['info', str(tmp_path / 'foreign'), '--suggest-map', '--namespace', namespace]) == code
+        trains = 'two trains here: /depot/front, /depot/rear; use --namespace'
+        assert (trains in capsys.readouterr().err) == (code == 2)
+
+
+def test_the_command_prints_a_file_that_info_and_replay_take(
+    ride: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign, path = str(written(tmp_path / 'foreign', ride, stamped)), tmp_path / 'map.yaml'
+    assert main(['info', foreign, '--suggest-map', '--train', TRAIN]) == 0
+    path.write_text(capsys.readouterr().out, encoding='utf-8')
+    assert main(['info', foreign, '--map', str(path)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ['ato/force', 'from', '/car1/force', '+', '/car2/force'] in [row[:5] for row in rows]
+    assert ['usable'] in rows
+    assert main(['replay', foreign, '--map', str(path), '--train', TRAIN]) == 0
+    assert main(['info', foreign, foreign, '--suggest-map']) == 2
+    assert '--suggest-map takes one bag' in capsys.readouterr().err
+
+
+def test_a_bag_of_our_own_needs_no_mapping(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', str(ROOT / 'bags' / 'tiny'), '--suggest-map']) == 0
+    text = capsys.readouterr().out
+    assert parse_mapping(text, 'map.yaml') == Mapping()
+    assert 'from our own topics: ato/brake_command' in text
+
+
+def test_an_own_speed_shows_what_a_foreign_force_is(ride: list[Record], metro: TrainFile, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'own') as writer:
+        for record in ride:
+            writer.write_record(record)
+    numbers = read_numbers(tmp_path / 'own', '/', 64 << 20)
+    renamed = tuple(
+        replace(item, topic='/car/force') if item.topic == '/ato/force' else item for item in numbers.series
+    )
+    own = numbers.own - {'/ato/force'}
+    mapping = mapping_of(suggest(replace(numbers, series=renamed, own=own), 'bag', metro))
+    assert mapping.speed is None
+    assert sources(mapping.force)['/car/force force'].unit.name == 'N'
+
+
+def test_names_of_others_cannot_leave_their_comment() -> None:
+    assert comment('a\nspeed: {topic: /x}') == '# a\\nspeed: {topic: /x}'
+    assert comment('\x1b[31m') == '# \\x1b[31m'
+
+
+@pytest.mark.parametrize('parts', ['position and force', 'position', 'force'])
+def test_numbers_without_names_are_told_apart(tmp_path: Path, ride: list[Record], parts: str, metro: TrainFile) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        now = record.stamp_ns
+        match record:
+            case SpeedRecord(_, speed, position):
+                bag.write('/can/a', FLOAT, now, data=3.6 * speed)
+                if 'position' in parts:
+                    bag.write('/can/b', FLOAT, now, data=position)
+            case ForceRecord(_, force) if 'force' in parts:
+                bag.write('/can/c', FLOAT, now, data=force / 1e3)
+            case GradientRecord(_, gradient):
+                bag.write('/can/d', FLOAT, now, data=gradient)
+
+    bag = written(tmp_path / 'bag', ride, write)
+    found = suggest(read_numbers(bag, '/', 1 << 26), 'bag', metro)
+    chosen = {item.quantity: item.parts[0].series.topic for item in found.choices if item.parts}
+    expected = {'speed': '/can/a', 'position': '/can/b', 'force': '/can/c'}
+    assert chosen == {name: topic for name, topic in expected.items() if name == 'speed' or name in parts}
+    speed = found.choices[0]
+    assert speed.parts[0].unit == 'km/h'
+    assert speed.reasons[0].startswith('no name says speed; by its numbers: never negative')
+    assert 'whether this is the speed' in speed.decisions
+
+
+def test_an_acceleration_without_a_name_is_no_force(tmp_path: Path, ride: list[Record], metro: TrainFile) -> None:
+    before: list[SpeedRecord] = []
+
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/can/a', FLOAT, record.stamp_ns, data=record.speed)
+            if before:
+                step_s = (record.stamp_ns - before[-1].stamp_ns) / 1e9
+                bag.write('/can/b', FLOAT, record.stamp_ns, data=(record.speed - before[-1].speed) / step_s)
+            before.append(record)
+
+    found = suggest(read_numbers(written(tmp_path / 'bag', ride, write), '/', 1 << 26), 'bag', metro)
+    assert [item.quantity for item in found.choices if item.parts] == ['speed']
+    assert 'force' in found.missing
+
+
+@pytest.mark.parametrize('names', [('T1',), ('T1', 'T2')])
+def test_our_own_topics_in_a_namespace_need_no_mapping(
+    tmp_path: Path, ride: list[Record], names: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = {topic.record: topic for topic in INPUT_TOPICS}
+    with BagWriter(tmp_path / 'bag') as writer:
+        for record in ride[:200]:
+            topic = topics[type(record)]
+            for name in names:
+                message = message_from_record(record)
+                writer.write_message(f'/{name}/{topic.name}', topic.message, record.stamp_ns, message)
+    assert main(['info', str(tmp_path / 'bag'), '--suggest-map']) == 2
+    where = ', '.join(f'/{name}' for name in names)
+    text = f'our own topics are in {where}: no mapping is needed, use --namespace\n'
+    assert capsys.readouterr().err.endswith(text)

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates of a replay as a table: one row for each sample, with the estimates of all three estimators."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    BRAKE_RATE_TOPIC,
+    NS_PER_S,
+    RESISTANCE_TOPIC,
+    SPEED_MODEL_TOPIC,
+    output_topic,
+    output_values,
+)
+from trainid_ros.interface.results import Reason, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from trainid_ros.interface.results import Output
+
+
+TABLE_SUFFIXES: Final = ('.parquet', '.csv')
+Row: TypeAlias = 'list[Any]'
+"""Stamp [ns], then the cells of the other columns; None where an estimator has no estimate at this stamp."""
+_ROWS_AT_ONCE: Final = 5000
+# Estimators whose settings differ may give their estimates of one sample some messages apart.
+_MOST_OPEN: Final = 200
+_W, _WV, _WV2, _V = 'N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2', 'm/s'
+_COUNTERS: Final = {'status': '', 'used': '', 'rejected': '', 'last_reject_reason': ''}
+_UNITS: Final[dict[str, dict[str, str]]] = {
+    RESISTANCE_TOPIC.name: {
+        **{'a': _W, 'b': _WV, 'c': _WV2, 'a_std': _W, 'b_std': _WV, 'c_std': _WV2, 'covariance': ''},
+        **{'resistance': _W, 'resistance_std': _W, 'speed': _V, 'innovation': _W, 'innovation_variance': '(N/kN)^2'},
+        **{'test_ratio': '1', 'speed_min': _V, 'speed_max': _V, 'resistance_std_max': _W},
+        **{'force_scale': '1', 'force_scale_std': '1', 'force_delay': 's', 'force_delay_std': 's', **_COUNTERS},
+    },
+    SPEED_MODEL_TOPIC.name: {
+        **{'a1': '1/(m/s)', 'a2': '1', 'b1': 'm/s per N/kN', 'd0': _V, 'a1_std': '1/(m/s)', 'a2_std': '1'},
+        **{'b1_std': 'm/s per N/kN', 'd0_std': _V, 'covariance': '', 'forgetting_factor': '1', 'predicted_speed': _V},
+        **{'prediction_error': _V, 'prediction_variance': '(m/s)^2', 'a': _W, 'b': _WV, 'c': _WV2},
+        **{'mass_factor': '1', **_COUNTERS},
+    },
+    BRAKE_RATE_TOPIC.name: {
+        **{'brake_rate': '1', 'brake_rate_std': '1', 'position': 'm', 'speed': _V, 'control_acceleration': 'm/s^2'},
+        **{'filtered_target': 'm/s^2', 'effective_particles': '1', 'observable': '', 'innovation': _V},
+        **{'innovation_variance': '(m/s)^2', 'test_ratio': '1', **_COUNTERS},
+    },
+}
+_PARAMETERS: Final = {RESISTANCE_TOPIC.name: ('a', 'b', 'c'), SPEED_MODEL_TOPIC.name: ('a1', 'a2', 'b1', 'd0')}
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """A column: topic and field it holds, and its unit, '' without."""
+
+    topic: str
+    field: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """Name of the estimator and the field, such as ``resistance_a``."""
+        return f'{self.topic.rpartition("/")[2]}_{self.field}'
+
+
+COLUMNS: Final = tuple(TableColumn(topic, *item) for topic, units in _UNITS.items() for item in units.items())
+"""All columns but the time."""
+
+
+class Sink(Protocol):
+    """Where rows go."""
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Write rows."""
+
+    def close(self) -> None:
+        """Finish the file."""
+
+
+class EstimateTable:
+    """Observer of a replay that writes a row for each stamp."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._open: dict[int, dict[str, dict[str, Any]]] = {}
+        self._rows: list[Row] = []
+
+    def on_record(self, entry: object) -> None:
+        """Receive an input, which the table does not hold."""
+
+    def on_output(self, output: Output[Any], log_ns: int) -> None:  # noqa: ARG002 - rows have stamps
+        """Take an estimate."""
+        topic = output_topic(output.estimate).name
+        self._open.setdefault(output.stamp_ns, {})[topic] = _values(topic, output)
+        while self._open:
+            stamp_ns, estimates = next(iter(self._open.items()))
+            if len(estimates) < len(_UNITS) and len(self._open) <= _MOST_OPEN:
+                return
+            self._close_row(stamp_ns)
+
+    def finish(self) -> None:
+        """Write what is left."""
+        for stamp_ns in list(self._open):
+            self._close_row(stamp_ns)
+        self._sink.write(self._rows)
+
+    def _close_row(self, stamp_ns: int) -> None:
+        estimates = self._open.pop(stamp_ns)
+        self._rows.append([stamp_ns, *(estimates.get(column.topic, {}).get(column.field) for column in COLUMNS)])
+        if len(self._rows) >= _ROWS_AT_ONCE:
+            self._sink.write(self._rows)
+            self._rows = []
+
+
+def _values(topic: str, output: Output[Any]) -> dict[str, Any]:
+    """Return the fields of an estimate with standard deviations; status and reason as words."""
+    values: dict[str, Any] = output_values(output)
+    values['status'] = Status(values['status']).name
+    values['last_reject_reason'] = Reason(values['last_reject_reason']).name
+    names = _PARAMETERS.get(topic, ())
+    for place, name in enumerate(names):
+        values[f'{name}_std'] = math.sqrt(max(0.0, values['covariance'][place * (len(names) + 1)]))
+    return values
+
+
+class CsvSink:
+    """A CSV file: dates and times in ISO 8601, units in the names; covariances are left out."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file."""
+        self._file = path.open('w', encoding='utf-8', newline='')
+        self._writer = csv.writer(self._file, lineterminator='\n')
+        self._places = [place for place, column in enumerate(COLUMNS, 1) if column.field != 'covariance']
+        named = (COLUMNS[place - 1] for place in self._places)
+        self._writer.writerow(['time', *(f'{item.name} [{item.unit}]' if item.unit else item.name for item in named)])
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Write rows."""
+        for row in rows:
+            self._writer.writerow([_date_time(row[0]), *(_cell(row[place]) for place in self._places)])
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+
+def _date_time(stamp_ns: int) -> str:
+    seconds, rest = divmod(stamp_ns, NS_PER_S)
+    return f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z'
+
+
+def _cell(value: Any) -> Any:
+    return '' if value is None or (isinstance(value, float) and math.isnan(value)) else value
+
+
+class ParquetSink:
+    """A Parquet file, with units in the metadata of the fields."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file."""
+        import pyarrow as pa  # noqa: PLC0415 - an optional package
+        from pyarrow import parquet  # noqa: PLC0415
+
+        words, count = pa.dictionary(pa.int8(), pa.string()), pa.uint64()
+        types = {'covariance': pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
+        types |= {'used': count, 'rejected': count, 'observable': pa.bool_()}
+        columns = [
+            pa.field(
+                item.name, types.get(item.field, pa.float64()), metadata={'unit': item.unit} if item.unit else None
+            )
+            for item in COLUMNS
+        ]
+        self._schema = pa.schema([pa.field('time', pa.timestamp('ns', tz='UTC')), *columns])
+        self._writer = parquet.ParquetWriter(path, self._schema)
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Write rows as one row group."""
+        if rows:
+            import pyarrow as pa  # noqa: PLC0415
+
+            cells = zip(*rows, strict=True)
+            arrays = [pa.array(column, field.type) for column, field in zip(cells, self._schema, strict=True)]
+            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+@contextmanager
+def estimate_table(path: Path) -> Iterator[EstimateTable]:
+    """Write a table, Parquet or CSV by the suffix of its path; it is there once the block ends without an error.
+
+    Raises:
+        InputError: The file exists already.
+    """
+    if path.exists() or path.is_symlink():
+        raise InputError(f'{path}: exists already and is not overwritten')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f'.{path.name}.{os.getpid()}')
+    try:
+        sink = _sink(part, path.suffix)
+        try:
+            table = EstimateTable(sink)
+            yield table
+            table.finish()
+        finally:
+            sink.close()
+        part.rename(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _sink(path: Path, suffix: str) -> Sink:
+    return CsvSink(path) if suffix == '.csv' else ParquetSink(path)

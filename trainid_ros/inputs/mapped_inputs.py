@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turn messages of any topics, or rows of a table, into the records of a train, by a mapping."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, insort
+from collections import Counter
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.inputs.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource, type_of
+from trainid_ros.inputs.mapping_file import QUANTITIES, load_mapping
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+    stamp_of,
+)
+from trainid_ros.interface.text import pluralise
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from trainid_ros.inputs.mapping import Mapping, Source
+    from trainid_ros.train.train_file import TrainFile
+
+
+# Over a longer time without a speed the distance is not known [s].
+_LONGEST_S: Final = 1.0
+# Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
+_LEAST_M: Final = 10.0
+_SOME_EFFORT: Final = -0.1
+# Numbers that are not in a table and are named.
+_MOST_NAMED: Final = 5
+
+
+class MappedInputs:
+    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources.
+
+    Attributes:
+        mapping: Where each input comes from.
+        key: What the records depend on: inputs of equal keys give equal records.
+    """
+
+    def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
+        """Prepare.
+
+        Args:
+            mapping: Where each input comes from.
+            train_file: Train file; None if nothing comes from its line.
+
+        Raises:
+            InputError: The gradient is to come from the line, but there is none.
+        """
+        self.mapping = mapping
+        line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
+        self.key = (mapping, line, length)
+        self._line = LineProfile(line, length)
+        if isinstance(mapping.gradient, LineLookup) and not line.gradient:
+            missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
+            raise InputError(f'mapping: gradient is to come from the line, but no {missing}')
+        self._readers: dict[str, list[tuple[str, int, Source]]] = {}
+        self._series: dict[str, JoinedSeries] = {}
+        for quantity in QUANTITIES:
+            signal = getattr(mapping, quantity)
+            if isinstance(signal, Signal):
+                self._series[quantity] = JoinedSeries(len(signal.sources))
+                if signal.function is not None:
+                    signal.function.load()  # what cannot be used is said now
+                for index, source in enumerate(signal.sources):
+                    self._readers.setdefault(source.topic, []).append((quantity, index, source))
+        self._position = DeadReckoning(mapping.position)
+        # Messages by topic and number that is not in the table, and that of the last message of a topic.
+        self._unlisted: Counter[tuple[str, float]] = Counter()
+        self._last_unlisted: dict[str, float] = {}
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that the mapping names."""
+        return tuple(self._readers)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was wrong with the messages so far."""
+        return [
+            f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
+            for (topic, raw), count in sorted(self._unlisted.most_common(_MOST_NAMED))
+        ]
+
+    def problem(self, topic: str) -> str:
+        """Return why the last message of a topic gives no number, '' if it does."""
+        return f'{topic}: {raw:g} is not in table' if (raw := self._last_unlisted.get(topic)) is not None else ''
+
+    @property
+    def lacks_position(self) -> bool:
+        """True while the gradient of the line cannot be looked up, as the position is not known."""
+        return isinstance(self.mapping.gradient, LineLookup) and not math.isfinite(self._position.at)
+
+    def stamp_ns(self, topic: str, message: Any, received_ns: int) -> int:
+        """Return the stamp of a message [ns]; arguments and errors are those of :meth:`take`."""
+        return _stamp(self._readers[topic][0][2], message, received_ns)
+
+    def take(self, topic: str, message: Any, received_ns: int) -> list[Record]:
+        """Return the records that a message of one of the topics completes.
+
+        Args:
+            topic: Its topic, as named in the mapping.
+            message: The message, of any class with the fields of its type.
+            received_ns: When it was received [ns].
+
+        Raises:
+            InputError: The message lacks a field; the error names topic and field.
+        """
+        records: list[Record] = []
+        self._last_unlisted.pop(topic, None)
+        for quantity, index, source in self._readers[topic]:
+            stamp_ns = _stamp(source, message, received_ns)
+            value = source.value(raw := source.raw(message))
+            if math.isnan(value) and source.table:
+                self._unlisted[topic, raw] += 1
+                self._last_unlisted[topic] = raw
+            records += self.add(quantity, index, stamp_ns, value)
+        return records
+
+    def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a number of one source of a quantity completes.
+
+        Args:
+            quantity: Name of the quantity in the mapping.
+            index: Place of the source among those of the quantity.
+            stamp_ns: Stamp [ns].
+            value: The number, as :meth:`Source.value` returns it.
+        """
+        function = getattr(self.mapping, quantity).function
+        records: list[Record] = []
+        for at_ns, values in self._series[quantity].add(index, stamp_ns, value):
+            whole = values[0] + sum(values[1:]) if function is None else function.of_numbers(values)
+            records += self.put(quantity, at_ns, whole)
+        return records
+
+    def take_record(self, record: Record) -> list[Record]:
+        """Return what becomes of a record from one of our own topics."""
+        if not isinstance(record, SpeedRecord):
+            return [record]
+        return self._at_speed(record.stamp_ns, record.speed, record.position)
+
+    def put(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a value of a quantity, in the unit of the interface, completes."""
+        match quantity:
+            case 'speed':
+                return self._at_speed(stamp_ns, abs(value), math.nan)
+            case 'position':
+                self._position.correct(stamp_ns, value)
+                return []
+            case 'force':
+                return [ForceRecord(stamp_ns, value)]
+            case 'gradient':
+                return [self._gradient(stamp_ns, value)]
+            case 'brake_command':
+                is_known = value != UNKNOWN_EFFORT
+                return [BrakeRecord(stamp_ns, value if is_known else _SOME_EFFORT, emergency=not is_known)]
+        return [MassRecord(stamp_ns, value)]
+
+    def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
+        """Return the records at a speed [m/s]: itself, and what comes from the line or is constant."""
+        if self.mapping.position is None:
+            self._position.correct(stamp_ns, measured)
+            self._position.move(stamp_ns, speed)
+            position = measured
+        else:
+            position = self._position.move(stamp_ns, speed)
+        records: list[Record] = [SpeedRecord(stamp_ns, speed, position)]
+        if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
+            gradient = self._line.gradient(position, self._position.direction)
+            records.append(self._gradient(stamp_ns, gradient))
+        for quantity in ('gradient', 'brake_command'):
+            if isinstance(constant := getattr(self.mapping, quantity), Constant):
+                records += self.put(quantity, stamp_ns, constant.value)
+        return records
+
+    def _gradient(self, stamp_ns: int, gradient: float) -> GradientRecord:
+        """Return the record of a gradient, with curve radius and tunnel of the line where the position is known."""
+        position, direction = self._position.at, self._position.direction
+        if not math.isfinite(position):
+            return GradientRecord(stamp_ns, gradient, 0.0, tunnel=False)
+        radius, tunnel = self._line.curve_radius(position, direction), self._line.tunnel(position, direction)
+        return GradientRecord(stamp_ns, gradient, radius, tunnel)
+
+
+def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[], MappedInputs] | None:
+    """Return what makes the inputs of a mapping file, None without one.
+
+    Raises:
+        InputError: The file cannot be used.
+    """
+    if path is None:
+        return None
+    make = partial(MappedInputs, load_mapping(path), train_file)
+    make()  # what does not fit the train file is said now
+    return make
+
+
+class DeadReckoning:
+    """Position by integrating the speed, corrected by measured positions.
+
+    Attributes:
+        at: Position at the last speed [m], NaN while it is not known.
+        direction: +1 while positions rise, -1 while they fall.
+    """
+
+    def __init__(self, how: Signal | SpeedIntegral | None) -> None:
+        """Prepare; ``how`` says where positions come from."""
+        self._how = how
+        self._start_over()
+
+    def _start_over(self) -> None:
+        self.at, self.direction = math.nan, 1
+        if isinstance(self._how, SpeedIntegral):
+            self.at, self.direction = self._how.start, self._how.direction
+        # Stamps of the last speed and of the one before it.
+        self._stamp_ns = self._earlier_ns = 0
+        self._speed = math.nan
+        self._fix, self._fix_ns = math.nan, 0
+        self._passed = math.nan
+
+    def correct(self, stamp_ns: int, position: float) -> None:
+        """Take in a measured position [m]; two of them show the direction if they are far enough apart."""
+        if not math.isfinite(position):
+            return
+        if math.isnan(self._passed):
+            self._passed = position
+        elif abs(position - self._passed) >= _LEAST_M:
+            self.direction = 1 if position > self._passed else -1
+            self._passed = position
+        self._fix, self._fix_ns = position, stamp_ns
+        # To the stamp of the last speed, which may be earlier or later.
+        since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
+        moves = math.isfinite(self._speed) and abs(since_s) <= _LONGEST_S
+        travelled = self._speed * since_s if moves else 0.0
+        self.at = position + self.direction * travelled
+
+    def move(self, stamp_ns: int, speed: float) -> float:
+        """Follow a speed [m/s]; return the position at it [m]."""
+        dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
+        if dt < -_LONGEST_S:
+            # The stamps begin anew, as in a loop; or the last one was wrong, and the one before it was not.
+            if not 0 <= stamp_ns - self._earlier_ns <= _LONGEST_S * NS_PER_S:
+                fix, fix_ns = self._fix, self._fix_ns
+                self._start_over()
+                if abs(stamp_ns - fix_ns) <= _LONGEST_S * NS_PER_S:
+                    self.correct(fix_ns, fix)
+            self._stamp_ns, dt = stamp_ns, math.nan
+        if 0.0 < dt <= _LONGEST_S and math.isfinite(speed + self._speed):
+            self.at += self.direction * 0.5 * (speed + self._speed) * dt
+        if stamp_ns == self._fix_ns:
+            self.at = self._fix
+        if dt > 0.0:
+            self._earlier_ns = self._stamp_ns
+        self._stamp_ns, self._speed = max(stamp_ns, self._stamp_ns), speed
+        return self.at
+
+
+def _stamp(source: Source, message: Any, received_ns: int) -> int:
+    if source.stamp is StampSource.RECEIVE:
+        return received_ns
+    try:
+        return stamp_of(message)
+    except AttributeError:
+        raise InputError(f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive') from None
+
+
+# Numbers farther apart are not interpolated, and nothing waits longer for one of the series.
+_LONGEST_NS: Final = NS_PER_S
+
+
+class JoinedSeries:
+    """The numbers of several series at the stamps of the first one; the others are interpolated linearly.
+
+    They are ready as soon as all series have reached the stamp. One that is missing is NaN.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Prepare for a number of series."""
+        # Stamps [ns] and numbers of each series, by stamp, over the last second.
+        self._series: list[list[tuple[int, float]]] = [[] for _ in range(count)]
+        self._open: list[tuple[int, float]] = []
+
+    def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, list[float]]]:
+        """Add a number of a series; return those of all series that are ready, each with their stamp [ns]."""
+        if len(self._series) == 1:
+            return [(stamp_ns, [value])]
+        self._follow_jump(index, stamp_ns)
+        insort(self._series[index], (stamp_ns, value))
+        if index == 0:
+            insort(self._open, (stamp_ns, value))
+        newest_ns = max(series[-1][0] for series in self._series if series)
+        ready = []
+        while self._open and self._is_ready(self._open[0][0], newest_ns):
+            at_ns, first = self._open.pop(0)
+            ready.append((at_ns, [first, *(_interpolated(series, at_ns) for series in self._series[1:])]))
+        self._prune(newest_ns)
+        return ready
+
+    def _follow_jump(self, index: int, stamp_ns: int) -> None:
+        """Forget everything if the stamps of a series begin anew, as in a loop, or if its last one was wrong."""
+        series = self._series[index]
+        if series and stamp_ns < series[-1][0] - _LONGEST_NS:
+            self._series = [[] for _ in self._series]
+            self._open = []
+
+    def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
+        reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
+        return reached or newest_ns - at_ns > _LONGEST_NS
+
+    def _prune(self, newest_ns: int) -> None:
+        needed_ns = newest_ns - _LONGEST_NS  # older ones are not open any more, and newer ones may still come
+        for series in self._series:
+            del series[: max(0, bisect_left(series, (needed_ns, -math.inf)) - 1)]
+
+
+def _interpolated(series: list[tuple[int, float]], at_ns: int) -> float:
+    """Return the number of a series at a stamp, NaN outside it or in a long gap."""
+    right = bisect_left(series, (at_ns, -math.inf))
+    if right < len(series) and series[right][0] == at_ns:
+        return series[right][1]
+    if not 0 < right < len(series):
+        return math.nan
+    (start_ns, before), (end_ns, after) = series[right - 1], series[right]
+    if end_ns - start_ns > _LONGEST_NS:
+        return math.nan
+    return before + (after - before) * (at_ns - start_ns) / (end_ns - start_ns)

@@ -1,0 +1,417 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a mapping says: from which fields of messages, or columns of a table, each input is made."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, fields, is_dataclass, replace
+from datetime import UTC, datetime
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from traceback import extract_tb
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.train.fields import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.stream.alignment import AlignmentConfig
+
+
+_DEGREE: Final = math.pi / 180.0
+_FACTORS: Final[dict[str, dict[str, float]]] = {
+    'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
+    'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},
+    'force': {'N': 1.0, 'kN': 1e3, 'lbf': 4.4482216152605},
+    'gradient': {'per_mille': 1.0, 'percent': 10.0},
+    'acceleration': {'m/s^2': 1.0},
+    'mass': {'kg': 1.0, 't': 1e3, 'lb': 0.45359237},
+    'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'min': 60.0, 'h': 3600.0},
+}
+# Angles, as factors to radian.
+_ANGLES: Final = {'rad': 1.0, 'deg': _DEGREE}
+_PERCENT_OF: Final = 'percent_of'
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of a quantity."""
+
+    name: str  # As in the file
+    factor: float  # SI units (for gradients: per mille, for angles: radian) in this one
+    is_angle: bool = False  # True for a gradient that is stated as the angle of the track
+
+    def convert(self, value: float) -> float:
+        """Return a value in the unit of the interface."""
+        scaled = self.factor * value
+        return 1000.0 * math.sin(scaled) if self.is_angle else scaled
+
+
+def find_unit(text: str, quantity: str) -> Unit:
+    """Return a unit by its name, or ``percent_of NUMBER UNIT``.
+
+    Args:
+        text: The name.
+        quantity: 'speed', 'length', 'force', 'gradient', 'acceleration', 'mass' or 'time'.
+
+    Raises:
+        ValueError: The unit is not known for this quantity; the message says which are.
+    """
+    factors = _FACTORS[quantity]
+    if text in factors:
+        return Unit(text, factors[text])
+    if quantity == 'gradient' and text in _ANGLES:
+        return Unit(text, _ANGLES[text], is_angle=True)
+    if text.startswith(_PERCENT_OF):
+        return _percentage(text, factors)
+    known = [*factors, *(_ANGLES if quantity == 'gradient' else ()), f'{_PERCENT_OF} NUMBER UNIT']
+    raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, known)}')
+
+
+def spelled(text: str, quantity: str) -> str:
+    """Return the name of a unit of a quantity as it is spelled here; others may write another case, such as KM/H."""
+    names = (*_FACTORS[quantity], *(_ANGLES if quantity == 'gradient' else ()))
+    return next((name for name in names if name.lower() == text.lower()), text)
+
+
+def _percentage(text: str, factors: dict[str, float]) -> Unit:
+    words = text.split()
+    try:
+        _, number, name = words
+        whole = float(number) * factors[name]
+    except (ValueError, KeyError):
+        whole = math.nan
+    if not (math.isfinite(whole) and whole != 0.0):
+        raise ValueError(
+            f'must be like "{_PERCENT_OF} 300 {next(reversed(factors))}", with a unit of {", ".join(factors)}'
+        )
+    return Unit(text, whole / 100.0)
+
+
+# After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
+_FRACTION: Final = re.compile(
+    r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
+)
+_DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
+_TIME_OF_DAY: Final = re.compile(r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?')
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def date_time_ns(text: str) -> int | None:
+    """Return a date with time as stamp [ns], None if the text is none; without a zone it is UTC."""
+    text = _DOTTED.sub(lambda found: f'{found[3]}-{found[2]:>02}-{found[1]:>02}', text)
+    if text.count('-') < 2:  # datetime also takes 20240308
+        return None
+    fraction = _FRACTION.search(text)
+    try:
+        when = datetime.fromisoformat(_FRACTION.sub('', text, count=1))
+    except ValueError:
+        return None
+    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
+    if since.microseconds:  # of something else than a fraction, such as a second one
+        return None
+    return (since.days * 86400 + since.seconds) * NS_PER_S + _part_ns(fraction.groups() if fraction else ())
+
+
+def time_of_day_ns(text: str) -> int | None:
+    """Return a time of day as time since midnight [ns], None if the text is none."""
+    if (found := _TIME_OF_DAY.fullmatch(text)) is None:
+        return None
+    hours, minutes, seconds, *fraction = found.groups()
+    return ((int(hours) * 60 + int(minutes)) * 60 + int(seconds)) * NS_PER_S + _part_ns(fraction)
+
+
+def _part_ns(fraction: Iterable[str | None]) -> int:
+    """Return the digits after the seconds, the first that are there, in nanoseconds."""
+    digits = next(filter(None, fraction), '')
+    return int(digits.ljust(9, '0'))
+
+
+def type_of(message: Any) -> str:
+    """Return the type of a message as a bag names it, such as ``std_msgs/msg/Float64``."""
+    kind = type(message)
+    if name := getattr(message, '__msgtype__', ''):  # of rosbags
+        return str(name)
+    package, _, rest = kind.__module__.partition('.')
+    return f'{package}/msg/{kind.__name__}' if rest.startswith('msg.') else kind.__name__
+
+
+def names_of(value: Any) -> tuple[str, ...]:
+    """Return the names of the fields of a message or of a part of it, none of a number."""
+    if hasattr(value, 'get_fields_and_field_types'):  # of rclpy
+        return tuple(value.get_fields_and_field_types())
+    names = (item.name for item in fields(value)) if is_dataclass(value) else ()
+    return tuple(name for name in names if not name.startswith('_'))
+
+
+@dataclass(frozen=True, slots=True)
+class UserFunction:
+    """A function of arrays of numbers, all of shape (n,), that returns such an array."""
+
+    path: Path  # The Python file
+    name: str  # Name of the function in it
+    unit: Unit  # Unit of what it returns
+
+    def __str__(self) -> str:
+        """Return file and name, as in a mapping."""
+        return f'{self.path}:{self.name}'
+
+    def load(self) -> Callable[..., object]:
+        """Return the function; its file is run the first time.
+
+        Raises:
+            InputError: The file cannot be run, or has no such function.
+        """
+        function: Callable[..., object] | None = _names_of(self.path).get(self.name)
+        if function is None or not callable(function):
+            raise InputError(f'{self.path}: has no function {self.name}')
+        return function
+
+    def of_columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the values of columns, each of shape (n,), in the unit of the interface.
+
+        Raises:
+            InputError: The function fails, or returns something else.
+        """
+        function = self.load()
+        try:
+            result = np.asarray(function(*columns), dtype=np.float64)
+        except (Exception, SystemExit) as error:  # whatever its code raises
+            raise InputError(f'{self} failed{_line(self.path, error)}: {type(error).__name__}: {error}') from error
+        if result.shape != columns[0].shape:
+            raise InputError(f'{self} returned shape {result.shape}, {columns[0].shape} expected: one number a row')
+        return np.array([self.unit.convert(value) for value in result.tolist()], dtype=np.float64)
+
+    def of_numbers(self, numbers: Sequence[float]) -> float:
+        """Return the value of single numbers, as :meth:`of_columns`."""
+        return float(self.of_columns([np.array([number]) for number in numbers])[0])
+
+
+def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
+    """Return the function that a mapping names.
+
+    Args:
+        folder: Folder of the mapping.
+        text: File and function, such as ``force.py:wheel_force``.
+        unit: Unit of what it returns.
+
+    Raises:
+        ValueError: The text is not of this form, or the file does not lie in the folder itself.
+    """
+    file, _, name = text.partition(':')
+    if not (file.endswith('.py') and name.isidentifier()):
+        raise ValueError('must be a Python file and a function in it, like force.py:wheel_force')
+    path = (folder / file).resolve()
+    if Path(file).name != file or path.parent != folder.resolve():
+        raise ValueError('must lie in the folder of the mapping itself')
+    if not path.is_file():
+        raise ValueError(f'is not there: no file {path}')
+    return UserFunction(path, name, unit)
+
+
+@cache
+def _names_of(path: Path) -> dict[str, Any]:
+    """Run a file and return what it defines; unlike an import this writes no bytecode and finds no files beside it."""
+    names: dict[str, Any] = {'__name__': path.stem, '__file__': str(path)}
+    try:
+        exec(compile(path.read_bytes(), path, 'exec'), names)
+    except (Exception, SystemExit) as error:  # whatever its code raises
+        raise InputError(f'{path}: cannot be run{_line(path, error)}: {type(error).__name__}: {error}') from error
+    return names
+
+
+def _line(path: Path, error: BaseException) -> str:
+    """Return which line of a file raised an error, '' if none did."""
+    lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return f' in line {lines[-1]}' if lines else ''
+
+
+UNKNOWN_EFFORT: Final = -math.inf
+"""Brake command where a brake acts, or may act, and nothing says how much."""
+
+
+class StampSource(Enum):
+    """Where the stamp of a value comes from."""
+
+    HEADER = 'header'
+    RECEIVE = 'receive'
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One number in the messages of one topic, or in one column of a table."""
+
+    topic: str  # Name of the topic; a relative one lies in the namespace of the train. '' for a column.
+    path: tuple[str | int, ...]  # Names of fields and indices of arrays that lead to the number; for a column its name
+    unit: Unit  # Its unit
+    sign: float = 1.0  # 1, or -1 where it counts the other way
+    gain: float = 1.0  # Factor on it [1]
+    offset: float = 0.0  # Added after sign and gain, in its unit
+    # Value in its unit by raw number, such as that of a notch; empty without
+    table: tuple[tuple[float, float], ...] = ()
+    stamp: StampSource = StampSource.HEADER  # Where its stamp comes from
+
+    @property
+    def field(self) -> str:
+        """The path as in the file, such as ``twist.linear.x`` or ``data.0``."""
+        return '.'.join(map(str, self.path))
+
+    def read(self, message: Any) -> float:
+        """Return the value in a message, as :meth:`value`.
+
+        Raises:
+            InputError: The message has no such number; the error names topic and field.
+        """
+        return self.value(self.raw(message))
+
+    def value(self, raw: float) -> float:
+        """Return a number in the unit of the interface; NaN for one that is not in the table."""
+        if self.table:
+            raw = dict(self.table).get(raw, math.nan)
+        if raw == UNKNOWN_EFFORT:
+            return raw
+        return self.unit.convert(self.sign * self.gain * raw + self.offset)
+
+    def raw(self, message: Any) -> float:
+        """Return the number in a message as it is; raises as :meth:`read`."""
+        value, reached = message, ''
+        try:
+            for step in self.path:
+                value = value[step] if isinstance(step, int) else getattr(value, step)
+                reached = f'{reached}.{step}'.lstrip('.')
+            return float(value)
+        except (AttributeError, IndexError, TypeError, ValueError):
+            names = ', '.join(names_of(value))
+            hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
+            raise InputError(
+                f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
+            ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A quantity as the sum of one or more sources, or as a function of them."""
+
+    sources: tuple[Source, ...]
+    function: UserFunction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedIntegral:
+    """The position as the integral of the speed, from ``start`` [m], rising (+1) or falling (-1)."""
+
+    start: float = 0.0
+    direction: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class LineLookup:
+    """Gradient, curve radius and tunnel of the line of the train file, by position."""
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A value that does not change, in the unit of the interface."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimeColumn:
+    """The times of the rows of a table."""
+
+    columns: tuple[str, ...]  # Names of the columns they are made of: one, without a function
+    unit: Unit  # Unit of times that are numbers
+    start_ns: int | None = None  # What such times count from [ns], None if the file does not say so
+    function: UserFunction | None = None  # Function of the columns, None without
+
+
+@dataclass(frozen=True, slots=True)
+class CsvFormat:
+    """How a CSV file is written; None where it is to be found out."""
+
+    separator: str | None = None  # Character between cells
+    decimal: str | None = None  # Decimal sign
+    header_rows: int | None = None  # Number of rows with names, units and the like
+    encoding: str | None = None  # Name of the encoding
+    comments: bool | None = None  # Whether rows that start with ``#`` are comments
+
+
+# How long a brake command published only on change holds, unless a parameter says otherwise [s].
+_HOLD_S: Final = 3600.0
+TOPIC_OF: Final = {
+    'speed': SPEED_TOPIC.name,
+    'position': SPEED_TOPIC.name,
+    'force': FORCE_TOPIC.name,
+    'gradient': GRADIENT_TOPIC.name,
+    'brake_command': BRAKE_TOPIC.name,
+    'mass': MASS_TOPIC.name,
+}
+"""Our own topic of each quantity."""
+_QUANTITY_OF: Final = {topic: name for name, topic in TOPIC_OF.items() if name != 'position'}
+Position: TypeAlias = Signal | SpeedIntegral
+Gradient: TypeAlias = Signal | LineLookup | Constant
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """Where each input comes from; None: from its own topic of trainid_msgs, and in a table not at all."""
+
+    speed: Signal | None = None  # Speed [m/s]; its sign is ignored
+    position: Position | None = None  # Position [m]
+    force: Signal | None = None  # Force [N]
+    gradient: Gradient | None = None  # Gradient [per mille]
+    brake_command: Signal | Constant | None = None  # Target acceleration [m/s^2]
+    mass: Signal | None = None  # Mass [kg]
+    on_change: bool = False  # Whether brake commands are published only when they change
+    time: TimeColumn | None = None  # Times of the rows of a table, None for messages
+    csv: CsvFormat = CsvFormat()  # How the table is written, if it is a CSV file
+
+    def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
+        """Return settings of the alignment that fit the mapping."""
+        if self.on_change and config.command_hold == 0.0:
+            return replace(config, command_hold=_HOLD_S)
+        return config
+
+    @property
+    def replaced(self) -> frozenset[str]:
+        """Our own topics that are not read."""
+        return frozenset(topic for topic, name in _QUANTITY_OF.items() if getattr(self, name) is not None)
+
+    def needed(self, topic: str) -> tuple[str, ...]:
+        """Return the topics that the input of one of our own topics needs."""
+        signal = getattr(self, _QUANTITY_OF[topic])
+        if signal is None:
+            return (topic,)
+        return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
+
+    def named(self, text: str) -> str:
+        """Return a text for people with the topics that are read in place of our own ones, which it may name."""
+        for topic in self.replaced:
+            read = ' + '.join(dict.fromkeys(self.needed(topic))) or f'the {_QUANTITY_OF[topic]} of the mapping'
+            text = re.sub(rf'(?<![\w/]){topic}(?![\w/])', read, text)
+        return text
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that are read, each once."""
+        return tuple(dict.fromkeys(source.topic for source in self.sources))
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All numbers that are read."""
+        signals = (getattr(self, item.name) for item in fields(self))
+        return tuple(source for signal in signals if isinstance(signal, Signal) for source in signal.sources)
+
+
+OWN: Final = Mapping()
+"""All inputs come from their own topics."""

@@ -1,0 +1,658 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suggest a mapping for a bag, from the names of its topics and fields and from what its numbers do together.
+
+Speed is what positions are the integral of, and forces go with its derivative; units follow from ratios.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from trainid_ros.inputs.balance import (
+    FEWEST,
+    PER_MILLE,
+    STEP_S,
+    USUAL_ROTARY,
+    Travel,
+    at_times,
+    common_times,
+    compare_travel,
+    correlation,
+    derivative,
+    is_near,
+    nearest_unit,
+    partial_slope,
+    regress,
+)
+from trainid_ros.inputs.mapping import TOPIC_OF, find_unit
+from trainid_ros.inputs.suggestion import Choice, Part, Suggestion, family, is_nameless, listed, score, unit_in
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.train.forces import G
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.bag.number_series import BagNumbers, NumberSeries
+    from trainid_ros.inputs.balance import Array
+    from trainid_ros.train.train_file import TrainFile
+
+
+def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None) -> Suggestion:
+    """Return a mapping for the numbers of a bag.
+
+    Args:
+        numbers: The numbers.
+        name: Name of the bag.
+        train_file: Its train, if known: the mass shows the unit of the force, the line may have the gradients.
+    """
+    head = (
+        f'Suggested by trainid info --suggest-map for {name}: {numbers.duration_s / 60.0:.0f} min were read.',
+        'Check each line before it is used; what is left out comes from our own topic.',
+    )
+    own = frozenset(topic.lstrip('/') for topic in numbers.own)
+    choices = tuple(choice for choice in _choices(numbers, train_file) if TOPIC_OF[choice.quantity] not in own)
+    missing = tuple(name for name in _ADVICE if not any(choice.quantity == name for choice in choices))
+    missing = tuple(name for name in missing if TOPIC_OF[name] not in own)
+    return Suggestion(head, choices, missing, tuple(_notes(numbers, choices, missing)))
+
+
+_ADVICE: Final = {
+    'speed': 'speed: nothing found; it is needed, and all else is compared with it',
+    'force': 'force: nothing found; the force at the wheel rim, or the sum of those of all motor cars, is needed',
+    'gradient': 'gradient: nothing found; {from: line} takes it from the line of the train file (--train), by position',
+    'brake_command': 'brake_command: nothing found; a notch with a table, percent of the full brake or m/s^2 is needed',
+}
+
+
+def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
+    """Return what may be each quantity, also of those that come from our own topics."""
+    own = [item for item in numbers.series if item.topic in numbers.own]
+    foreign = [item for item in numbers.series if item.topic not in numbers.own]
+    speeds = [item for item in own if item.field == 'speed'] or _possible_speeds(foreign) or _speeds_by_numbers(foreign)
+    if not speeds:
+        return []
+    speed, position, motion = _choose_speed(speeds, [*foreign, *own])
+    choices = [speed, *position]
+    rest = _without(foreign, choices)
+    forces = _choose_force([item for item in own if item.field == 'force'] or rest, motion, train_file)
+    rest = _without(rest, forces)
+    total = _total_force(forces[0], motion) if forces else None
+    choices += forces
+    choices += _choose_gradient(rest, motion, total, train_file, has_position=bool(position))
+    masses = _choose_mass([item for item in own if item.field == 'mass'] or rest, train_file)
+    choices += _choose_brake(rest, motion, _specific_force(total, masses, train_file))
+    return [*choices, *masses]
+
+
+def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[NumberSeries]:
+    """Return the series that are not chosen."""
+    chosen = {id(part.series) for choice in choices for part in choice.parts}
+    return [item for item in series if id(item) not in chosen]
+
+
+def _notes(numbers: BagNumbers, choices: Sequence[Choice], missing: Sequence[str]) -> Iterable[str]:
+    yield from (_ADVICE[name] for name in missing)
+    if numbers.own:
+        yield f'from our own topics: {listed(sorted(topic.lstrip("/") for topic in numbers.own))}'
+    used = {part.series.topic for choice in choices for part in choice.parts}
+    if rest := sorted({item.topic for item in numbers.series} - used - numbers.own):
+        yield f'not used: {listed(rest)}'
+    if numbers.left_out:
+        yield f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out])}'
+
+
+_NAMED: Final = re.compile(r'(?:.*/)?train_?\d+', re.IGNORECASE)
+# Speeds of one train are more alike [1].
+_ALIKE: Final = 0.9
+
+
+def trains_in(series: Sequence[NumberSeries]) -> tuple[str, ...]:
+    """Return the namespaces of the trains if there are several, empty if not."""
+    groups: dict[tuple[str, str, str], dict[str, NumberSeries]] = defaultdict(dict)
+    for item in _possible_speeds(series):
+        for namespace, name in _splits(item.topic):
+            groups[namespace.rpartition('/')[0], name, item.field][namespace] = item
+    for speeds in groups.values():
+        if len(speeds) > 1 and (all(map(_NAMED.fullmatch, speeds)) or _drive_apart(speeds, series)):
+            return tuple(sorted(speeds))
+    return ()
+
+
+def _splits(topic: str) -> Iterator[tuple[str, str]]:
+    """Yield namespace and name of a topic for each namespace that it is in."""
+    for at in re.finditer(r'(?<!^)/', topic):
+        yield topic[: at.start()], topic[at.end() :]
+
+
+def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeries]) -> bool:
+    """Return whether each namespace has a force, and not all have the same speed."""
+    forces = [item.topic for item in series if score('force', item.topic, item.field) > 0.0]
+    if not all(any(topic.startswith(f'{namespace}/') for topic in forces) for namespace in speeds):
+        return False
+    first, *others = speeds.values()
+    times = common_times(first)
+    speed = abs(at_times(first, times))
+    return any(correlation(speed, abs(at_times(other, times))) < _ALIKE for other in others)
+
+
+_SPEED_UNITS: Final = ('m/s', 'km/h', 'mph')
+_LENGTH_UNITS: Final = ('m', 'km', 'mi', 'ft')
+# Ratios of two units are told apart to this share [1].
+_RATIO_ERROR: Final = 0.04
+_CLOSE: Final = 0.9
+_GOES_WITH: Final = 0.3
+# A number with a larger maximum, or a larger 99th percentile of its changes a second, is no speed in m/s.
+_FAST: Final = 60.0
+_STEEP: Final = 1.6
+# Without a name: the largest negative value, and change in a second, as shares of the largest value [1]; and the least
+# correlation of the derivative with another number.
+_NEGATIVE: Final = 0.02
+_SUDDEN: Final = 0.25
+_PUSHED: Final = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The speed that was chosen, at common times."""
+
+    series: NumberSeries  # The speed as it is in the bag
+    times: Array  # Common times [s], shape (n,)
+    speed: Array  # Speed [m/s], shape (n,)
+    acceleration: Array  # Its derivative [m/s^2], shape (n,)
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Where the train moves, shape (n,)."""
+        return self.speed > 1.0
+
+    @property
+    def minutes(self) -> str:
+        """Over how long it is known."""
+        return f'over {max(1, round((self.times[-1] - self.times[0]) / 60.0))} min'
+
+
+def _possible_speeds(series: Iterable[NumberSeries]) -> list[NumberSeries]:
+    """Return what may be a speed."""
+    found = []
+    for item in series:
+        moves = np.ptp(item.value) > 0.0 and item.time.size > 2 and item.rate >= 1.0
+        if moves and score('speed', item.topic, item.field) > 0.0 >= score('acceleration', item.topic, item.field):
+            found.append(item)
+    return found
+
+
+def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
+    """Return what may be a speed although no name says so.
+
+    It is never negative and changes slowly; and something is its integral, or goes with its derivative.
+    """
+    found = []
+    for item in series:
+        if not is_nameless(item.topic, item.field) or item.is_whole or not item.rate >= 1.0:
+            continue
+        top = float(np.max(item.value))
+        if not top > 0.0 or float(np.min(item.value)) < -_NEGATIVE * top:
+            continue
+        steps = derivative(at_times(item, common_times(item)))
+        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > _SUDDEN * top:
+            continue
+        rank = _rank(item, series)
+        if rank.position is not None or abs(rank.push[0]) > _PUSHED:
+            found.append(item)
+    return found
+
+
+class _Ranked(NamedTuple):
+    points: float
+    speed: NumberSeries
+    position: NumberSeries | None
+    travel: Travel
+    push: tuple[float, str]
+
+
+def _choose_speed(
+    speeds: Sequence[NumberSeries], series: Sequence[NumberSeries]
+) -> tuple[Choice, list[Choice], _Motion]:
+    """Return the choice among speeds, that of the position, if there is one, and the motion."""
+    ranked = sorted((_rank(item, series) for item in speeds), key=lambda item: -item.points)
+    best = ranked[0]
+    unit, reasons, decisions = _speed_unit(best)
+    factor = find_unit(unit, 'speed').factor
+    times = common_times(best.speed)
+    speed_si = factor * np.abs(at_times(best.speed, times))
+    motion = _Motion(best.speed, times, speed_si, derivative(speed_si))
+    choice = Choice('speed', (Part(best.speed, unit),), decisions=decisions)
+    if is_nameless(best.speed.topic, best.speed.field):
+        choice.reasons.append(
+            f'no name says speed; by its numbers: never negative, up to {np.max(best.speed.value):.3g}'
+        )
+        choice.decisions.append('whether this is the speed')
+    if abs(best.push[0]) > _GOES_WITH:
+        choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
+    choice.reasons += reasons
+    alike = [
+        f'{item.speed.topic} {item.speed.field}'
+        for item in ranked[1:]
+        if abs(correlation(motion.speed, np.abs(at_times(item.speed, times)))) > _CLOSE
+    ]
+    if alike:
+        choice.decisions.append(f'also like a speed: {listed(alike, 3)}')
+    return choice, _position(best, unit), motion
+
+
+def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
+    """Return how much speaks for a speed: its name, a position that is its integral, a force or acceleration."""
+    times, by_numbers = common_times(speed), is_nameless(speed.topic, speed.field)
+    slope = derivative(np.abs(at_times(speed, times)))
+    position, travel, push = None, Travel(0.0, math.nan), (0.0, '')
+    for item in series:
+        if item is speed or np.ptp(item.value) == 0.0:
+            continue
+        where = item.topic, item.field
+        unnamed = by_numbers and is_nameless(*where)
+        if unnamed or (score('position', *where) > 0.0 and score('speed', item.field, item.field) <= 0.0):
+            found = compare_travel(speed, item)
+            if found.correlation > travel.correlation:
+                position, travel = item, found
+        if unnamed or max(score('force', *where), score('acceleration', *where)) > 0.0:
+            with_it = correlation(slope, at_times(item, times))
+            if abs(with_it) > abs(push[0]):
+                push = (with_it, f'{item.topic} {item.field}')
+    if travel.correlation < _CLOSE:
+        position = None
+    points = score('speed', speed.topic, speed.field) + 2.0 * (position is not None) + 1.5 * abs(push[0])
+    return _Ranked(points + 0.1 * speed.has_stamps + 0.001 * min(speed.rate, 50.0), speed, position, travel, push)
+
+
+def _pairs(ratio: float) -> list[tuple[str, str]]:
+    """Return units of speed and position that fit change of the position for each unit of the speed and second."""
+    return [
+        (speed, length)
+        for length in _LENGTH_UNITS
+        for speed in _SPEED_UNITS
+        if abs(ratio * find_unit(length, 'length').factor / find_unit(speed, 'speed').factor - 1.0) < _RATIO_ERROR
+    ]
+
+
+def _pair(best: _Ranked) -> tuple[str, str]:
+    """Return the units of speed and position, '' if none fit; names decide between several."""
+    if best.position is None or not (pairs := _pairs(best.travel.ratio)):
+        return '', ''
+    named = unit_in(f'{best.speed.topic} {best.speed.field}', _SPEED_UNITS)
+    also = unit_in(f'{best.position.topic} {best.position.field}', _LENGTH_UNITS)
+    return max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
+
+
+def _speed_unit(best: _Ranked) -> tuple[str, list[str], list[str]]:
+    """Return the unit of the speed, the reasons, and what to decide."""
+    speed, position = best.speed, best.position
+    named = unit_in(f'{speed.topic} {speed.field}', _SPEED_UNITS)
+    unit, length = _pair(best)
+    if position is not None and unit:
+        reason = (
+            f'unit {unit}: {position.topic} {position.field} changes by {best.travel.ratio:.4g} for each unit and '
+            f'second (correlation {best.travel.correlation:.2f}), so positions are in {length}'
+        )
+        contradiction = f'its name says {named}, its integral {unit}'
+        return unit, [reason], [contradiction] if named not in {'', unit} else []
+    if named:
+        return named, [f'unit {named}: by its name'], []
+    top = float(np.max(np.abs(speed.value)))
+    steep = float(np.nanpercentile(np.abs(derivative(at_times(speed, common_times(speed)))), 99.0))
+    unit = 'km/h' if top > _FAST or steep > _STEEP else 'm/s'
+    text = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
+    return unit, [text], ['nothing but its range shows the unit of the speed']
+
+
+def _position(best: _Ranked, unit: str) -> list[Choice]:
+    if (position := best.position) is None:
+        return []
+    _, length = _pair(best)
+    choice = Choice('position', (Part(position, length or 'm'),))
+    choice.reasons.append(f'correlation {best.travel.correlation:.2f} of its changes with the integral of the speed')
+    if not length:
+        choice.decisions.append(f'no units fit {best.travel.ratio:.4g} for each {unit} and second: gain or unit')
+    return [choice]
+
+
+_FORCE_UNITS: Final = ('N', 'kN', 'lbf')
+_MASS_UNITS: Final = ('kg', 't', 'lb')
+# Least correlation of a force without a name with the acceleration, and factor within which a slope is 1 or g [1].
+_NAMELESS: Final = 0.6
+_SAME: Final = 1.25
+# Another force explains at least so much more of the variance of the acceleration [1], a gradient so much.
+_NEW_FORCE: Final = 0.02
+_GRADIENT_GAIN: Final = 1e-3
+# Where only the range shows the unit: a larger number is not in kN, in percent, in rad, or in t.
+_LARGE_KN: Final = 2000.0
+_LARGE_PERCENT: Final = 6.0
+_LARGE_RAD: Final = 0.1
+_LARGE_T: Final = 3000.0
+
+
+def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
+    """Return the sources whose sum goes with the acceleration best; empty if nothing does.
+
+    The mass of the train file, if it is known, shows the unit.
+    """
+    groups: dict[tuple[str, str, str], list[NumberSeries]] = {}
+    for item in series:
+        if score('force', item.topic, item.field) <= 0.0 or item.is_whole:
+            continue
+        if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _GOES_WITH:
+            groups.setdefault((family(item.topic), item.field, item.type), []).append(item)
+    totals = {key: _sum_at(items, motion) for key, items in groups.items()}
+    chosen: list[tuple[str, str, str]] = []
+    share = 0.0
+    if not groups:
+        return _as_force([[item] for item in _by_numbers(series, motion)], motion, train_file)
+    while rest := [key for key in groups if key not in chosen]:
+        shares = {key: _share([totals[item] for item in (*chosen, key)], motion) for key in rest}
+        best = max(rest, key=lambda key: shares[key])
+        # Another measurement of the same force explains no more.
+        if shares[best] < share + _NEW_FORCE:
+            break
+        chosen, share = [*chosen, best], shares[best]
+    return _as_force([groups[key] for key in chosen], motion, train_file)
+
+
+def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberSeries]:
+    """Return the number without a name that goes with the acceleration best and is not the acceleration; or none."""
+    best: tuple[float, list[NumberSeries]] = (_NAMELESS, [])
+    for item in series:
+        if item.is_whole or not is_nameless(item.topic, item.field):
+            continue
+        values = at_times(item, motion.times)
+        fit = regress(motion.acceleration, [values], motion.moving)
+        with_it = abs(correlation(values, motion.acceleration))
+        if fit is None or any(1.0 / _SAME < abs(fit.slopes[0]) / unit < _SAME for unit in (1.0, G)):
+            continue
+        if with_it > best[0]:
+            best = with_it, [item]
+    return best[1]
+
+
+def _share(totals: Sequence[Array], motion: _Motion) -> float:
+    """Return the share of the acceleration that forces explain [1], 0 if that cannot be known."""
+    fit = regress(motion.acceleration, totals, motion.moving)
+    return 0.0 if fit is None else fit.share
+
+
+def _sum_at(items: Iterable[NumberSeries], motion: _Motion) -> Array:
+    """Return the sum of series at the common times, shape (n,)."""
+    total: Array = np.sum([at_times(item, motion.times) for item in items], axis=0)
+    return total
+
+
+def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
+    """Return the choice of groups of sources, each with a sign of its own."""
+    totals = [_sum_at(items, motion) for items in groups]
+    fit = regress(motion.acceleration, [*totals, motion.speed**2], motion.moving)
+    if not groups or fit is None:
+        return []
+    signs = [math.copysign(1.0, slope) for slope in fit.slopes[: len(totals)]]
+    total: Array = np.sum([sign * item for sign, item in zip(signs, totals, strict=True)], axis=0)
+    choice = Choice('force')
+    choice.reasons.append(
+        f'correlation {correlation(total, motion.acceleration):.2f} with d(speed)/dt {motion.minutes}'
+    )
+    unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), train_file)
+    choice.parts = tuple(Part(item, unit, sign) for sign, items in zip(signs, groups, strict=True) for item in items)
+    if is_nameless(choice.parts[0].series.topic, choice.parts[0].series.field):
+        choice.decisions.append('whether this is the force: no name says so')
+    if len(choice.parts) > 1:
+        choice.decisions.append('they are summed as forces of several cars or systems; leave out what counts twice')
+    return [choice]
+
+
+def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, train_file: TrainFile | None) -> str:
+    """Return the unit of a force, and note the reason; ``slope`` is the acceleration for each unit [m/s^2]."""
+    named = unit_in(f'{series.topic} {series.field}', _FORCE_UNITS)
+    if train_file is None:
+        choice.reasons.append('unit by its name' if named else f'up to {top:.3g}')
+        choice.decisions.append('the unit; with --train the mass shows it')
+        return named or ('N' if top > _LARGE_KN else 'kN')
+    newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
+    fitting = nearest_unit(newtons, {name: find_unit(name, 'force').factor for name in _FORCE_UNITS})
+    unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
+    choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
+    if named not in {'', unit}:
+        choice.decisions.append(f'its name says {named}')
+    if not fitting:
+        choice.decisions.append('no unit fits: is it of all motor cars, and what is the largest force of the train?')
+    return unit
+
+
+def _total_force(force: Choice, motion: _Motion) -> Array:
+    """Return the force [N] at the common times, shape (n,)."""
+    parts = [
+        find_unit(part.unit, 'force').factor * part.sign * at_times(part.series, motion.times) for part in force.parts
+    ]
+    total: Array = np.sum(parts, axis=0)
+    return total
+
+
+def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: TrainFile | None) -> Array | None:
+    """Return the acceleration that the force would give [m/s^2], shape (n,); None if force or mass is not known."""
+    if total is None or train_file is None:
+        return None
+    kilograms = train_file.train.mass
+    if masses:
+        (part,) = masses[0].parts
+        kilograms = find_unit(part.unit, 'mass').factor * float(np.median(part.series.value))
+    return total / (kilograms + train_file.train.mass * train_file.train.rotary_mass)
+
+
+def _choose_gradient(
+    series: Iterable[NumberSeries],
+    motion: _Motion,
+    total: Array | None,
+    train_file: TrainFile | None,
+    *,
+    has_position: bool,
+) -> list[Choice]:
+    """Return the gradient, from a topic or the line, with the position where that needs one; empty if there is none.
+
+    ``total`` is the force [N] at the common times, shape (n,), None if it is not known.
+    """
+    named = [item for item in series if score('gradient', item.topic, item.field) > 0.0]
+    if named:
+        return [max((_gradient(item, motion, total, train_file) for item in named), key=lambda item: item[0])[1]]
+    if train_file is None or not train_file.line.gradient:
+        return []
+    choice = Choice('gradient', text='{from: line}', reasons=['the train file has a line'])
+    if has_position:
+        return [choice]
+    where = Choice('position', text='{from: speed, start: 0.0, direction: 1}')
+    where.reasons.append('the line is looked up by position')
+    where.decisions.append('where the bag starts on the line [m], and whether positions rise (1) or fall (-1)')
+    return [where, choice]
+
+
+def _gradient(
+    series: NumberSeries, motion: _Motion, total: Array | None, train_file: TrainFile | None
+) -> tuple[float, Choice]:
+    """Return how much more of the acceleration a gradient explains [1], and the choice."""
+    named = unit_in(f'{series.topic} {series.field}', tuple(PER_MILLE))
+    top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
+    unit, sign = named or ('per_mille' if top > _LARGE_PERCENT else 'percent' if top > _LARGE_RAD else 'rad'), 1.0
+    permille, gain = _slowing(series, motion, total, train_file)
+    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _GRADIENT_GAIN else ''
+    if by_slope:
+        choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
+        unit, sign = named or by_slope, math.copysign(1.0, permille)
+    if by_slope != unit:
+        how = 'its name' if named else f'its range, up to {top:.3g}'
+        choice.decisions.append(f'unit {unit} is by {how}; + must be uphill')
+    choice.parts = (Part(series, unit, sign),)
+    return gain, choice
+
+
+def _slowing(
+    series: NumberSeries, motion: _Motion, total: Array | None, train_file: TrainFile | None
+) -> tuple[float, float]:
+    """Return as how many per mille each unit slows the train, and the share of the variance that this explains [1]."""
+    if total is None:
+        return 1.0, 0.0
+    y, x, others = motion.acceleration, at_times(series, motion.times), [total, motion.speed, motion.speed**2]
+    known = motion.moving & np.isfinite(x) & np.isfinite(y) & np.isfinite(total)
+    if np.count_nonzero(known) < FEWEST:
+        return 1.0, 0.0
+    slope = partial_slope(y[known], x[known], [item[known] for item in others], motion.times[known] - motion.times[0])
+    if slope is None or slope.value == 0.0:
+        return 1.0, 0.0
+    rotary = USUAL_ROTARY if train_file is None else train_file.train.rotary_mass
+    gain = (slope.value * slope.spread) ** 2 / float(np.var(y[known]))
+    return -slope.value * 1000.0 * (1.0 + rotary) / G, gain
+
+
+def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -> list[Choice]:
+    """Return a mass that fits the train file, or whose name and range say so; empty if there is none."""
+    units = {name: find_unit(name, 'mass').factor for name in _MASS_UNITS}
+    for item in series:
+        value = float(np.median(item.value))
+        if score('mass', item.topic, item.field) <= 0.0 or value <= 0.0:
+            continue
+        named = unit_in(f'{item.topic} {item.field}', _MASS_UNITS)
+        choice = Choice('mass', reasons=[f'median {value:.4g}'])
+        if train_file is None:
+            unit = named or ('t' if value < _LARGE_T else 'kg')
+            choice.decisions.append('is it the mass of the whole train, or of its load (then with an offset)?')
+        else:
+            mass = train_file.train.mass
+            unit = named or nearest_unit(mass / value, units)
+            if not unit or not is_near(units[unit] * value, mass):
+                continue
+            choice.reasons.append(f'unit {unit}: the train file says {mass:.4g} kg')
+        choice.parts = (Part(item, unit),)
+        return [choice]
+    return []
+
+
+# A brake acts up to so much later [s].
+_LATEST_S: Final = 2.0
+# Then it takes so long to come to its value [s].
+_SETTLED_S: Final = 1.4
+_MOST_NOTCHES: Final = 16
+# Milder than this is not braking [m/s^2].
+_MILD: Final = 0.1
+_CHANGING: Final = 0.9
+_FEWEST_COMMANDS: Final = 10
+_LARGEST: Final = 3.0  # m/s^2
+
+
+def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array | None) -> list[Choice]:
+    """Return the brake command: what is named so and precedes decelerations; empty if nothing does.
+
+    ``effort`` is the force by mass [m/s^2], shape (n,), None if it is not known. While braking it is the effort of a
+    nominal brake, which is what a command asks for.
+    """
+    ranked = _ranked(series, motion)
+    if not ranked:
+        return []
+    _, lag_s, with_it, item = ranked[0]
+    by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
+    target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
+    target = _earlier(target, _precedes(item, motion, target)[0])
+    choice = Choice('brake_command', on_change=_on_change(item))
+    choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
+    values = at_times(item, motion.times)
+    if item.is_whole and np.unique(item.value).size <= _MOST_NOTCHES:
+        choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
+        choice.reasons.append(f'value of each notch: {by_force} while it holds')
+        choice.decisions.append('the nominal deceleration of each notch')
+    else:
+        _scale(choice, item, values, target, by_force)
+    if choice.on_change:
+        choice.reasons.append(f'published only on change, up to {float(np.diff(item.time).max()):.0f} s apart')
+    if others := [f'{entry.item.topic} {entry.item.field}' for entry in ranked[1:]]:
+        choice.decisions.append(f'also like a brake: {", ".join(others[:3])}')
+    return [choice]
+
+
+class _Candidate(NamedTuple):
+    """A number that may be the command: its rank, by how much it precedes decelerations [s], and its correlation."""
+
+    rank: float
+    lag_s: float
+    with_it: float
+    item: NumberSeries
+
+
+def _ranked(series: Sequence[NumberSeries], motion: _Motion) -> list[_Candidate]:
+    """Return what is named like a brake command and precedes decelerations, the likeliest first."""
+    found = []
+    for item in series:
+        named = score('brake_command', item.topic, item.field)
+        if named <= 0.0 or np.ptp(item.value) == 0.0:
+            continue
+        lag_s, with_it = _precedes(item, motion, motion.acceleration)
+        if abs(with_it) > _GOES_WITH:
+            found.append(_Candidate(abs(with_it) + 0.3 * named, lag_s, with_it, item))
+    return sorted(found, key=lambda candidate: -candidate.rank)
+
+
+def _precedes(item: NumberSeries, motion: _Motion, acceleration: Array) -> tuple[float, float]:
+    """Return by how much a number precedes decelerations [s], and its correlation with them [1]."""
+    values = at_times(item, motion.times)
+    braking = np.where(motion.moving, np.minimum(acceleration, 0.0), np.nan)
+    lags = np.arange(0.0, _LATEST_S, STEP_S).tolist()
+    return max(((lag, correlation(values, _earlier(braking, lag))) for lag in lags), key=lambda entry: abs(entry[1]))
+
+
+def _earlier(values: Array, by_s: float) -> Array:
+    """Return values so much earlier [s], shape (n,); NaN at the end."""
+    steps = round(by_s / STEP_S)
+    return np.concatenate((values[steps:], np.full(steps, np.nan)))
+
+
+def _on_change(item: NumberSeries) -> bool:
+    """Return whether a command comes only when it changes."""
+    if item.value.size < _FEWEST_COMMANDS:
+        return True
+    changes = np.mean(np.diff(item.value) != 0.0) >= _CHANGING
+    return bool(changes and np.diff(item.time).max() > AlignmentConfig().command_timeout)
+
+
+def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
+    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
+    wait = round(_SETTLED_S / STEP_S)
+    table = []
+    for notch in np.unique(item.value):
+        holds = values == notch
+        steady = holds.copy()
+        for steps in range(1, wait):
+            steady[steps:] &= holds[:-steps]
+        known = np.isfinite(target)
+        seen = target[steady & known] if np.any(steady & known) else target[holds & known]
+        if notch != 0.0 and not seen.size:
+            choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
+            continue
+        value = float(np.median(seen)) if seen.size else 0.0
+        table.append((float(notch), round(value, 2) if value < -_MILD and notch != 0.0 else 0.0))
+    return tuple(table)
+
+
+def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_force: str) -> None:
+    """Find unit and sign of a command that is no notch."""
+    top = float(np.max(np.abs(item.value)))
+    braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MILD)
+    ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
+    sign = 1.0 if ratio > 0.0 else -1.0
+    named = unit_in(f'{item.topic} {item.field}', ('percent',))
+    if not named and top <= _LARGEST and 0.5 < abs(ratio) < 2.0:
+        choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
+        choice.parts = (Part(item, 'm/s^2', sign),)
+        return
+    unit = f'percent_of {100.0 * abs(ratio):.3g} m/s^2'
+    choice.reasons.append(f'unit {unit}: {by_force} is {ratio:.4f} for each unit')
+    choice.decisions.append('the nominal deceleration of the full brake')
+    choice.parts = (Part(item, unit, sign),)

@@ -1,0 +1,477 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report of drives: for each a chapter of estimates, figures and, if the truth is known, errors."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from matplotlib.patches import Patch
+
+from trainid_ros.interface.records import KM_H, NS_PER_S
+from trainid_ros.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, input_panels
+from trainid_ros.report import style
+from trainid_ros.report.chapter import (
+    final_truth,
+    resistance_at,
+    resistance_std,
+    score_brake_rate,
+    score_resistance,
+    true_rate,
+    true_theta,
+)
+from trainid_ros.report.page import Table, render, write_page
+from trainid_ros.report.words import DASH, DAVIS_UNITS, number
+from trainid_ros.train.forces import davis
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+    from trainid_ros.recording import Array, Series, Track
+    from trainid_ros.report.chapter import AccuracyScore, Chapter
+
+MODES: Final = {PULLING: style.TRACTION, COASTING: style.COAST, BRAKING: style.BRAKE, STANDSTILL: style.STAND}
+STATUSES: Final = {
+    'UNINITIALIZED': style.STAND,
+    'CONVERGING': style.WAIT,
+    'VALID': style.GOOD,
+    'HOLDING': style.COAST,
+    'STALE': style.BRAKE,
+    'FAULT': style.BAD,
+}
+SPEEDS: Final = (10.0, 15.0, 20.0)
+"""Speeds of the table [m/s]."""
+_CURVE_POINTS: Final = 80
+_RATIO_BINS: Final = 900
+
+
+def write_report(title: str, chapters: Sequence[Chapter], path: str | Path) -> None:
+    """Write a report and create missing folders.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    write_page(render_report(title, chapters), path)
+
+
+def render_report(title: str, chapters: Sequence[Chapter]) -> str:
+    """Return a report as HTML text."""
+    return render('drive.html.j2', title, chapters=[_content(chapter) for chapter in chapters])
+
+
+def _content(chapter: Chapter) -> dict[str, object]:
+    """Return what the template shows of a drive."""
+    return {
+        'title': chapter.title,
+        'facts': _facts(chapter),
+        'notes': chapter.notes,
+        'cards': (_resistance_card(chapter), _brake_card(chapter), _model_card(chapter)),
+        'estimates': _estimates_table(chapter),
+        'scores': _scores_table(chapter),
+        'rejections': _rejections_table(chapter),
+        'truth_known': chapter.truth is not None,
+        'resistance_over_time': resistance_over_time(chapter),
+        'resistance_curve': resistance_curve(chapter),
+        'brake_rate': brake_rate_over_time(chapter),
+        'drive': speed_profile(chapter),
+        'status': status_timeline(chapter),
+        'innovations': innovation_ratios(chapter),
+        'speed_model': speed_model_over_time(chapter),
+    }
+
+
+def _facts(chapter: Chapter) -> tuple[tuple[str, str], ...]:
+    train, duration_s = chapter.train_file.train, chapter.recording.duration_s
+    start = datetime.fromtimestamp(chapter.recording.start_ns / NS_PER_S, UTC)
+    return (
+        ('Bag', chapter.bag),
+        ('Train file', chapter.train_file_name),
+        ('Train', f'{train.mass / 1000.0:.0f} t, {train.length:.0f} m, {train.cars} cars'),
+        ('Duration', f'{duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
+        ('Run', chapter.how),
+    )
+
+
+class _Card(NamedTuple):
+    """The last estimate of one estimator: value with its unit, status with a remark, and further lines."""
+
+    name: str
+    value: str
+    unit: str
+    status: str
+    remark: str
+    more: tuple[str, ...]
+
+
+def _resistance_card(chapter: Chapter) -> _Card:
+    estimate = chapter.resistance.estimate
+    low, high = chapter.recording.resistance.speed_range
+    # The speed of the table nearest to the middle of the range learned from.
+    speed = min(SPEEDS, key=lambda speed: abs(speed - 0.5 * (low + high)))
+    w = resistance_at(np.array([estimate.a, estimate.b, estimate.c]), speed)
+    std = resistance_std(np.array(estimate.covariance).reshape(3, 3), speed)
+    learned = f'{KM_H * low:.0f} to {KM_H * high:.0f} km/h' if high > low else 'nothing yet'
+    truth = None if chapter.truth is None else davis(final_truth(chapter.recording, chapter.truth)[0], speed)
+    return _Card(
+        f'Running resistance at {_speed_text(speed)}',
+        f'{w:.2f} ± {std:.2f}',
+        'N/kN',
+        chapter.resistance.status.name,
+        f'learned from {learned}',
+        () if truth is None else (f'truth {truth:.2f}, error {float(w) - truth:+.2f} N/kN',),
+    )
+
+
+def _brake_card(chapter: Chapter) -> _Card:
+    estimate = chapter.brake_rate.estimate
+    rate = None if chapter.truth is None else final_truth(chapter.recording, chapter.truth)[1]
+    value = f'{estimate.brake_rate:.3f} ± {estimate.brake_rate_std:.3f}'
+    more = () if rate is None else (f'truth {rate:.3f}, error {estimate.brake_rate - rate:+.3f}',)
+    return _Card('Brake rate', value, '', chapter.brake_rate.status.name, '1 = nominal', more)
+
+
+def _model_card(chapter: Chapter) -> _Card:
+    estimate = chapter.speed_model.estimate
+    remark = f'mass factor (train file {1.0 + chapter.train_file.train.rotary_mass:.3f})'
+    model = f'a1 {number(estimate.a1)}, a2 {number(estimate.a2, 7)}, b1 {number(estimate.b1)}, d0 {number(estimate.d0)}'
+    value, status = number(estimate.mass_factor), chapter.speed_model.status.name
+    return _Card('Speed model', value, '', status, remark, (model,))
+
+
+def _speed_text(speed: float) -> str:
+    return f'{speed:g} m/s ({KM_H * speed:.0f} km/h)'
+
+
+def _estimates_table(chapter: Chapter) -> Table:
+    """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
+    basis = _basis(chapter)
+    low, high = chapter.recording.resistance.speed_range
+    rows = [_row(*item, basis) for item in zip('abc', DAVIS_UNITS, np.eye(3), strict=True)]
+    for speed in SPEEDS:
+        name = f'w at {_speed_text(speed)}' + ('' if low <= speed <= high else ' *')
+        rows.append(_row(name, 'N/kN', np.array([1.0, speed, speed * speed]), basis))
+    if (rate := _rate_row(chapter)) is not None:
+        rows.append(rate)
+    head = ['', 'unit', 'estimate', 'std', 'train file']
+    if basis.truth is not None:
+        head += ['truth', 'error', 'error / std']
+    caption = 'Estimates at the end. * outside the speed range learned from.'
+    return Table(caption, head, rows, 2)
+
+
+class _Basis(NamedTuple):
+    """Parameters a, b, c at the end: estimate, covariance, train file, truth if known."""
+
+    theta: Array
+    P: Array
+    before: Array
+    truth: Array | None
+
+
+def _basis(chapter: Chapter) -> _Basis:
+    estimate, prior = chapter.resistance.estimate, chapter.train_file.resistance
+    theta, P = np.array([estimate.a, estimate.b, estimate.c]), np.array(estimate.covariance).reshape(3, 3)
+    before = np.array([prior.a, prior.b, prior.c])
+    if chapter.truth is None:
+        return _Basis(theta, P, before, None)
+    true = final_truth(chapter.recording, chapter.truth)[0]
+    return _Basis(theta, P, before, np.array([true.a, true.b, true.c]))
+
+
+def _row(name: str, unit: str, phi: Array, basis: _Basis) -> list[str]:
+    """Return the row of a linear combination ``phi`` of a, b, c."""
+    value, std = float(phi @ basis.theta), math.sqrt(max(0.0, float(phi @ basis.P @ phi)))
+    cells = [name, unit, number(value), number(std, 2), number(float(phi @ basis.before))]
+    return cells if basis.truth is None else [*cells, *_against(value, std, float(phi @ basis.truth))]
+
+
+def _against(value: float, std: float, true: float) -> list[str]:
+    error = value - true
+    return [number(true), f'{error:+.2g}', f'{error / std:+.1f}' if std > 0.0 else DASH]
+
+
+def _rate_row(chapter: Chapter) -> list[str] | None:
+    estimate = chapter.brake_rate.estimate
+    value, std = estimate.brake_rate, estimate.brake_rate_std
+    cells = ['brake rate', '1 = nominal', number(value), number(std, 2), number(chapter.train_file.brake.rate)]
+    if chapter.truth is None:
+        return cells
+    rate = final_truth(chapter.recording, chapter.truth)[1]
+    return [*cells, *((DASH,) * 3 if rate is None else _against(value, std, rate))]
+
+
+def _scores_table(chapter: Chapter) -> Table:
+    """Return errors against the truth and the coverage of the published standard deviation."""
+    caption = 'Over the whole drive, while VALID or HOLDING; a consistent std gives 68 % and 95 %'
+    head = ('', 'unit', 'rms error', 'mean error', 'truth inside ±1 std', 'inside ±1.96 std')
+    if chapter.truth is None:
+        return Table(caption, head, ())
+    scores: list[tuple[str, str, AccuracyScore | None]] = [
+        ('w at the current speed', 'N/kN', score_resistance(chapter.recording, chapter.truth)),
+        ('brake rate', '1', score_brake_rate(chapter.recording, chapter.truth)),
+    ]
+    rows = [
+        (name, unit, number(s.rms, 3), f'{s.bias:+.2g}', f'{s.inside_68:.0%}', f'{s.inside_95:.0%}')
+        for name, unit, s in scores
+        if s is not None
+    ]
+    return Table(caption, head, rows, 2)
+
+
+def _rejections_table(chapter: Chapter) -> Table:
+    """Return the number of samples that each estimator used, and of those it rejected by reason."""
+    names = [item.estimator for item in chapter.rejections]
+    counts = [dict(item.counts) for item in chapter.rejections]
+    reasons = sorted({reason for count in counts for reason in count})
+    outputs = (chapter.resistance, chapter.speed_model, chapter.brake_rate)
+    rows = [['used', *(f'{output.used}' for output in outputs)]]
+    for reason in reasons:
+        word = reason.name.lower().replace('_', ' ')
+        rows.append([word, *(f'{count[reason]}' if reason in count else DASH for count in counts)])
+    return Table('Samples used, and samples rejected by reason', ('', *names), rows)
+
+
+def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
+    """Return a low, a middle and a high speed [m/s] of the range learned from."""
+    low, high = chapter.recording.resistance.speed_range
+    if high <= low:
+        low, high = 0.0, chapter.train_file.train.max_speed
+    return tuple(float(round(low + share * (high - low))) for share in (0.15, 0.5, 0.9))
+
+
+def _handles(chapter: Chapter) -> list[Artist]:
+    truth = [style.TRUTH_LINE] if chapter.truth is not None else []
+    return [style.ESTIMATE_LINE, style.BAND_68, style.BAND_95, *truth, style.PRIOR_LINE]
+
+
+def resistance_over_time(chapter: Chapter) -> str:
+    """Plot w at three speeds, and a, b, c, over time."""
+    if not chapter.recording.resistance.estimates:
+        return ''
+    with style.styled_figure(6.6) as figure:
+        panels = figure.subplots(3, 2, sharex=True)
+        for axes, speed in zip(panels[:, 0], shown_speeds(chapter), strict=True):
+            phi = np.array([1.0, speed, speed * speed])
+            style.draw_panel(axes, _linear_panel(chapter, phi, f'w at {_speed_text(speed)}', 'w [N/kN]'))
+        for axes, phi, name, unit in zip(panels[:, 1], np.eye(3), 'abc', DAVIS_UNITS, strict=True):
+            style.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
+        for axes in panels[-1]:
+            style.time_axis(axes, chapter.recording.duration_s)
+        style.legend_above(figure, _handles(chapter))
+        return style.to_svg(figure, 'Running resistance and Davis parameters over time')
+
+
+def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel:
+    """Return the panel of a linear combination ``phi`` of a, b, c."""
+    track, prior = _picked(chapter.recording.resistance), chapter.train_file.resistance
+    return Panel(
+        title,
+        label,
+        track.time_ns,
+        track.theta @ phi,
+        std=np.sqrt(np.maximum(0.0, np.einsum('i,nij,j->n', phi, track.covariance, phi))),
+        usable=track.usable,
+        prior=float(phi @ np.array([prior.a, prior.b, prior.c])),
+        truth=_true_w(chapter, track, phi),
+    )
+
+
+def _picked(track: Track) -> Track:
+    """Return a track with no more points than a figure needs."""
+    return track[style.pick(len(track.estimates))]
+
+
+def _true_w(chapter: Chapter, track: Track, phi: Array) -> Array | None:
+    """Return the true linear combination ``phi`` of a, b, c over time, None if it is unknown."""
+    if chapter.truth is None:
+        return None
+    theta: Array = true_theta(chapter.truth, chapter.recording.start_ns, track.time_s)
+    return theta @ phi
+
+
+def resistance_curve(chapter: Chapter) -> str:
+    """Plot w(v) at the end with its band, the prior, the truth, and the driving time at each speed."""
+    track = chapter.recording.resistance
+    if not track.estimates:
+        return ''
+    with style.styled_figure(4.6) as figure:
+        curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+        speeds = np.linspace(0.0, _top_speed(chapter), _CURVE_POINTS)
+        low, high = track.speed_range
+        seen = (speeds >= low) & (speeds <= high) if high > low else np.ones_like(speeds, dtype=bool)
+        w, std = resistance_at(track[-1:].theta[0], speeds), resistance_std(track[-1:].covariance[0], speeds)
+        style.draw_band(curve, KM_H * speeds[seen], w[seen], std[seen])
+        curve.plot(KM_H * speeds, w, color=style.ESTIMATE, linewidth=0.8, alpha=0.6)
+        prior = davis(chapter.train_file.resistance, speeds)
+        curve.plot(KM_H * speeds, prior, color=style.MUTED, linestyle=style.PRIOR_DASHES, linewidth=1.4)
+        if chapter.truth is not None:
+            true = true_theta(chapter.truth, chapter.recording.start_ns, np.array([chapter.recording.duration_s]))[0]
+            curve.plot(
+                KM_H * speeds, resistance_at(true, speeds), color=style.INK, linestyle=style.DASHES, linewidth=1.2
+            )
+        curve.set_ylim(bottom=0.0)
+        curve.set_ylabel('w [N/kN]')
+        curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
+        _draw_time_driven(driven, chapter)
+        style.legend_above(figure, _handles(chapter))
+        return style.to_svg(figure, 'Resistance curve against speed')
+
+
+def _top_speed(chapter: Chapter) -> float:
+    speeds = chapter.recording.drive()[1]
+    fastest = float(speeds.max()) if len(speeds) else 0.0
+    return 1.05 * max(fastest, chapter.recording.resistance.speed_range[1], 1.0)
+
+
+def _draw_time_driven(axes: Axes, chapter: Chapter) -> None:
+    speed = chapter.recording.drive()[1]
+    moving = speed[speed > 0.5]
+    minutes_each = chapter.recording.duration_s / max(len(speed), 1) / 60.0
+    axes.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=style.STAND)
+    axes.set_ylabel('driven [min]')
+    axes.set_xlabel('speed [km/h]')
+    axes.set_xlim(0.0, KM_H * _top_speed(chapter))
+
+
+def brake_rate_over_time(chapter: Chapter) -> str:
+    """Plot the brake rate over time, shaded where it is observable."""
+    recording = chapter.recording
+    track = _picked(recording.brake_rate)
+    if not track.estimates:
+        return ''
+    true = None if chapter.truth is None else true_rate(chapter.truth, recording.start_ns, track.time_s)
+    panel = Panel(
+        'Brake rate',
+        'brake rate (1 = nominal)',
+        track.time_ns,
+        track.column('brake_rate'),
+        std=track.column('brake_rate_std'),
+        usable=track.usable,
+        prior=chapter.train_file.brake.rate,
+        truth=true,
+    )
+    with style.styled_figure(3.4) as figure:
+        axes = figure.subplots()
+        style.draw_spans(axes, recording.observable, {'observable': style.BRAKE}, alpha=0.22)
+        style.draw_panel(axes, panel)
+        style.time_axis(axes, recording.duration_s)
+        truth = [style.TRUTH_LINE] if true is not None else []
+        shade = Patch(color=style.BRAKE, alpha=0.22, linewidth=0, label='braking, observable')
+        style.legend_above(figure, [style.ESTIMATE_LINE, style.BAND_68, style.BAND_95, *truth, style.PRIOR_LINE, shade])
+        return style.to_svg(figure, 'Brake rate over time')
+
+
+def speed_profile(chapter: Chapter) -> str:
+    """Plot speed and gradient over time with the driving modes shaded."""
+    recording, panels = chapter.recording, input_panels(chapter.recording)
+    time_ns, speed, gradient = recording.drive()
+    if not len(time_ns):
+        return ''
+    kept = style.pick(len(time_ns) // 2)
+    with style.styled_figure(3.8) as figure:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        style.draw_spans(above, recording.modes, MODES, alpha=0.45)
+        title = 'Speed and driving modes'
+        style.draw_panel(
+            above,
+            panels['speed']._replace(title=title, time_ns=time_ns[kept], value=KM_H * speed[kept]),
+            style.INK,
+            0.9,
+        )
+        above.set_ylim(bottom=0.0)
+        style.draw_panel(
+            below, panels['gradient']._replace(title='', time_ns=time_ns[kept], value=gradient[kept]), style.MUTED, 0.9
+        )
+        style.time_axis(below, recording.duration_s)
+        style.legend_above(figure, [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()])
+        return style.to_svg(figure, 'Speed profile with driving modes')
+
+
+def innovation_ratios(chapter: Chapter) -> str:
+    """Plot the innovation test ratios of resistance and brake rate on a logarithmic scale with their gate."""
+    recording = chapter.recording
+    both = (('Resistance', recording.resistance.ratios), ('Brake rate', recording.brake_rate.ratios))
+    rows = [(name, series) for name, series in both if len(series.values)]
+    if not rows:
+        return ''
+    with style.styled_figure(0.6 + 1.7 * len(rows)) as figure:
+        panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, series) in zip(panels, rows, strict=True):
+            _draw_ratios(axes, series)
+            axes.set_title(name)
+        style.time_axis(panels[-1], recording.duration_s)
+        return style.to_svg(figure, 'Innovation test ratios over time')
+
+
+def _draw_ratios(axes: Axes, ratios: Series) -> None:
+    # Bins keep their greatest ratio, so no rejected innovation is lost by thinning.
+    ratio = ratios.values[:, 0]
+    step = max(1, -(-len(ratio) // _RATIO_BINS))
+    starts = np.arange(0, len(ratio), step)
+    greatest = np.maximum(np.maximum.reduceat(ratio, starts), 1e-4)
+    time_min = ratios.time_s[starts] / 60.0
+    rejected = greatest > 1.0
+    axes.plot(time_min[~rejected], greatest[~rejected], '.', color=style.ESTIMATE, markersize=2.2)
+    axes.plot(time_min[rejected], greatest[rejected], 'x', color=style.BAD, markersize=4.0)
+    axes.axhline(1.0, color=style.BAD, linewidth=1.0)
+    axes.set_yscale('log')
+    axes.set_ylim(1e-4, max(3.0, 2.0 * float(greatest.max())))
+    axes.set_ylabel('test ratio')
+
+
+def speed_model_over_time(chapter: Chapter) -> str:
+    """Plot the speed model in physical terms: w at the middle speed and the mass factor."""
+    track, speed = _picked(chapter.recording.speed_model), shown_speeds(chapter)[1]
+    if not track.estimates:
+        return ''
+    w = Panel(
+        f'Speed model: w at {_speed_text(speed)}',
+        'w [N/kN]',
+        track.time_ns,
+        resistance_at(track.theta, speed),
+        prior=davis(chapter.train_file.resistance, speed),
+        truth=_true_w(chapter, track, np.array([1.0, speed, speed * speed])),
+    )
+    mass = Panel(
+        'Speed model: mass factor (M / nominal M)(1 + γ)',
+        '',
+        track.time_ns,
+        track.column('mass_factor'),
+        prior=1.0 + chapter.train_file.train.rotary_mass,
+    )
+    with style.styled_figure(2.8) as figure:
+        for axes, panel in zip(figure.subplots(1, 2, sharex=True), (w, mass), strict=True):
+            style.draw_panel(axes, panel, style.SECOND)
+            style.time_axis(axes, chapter.recording.duration_s)
+        return style.to_svg(figure, 'Speed model over time')
+
+
+def status_timeline(chapter: Chapter) -> str:
+    """Plot the status of the three estimators over time."""
+    recording = chapter.recording
+    lanes = {
+        'resistance': recording.resistance.statuses,
+        'speed model': recording.speed_model.statuses,
+        'brake rate': recording.brake_rate.statuses,
+    }
+    used = {span.label for spans in lanes.values() for span in spans}
+    if not used:
+        return ''
+    with style.styled_figure(2.1) as figure:
+        axes = figure.subplots()
+        for height, spans in zip((2, 1, 0), lanes.values(), strict=True):
+            style.draw_spans(axes, spans, STATUSES, lane=(height - 0.36, 0.72))
+        axes.set_yticks([2, 1, 0], [*lanes])
+        axes.grid(visible=False, axis='y')
+        axes.set_title('Status')
+        style.time_axis(axes, recording.duration_s)
+        style.legend_above(
+            figure, [Patch(color=colour, label=name) for name, colour in STATUSES.items() if name in used]
+        )
+        return style.to_svg(figure, 'Status of the estimators over time')
