@@ -7,6 +7,7 @@ import ast
 import os
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ PURE = (
     'resistance',
     'speed_model',
     'brake_rate',
+    'setup',
     'sim',
     'explain',
     'monitor',
@@ -29,12 +31,14 @@ PURE = (
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # What each folder may build on.
 LOWER = {
-    'train': (),
-    'stream': ('train',),
-    'estimators': ('train', 'stream'),
-    'resistance': ('train', 'stream', 'estimators'),
-    'speed_model': ('train', 'stream', 'estimators', 'resistance'),
-    'brake_rate': ('train', 'stream', 'estimators', 'resistance'),
+    'interface': (),
+    'train': ('interface',),
+    'stream': ('interface', 'train'),
+    'estimators': ('interface', 'train', 'stream'),
+    'resistance': ('interface', 'train', 'stream', 'estimators'),
+    'speed_model': ('interface', 'train', 'stream', 'estimators', 'resistance'),
+    'brake_rate': ('interface', 'train', 'stream', 'estimators', 'resistance'),
+    'setup': ('interface', 'train', 'stream', 'estimators', 'resistance', 'speed_model', 'brake_rate'),
 }
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')
@@ -73,6 +77,22 @@ def imported_folders(path: Path) -> set[str]:
     names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     parts = [name.split('.') for name in names if name.startswith('trainid_ros.')]
     return {part[1] for part in parts if (PACKAGE / part[1]).is_dir()}
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Return the modules of the package that a module imports, also within functions and for types only."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('trainid_ros'):
+            found |= {str(node.module), *(f'{node.module}.{alias.name}' for alias in node.names)}
+    return found
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    paths = {'.'.join(path.relative_to(PACKAGE.parent).with_suffix('').parts): path for path in PACKAGE.rglob('*.py')}
+    graph = {name: imported_modules(path) & paths.keys() for name, path in paths.items()}
+    assert 'trainid_ros.ros.context' in graph['trainid_ros.ros.estimator_node']
+    TopologicalSorter(graph).prepare()  # a CycleError names the modules
 
 
 @pytest.mark.parametrize('folder', LOWER)
