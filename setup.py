@@ -136,11 +136,11 @@ setup(
     entry_points={
         'console_scripts': [
             'trainid = trainid_ros.cli.main:main',
-            'resistance_estimator = trainid_ros.ros.estimator_nodes:resistance_main',
-            'speed_model_estimator = trainid_ros.ros.estimator_nodes:speed_model_main',
-            'brake_rate_estimator = trainid_ros.ros.estimator_nodes:brake_rate_main',
-            'train_simulator = trainid_ros.ros.train_simulator:main',
-            'bag_player = trainid_ros.ros.bag_player:main',
+            'resistance_estimator = trainid_ros.ros.estimator_node:resistance_main',
+            'speed_model_estimator = trainid_ros.ros.estimator_node:speed_model_main',
+            'brake_rate_estimator = trainid_ros.ros.estimator_node:brake_rate_main',
+            'train_simulator = trainid_ros.ros.playback:train_simulator_main',
+            'bag_player = trainid_ros.ros.playback:bag_player_main',
         ],
     },
 )

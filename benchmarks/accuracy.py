@@ -18,13 +18,11 @@ from benchmarks.days import assumed_train, samples_of, simulated_day
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_lab.speed_model.upper_triangle import upper
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.settings import GsmaConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import BRAKE_RATE, RESISTANCE, SPEED_MODEL
 from trainid_ros.speed_model.am_vff_rls import resistance_variance
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.train.forces import specific_inertia
 
 if TYPE_CHECKING:

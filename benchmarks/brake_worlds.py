@@ -21,9 +21,9 @@ from benchmarks.tables import Table
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Drive, drive
 from benchmarks.worlds.unknowns import random_of
 from benchmarks.worlds.vehicles import KINDS, draw_vehicle
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.motion_model import brake_step
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.setup.pipelines import BRAKE_RATE
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.known_force import KnownForce

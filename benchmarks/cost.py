@@ -21,7 +21,12 @@ from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.results import Rejection
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 
 if TYPE_CHECKING:

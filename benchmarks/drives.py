@@ -19,11 +19,10 @@ from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import ACCELERATION, KM_H, Manoeuvre
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.plant import TICK_S, Decision, StopEvent
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, world_train
@@ -149,7 +148,7 @@ def _predicted(estimator: object, drive: SuggestedDrive, seed: int) -> Iterator[
         rng = np.random.default_rng([seed, drive.times])
         for _ in range(_PREDICTED):
             deviations = rng.standard_normal((1, drive.times, len(drive.run.steps)))
-            *_, then = (item for item in estimator.foreseen(drive.run, drive.times, deviations) if item is not None)
+            *_, then = estimator.foreseen(drive.run, drive.times, deviations)
             yield _ratios(drive, then)
 
 

@@ -25,7 +25,7 @@ from trainid_ros.fleet.analysis import FleetView, analyse
 from trainid_ros.fleet.mixed_model import CHANNELS
 from trainid_ros.fleet.run_fleet import Odometer
 from trainid_ros.fleet.table_file import Row, empty_row
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -28,7 +28,7 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
+from trainid_ros.cli.processes import ProcessGroup, free_domain, local_environment
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, stamp_of
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig

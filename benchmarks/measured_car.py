@@ -28,8 +28,7 @@ from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.interface.results import Status
-from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, resistance_pipeline
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import load_train_file

@@ -18,7 +18,12 @@ from benchmarks.days import assumed_train, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,7 +13,7 @@ from benchmarks.real_train_informed import InformedFilter, information_of
 from benchmarks.real_train_scores import answers_of, course_of, score
 from benchmarks.seeds import over_seeds
 from benchmarks.worlds import FIELD, Rates, drive
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import RESISTANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -23,7 +23,12 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import typestore
 from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline_group import PipelineGroup
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.train.train_file import load_train_file
 

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from trainid_ros.demo.processes import die_with
+from trainid_ros.cli.processes import die_with
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Row, record_of
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos
 

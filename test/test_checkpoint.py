@@ -27,8 +27,7 @@ from trainid_ros.checkpoint import (
     provenance_of,
 )
 from trainid_ros.interface.errors import InputError
-from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings
 from trainid_ros.train.train_file import Effect, TrainFile
 
 LEARNED = Provenance('0.1.0', 'resistance', 'V-MILS', {'train.mass': 194000.0, 'line.gradient': 'ab'})

@@ -21,8 +21,13 @@ from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import (
+    RESISTANCE,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.stream import alignment
 from trainid_ros.stream.alignment import TimeJump

@@ -7,6 +7,7 @@ import ast
 import os
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ PURE = (
     'resistance',
     'speed_model',
     'brake_rate',
+    'setup',
     'sim',
     'explain',
     'monitor',
@@ -29,12 +31,14 @@ PURE = (
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # What each folder may build on.
 LOWER = {
-    'train': (),
-    'stream': ('train',),
-    'estimators': ('train', 'stream'),
-    'resistance': ('train', 'stream', 'estimators'),
-    'speed_model': ('train', 'stream', 'estimators', 'resistance'),
-    'brake_rate': ('train', 'stream', 'estimators', 'resistance'),
+    'interface': (),
+    'train': ('interface',),
+    'stream': ('interface', 'train'),
+    'estimators': ('interface', 'train', 'stream'),
+    'resistance': ('interface', 'train', 'stream', 'estimators'),
+    'speed_model': ('interface', 'train', 'stream', 'estimators', 'resistance'),
+    'brake_rate': ('interface', 'train', 'stream', 'estimators', 'resistance'),
+    'setup': ('interface', 'train', 'stream', 'estimators', 'resistance', 'speed_model', 'brake_rate'),
 }
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')
@@ -75,6 +79,22 @@ def imported_folders(path: Path) -> set[str]:
     return {part[1] for part in parts if (PACKAGE / part[1]).is_dir()}
 
 
+def imported_modules(path: Path) -> set[str]:
+    """Return the modules of the package that a module imports, also within functions and for types only."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('trainid_ros'):
+            found |= {str(node.module), *(f'{node.module}.{alias.name}' for alias in node.names)}
+    return found
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    paths = {'.'.join(path.relative_to(PACKAGE.parent).with_suffix('').parts): path for path in PACKAGE.rglob('*.py')}
+    graph = {name: imported_modules(path) & paths.keys() for name, path in paths.items()}
+    assert 'trainid_ros.ros.context' in graph['trainid_ros.ros.estimator_node']
+    TopologicalSorter(graph).prepare()  # a CycleError names the modules
+
+
 @pytest.mark.parametrize('folder', LOWER)
 def test_a_folder_imports_only_from_lower_ones(folder: str) -> None:
     files = sorted((PACKAGE / folder).rglob('*.py'))
@@ -84,7 +104,7 @@ def test_a_folder_imports_only_from_lower_ones(folder: str) -> None:
 
 
 def test_the_pipeline_loads_nothing_slow() -> None:
-    loaded = run('import sys, trainid_ros.pipelines; print(*{n.split(".")[0] for n in sys.modules})').split()
+    loaded = run('import sys, trainid_ros.setup.pipelines; print(*{n.split(".")[0] for n in sys.modules})').split()
     assert not set(loaded) & set(SLOW)
 
 
@@ -95,11 +115,11 @@ def test_the_pipeline_imports_within_its_budget(tmp_path: Path) -> None:
         'from calls import count\n'
         'import importlib, numpy\n'
         'before = len(sys.modules)\n'
-        'calls = count(lambda: importlib.import_module("trainid_ros.pipelines"))\n'
+        'calls = count(lambda: importlib.import_module("trainid_ros.setup.pipelines"))\n'
         'print(len(sys.modules) - before, calls)\n'
     )
     run(code, tmp_path)
     loaded, calls = map(int, run(code, tmp_path).split())
-    print(f'trainid_ros.pipelines: {loaded} modules, {calls} calls')
+    print(f'trainid_ros.setup.pipelines: {loaded} modules, {calls} calls')
     assert loaded <= MOST_MODULES
     assert calls <= MOST_CALLS

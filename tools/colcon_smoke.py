@@ -18,7 +18,7 @@ import time
 from functools import cache
 from pathlib import Path
 
-from trainid_ros.demo.processes import free_domain, local_environment
+from trainid_ros.cli.processes import free_domain, local_environment
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'

@@ -29,11 +29,12 @@ from trainid_ros.interface.records import (
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.ros.diagnostics import NodeHealth, StepTimeSummary, estimator_status
-from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.context import StepTimeSummary
+from trainid_ros.ros.diagnostics import NodeHealth, estimator_status
+from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.input_monitor import InputMonitors
-from trainid_ros.ros.jobs import node_setups
-from trainid_ros.ros.publishers import Publishers
+from trainid_ros.ros.topics import Publishers
+from trainid_ros.setup.jobs import node_setups
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.train_file import load_train_file
 

@@ -26,7 +26,7 @@ from trainid_ros.interface.errors import InputError
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from trainid_ros.pipelines import EstimatorSettings
+    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 Values: TypeAlias = 'dict[str, int | float | str]'

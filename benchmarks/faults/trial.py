@@ -18,7 +18,12 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import share_streams
 from trainid_ros.interface.records import MAY_BE_UNKNOWN, NS_PER_S, Row, SpeedRecord
 from trainid_ros.interface.results import Output, Reason, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -19,7 +19,7 @@ from benchmarks.faults_live.score import score
 from benchmarks.faults_live.trial import Trial
 from benchmarks.live import private_domain
 from benchmarks.tables import Table
-from trainid_ros.demo.processes import free_domain
+from trainid_ros.cli.processes import free_domain
 
 if TYPE_CHECKING:
     from benchmarks.faults_live.cases import Case

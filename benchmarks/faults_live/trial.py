@@ -25,8 +25,8 @@ from benchmarks.sender import Sending, write_rows
 from trainid_ros.checkpoint import Checkpoint, provenance_of
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.interface.records import BRAKE, NS_PER_S, Row
-from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.ros.jobs import JOBS
+from trainid_ros.setup.jobs import JOBS
+from trainid_ros.setup.pipelines import EstimatorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

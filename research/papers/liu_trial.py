@@ -12,7 +12,7 @@ from research.papers import coasts as data
 from research.papers.liu_errata import Errata, errata
 from research.papers.liu_streams import FAULTS, Prepared, Settling, prepared, settling, spoiled, tracked
 from research.papers.liu_table1 import Batch, Shape, batch, shape
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import RESISTANCE
 
 TRUTHS: Final = (('eq. (8)', data.PAPER), ('large a', data.LARGE_A))
 PLANS: Final = (

@@ -18,7 +18,7 @@ from research.papers.zheng2015_paper import DISTURBANCE, MODEL, H, PaperRun, pap
 from trainid_lab.brake_rate.particles import correction
 from trainid_lab.brake_rate.resampling import effective_number, normalise, systematic
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud, rbpf
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.setup.pipelines import BRAKE_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -21,10 +21,10 @@ from benchmarks.brake_runs import (
     unbraked_run,
     walk_run,
 )
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator, DisturbanceNoise
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.setup.pipelines import BRAKE_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

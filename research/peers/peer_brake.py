@@ -26,11 +26,11 @@ from benchmarks.tables import Table
 from research.peers.contest import FIRST_SEED, installed
 from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance, errors_of, speed_step, started
 from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import STATES
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.results import Rejection
+from trainid_ros.setup.pipelines import BRAKE_RATE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

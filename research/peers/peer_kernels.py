@@ -23,7 +23,7 @@ from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mil
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.motion_model import Start, Transition
 from trainid_ros.estimators.settings import AmVffRlsConfig, GsmaConfig
-from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
+from trainid_ros.setup.pipelines import am_vff_rls
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

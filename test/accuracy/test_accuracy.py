@@ -19,7 +19,7 @@ from benchmarks.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import Truth, load_truth
 from trainid_ros.train.train_file import Davis, TrainFile, load_train_file

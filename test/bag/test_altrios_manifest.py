@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Output, ResistanceEstimate, Status
-from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import load_train_file

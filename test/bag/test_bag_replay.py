@@ -16,8 +16,13 @@ from trainid_ros.bag.writer import BagRecorder, BagWriter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
 from trainid_ros.interface.results import Reason
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import (
+    RESISTANCE,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.kills import Campaign
 from trainid_ros.checkpoint import parse_checkpoint
-from trainid_ros.ros.jobs import JOBS
+from trainid_ros.setup.jobs import JOBS
 
 
 @pytest.mark.ros

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.interface.records import ForceRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
+from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings, brake_rate_pipeline
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.brake_rate.suggested_braking import braking_search, suggested_braking
+from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.resistance.planned_drive import DECELERATION, KM_H
 from trainid_ros.resistance.suggested_drive import SuggestedDrive
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
@@ -68,4 +68,4 @@ def test_a_worse_map_promises_less() -> None:
 def test_nothing_is_suggested_before_the_first_sample_or_of_other_estimators() -> None:
     fresh = brake_rate_pipeline(FILE, EstimatorSettings()).estimator
     assert suggested_braking(fresh, FILE, fresh.estimate(0.0)) is None
-    assert list(braking_search(object(), FILE, fresh.estimate(0.0)).steps()) == []
+    assert suggested_braking(object(), FILE, fresh.estimate(0.0)) is None

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.setup.pipelines import BRAKE_RATE
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, TrainFile
 

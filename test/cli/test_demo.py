@@ -1,19 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo refuses before it starts anything."""
+"""What the demo refuses before it starts anything, what it shows, and how it compares live and replay."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
 import pytest
+import yaml
 
 from trainid_ros.cli import demo
+from trainid_ros.cli.demo import Comparison, Estimates, compare, line, load_demo_bag, lossless_parameters, stock_bag
 from trainid_ros.cli.main import main
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import HTML_START
+from trainid_ros.sim.truth import Truth
+
+START_NS = 1_700_000_000 * NS_PER_S
+RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0, 0.3)
+BRAKE = BrakeRateEstimate(0.91, 0.05, 0.0, 10.0, 0.0, 0.0, 100.0, False, 0.01, 0.001, float('nan'))
+TRUTH = Truth(START_NS, ((0.0, 1.5, 0.02, 0.001),), ((0.0, 1.0), (60.0, 0.95)))
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any) -> NoReturn:
         pytest.fail('a chapter ran')
@@ -22,6 +35,7 @@ def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(demo, name, fail)
 
 
+@pytest.mark.usefixtures('_nothing_runs')
 @pytest.mark.parametrize('only', [(), ('--only', 'explain'), ('--only', 'yizhuang')])
 @pytest.mark.parametrize('inside', ['', 'deeper'])
 def test_a_file_as_output_folder_is_refused_at_once(
@@ -36,6 +50,7 @@ def test_a_file_as_output_folder_is_refused_at_once(
     assert out.read_text(encoding='utf-8') == 'my own file'
 
 
+@pytest.mark.usefixtures('_nothing_runs')
 @pytest.mark.parametrize('only', [(), ('--only', 'explain')])
 def test_a_page_of_somebody_else_is_refused_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], only: tuple[str, ...]
@@ -48,8 +63,94 @@ def test_a_page_of_somebody_else_is_refused_at_once(
     assert page.read_text(encoding='utf-8') == 'my own page'
 
 
+@pytest.mark.usefixtures('_nothing_runs')
 def test_only_the_chapters_played_need_their_folders(tmp_path: Path) -> None:
     (tmp_path / 'explain').write_text('my own file', encoding='utf-8')
     (tmp_path / 'report.html').write_text(f'{HTML_START}an earlier report', encoding='utf-8')
     with pytest.raises(pytest.fail.Exception, match='a chapter ran'):
         main(['demo', '--only', 'yizhuang', '--out', str(tmp_path)])
+
+
+def newest() -> dict[type, Any]:
+    stamp = START_NS + 90 * NS_PER_S
+    return {
+        ResistanceEstimate: Output(stamp, RESISTANCE, Status.VALID, 12, 8, None),
+        BrakeRateEstimate: Output(stamp, BRAKE, Status.HOLDING, 3, 17, None),
+    }
+
+
+def test_line_shows_estimates_truth_and_status() -> None:
+    text = line(newest(), TRUTH)
+    for wanted in ('36.0 km/h', 'w 1.900 ± 0.200 (truth 1.800) VALID', '12 used, 8 rejected'):
+        assert wanted in text
+    assert 'brake rate 0.910 ± 0.050 (truth 0.950) HOLDING' in text  # the truth at that time
+
+
+def test_line_without_truth_or_brake_rate() -> None:
+    text = line({ResistanceEstimate: newest()[ResistanceEstimate]}, None)
+    assert 'truth' not in text
+    assert 'brake' not in text
+
+
+def test_parameters_make_every_topic_reliable() -> None:
+    sections = yaml.safe_load(lossless_parameters())
+    assert set(sections) == {'resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'}
+    for section in sections.values():
+        topics = section['ros__parameters']['qos_overrides']
+        inputs = [topic for topic, entities in topics.items() if 'subscription' in entities]
+        assert {'/ato/speed', '/ato/force', '/ato/gradient', '/ato/brake_command', '/ato/mass'} == set(inputs)
+        assert all(topics[topic]['subscription']['reliability'] == 'reliable' for topic in inputs)
+        assert sum('publisher' in entities for entities in topics.values()) == 1
+
+
+@pytest.mark.parametrize('name', ['altrios', 'yizhuang'])
+def test_stock_bags_are_complete(name: str) -> None:
+    bag = load_demo_bag(stock_bag(name))
+    assert bag.truth is not None
+    assert bag.title != bag.path.name
+
+
+def test_bag_without_train_file_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'train\.yaml'):
+        load_demo_bag(tmp_path)
+
+
+def test_equal_estimates_have_equal_digests_whatever_holds_their_numbers() -> None:
+    live, replayed = Estimates(), Estimates()
+    array: Any = np.zeros(9)
+    for given, estimate in ((replace(RESISTANCE, covariance=array), RESISTANCE), (BRAKE, replace(BRAKE))):
+        assert live.add(5, given, Status.VALID)
+        assert replayed.add(5, estimate, Status.VALID)
+        assert compare(live.of[type(estimate)], replayed.of[type(estimate)]) == Comparison(1, 1, 1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    'change',
+    [{'a': float(np.nextafter(1.6, 2.0))}, {'covariance': (1e-300,) + (0.0,) * 8}, {'resistance': float('nan')}],
+)
+def test_the_last_bit_counts(change: dict[str, Any]) -> None:
+    live, replayed = Estimates(), Estimates()
+    live.add(5, replace(RESISTANCE, **change), Status.VALID)
+    replayed.add(5, RESISTANCE, Status.VALID)
+    found = compare(live.of[ResistanceEstimate], replayed.of[ResistanceEstimate])
+    assert (found, found.exact) == (Comparison(1, 1, 0, 0, 0), False)
+
+
+def test_a_repeat_that_reports_missing_input_does_not_count() -> None:
+    live = Estimates()
+    assert not live.add(0, RESISTANCE, Status.STALE)  # before the first input
+    assert live.add(5, RESISTANCE, Status.VALID)
+    assert not live.add(5, RESISTANCE, Status.STALE)
+    assert live.add(6, RESISTANCE, Status.STALE)
+
+
+def test_missing_different_and_unexpected_messages_are_counted() -> None:
+    same = [(1, 10), (2, 20), (3, 30)]
+    assert compare(same, same).exact
+    assert str(compare(same, same)) == 'live equals replay to the bit: all 3 messages'
+    found = compare([(1, 10), (3, 31)], same)
+    assert (found, found.exact) == (Comparison(3, 2, 1, 1, 0), False)
+    assert '1 of 3' in str(found)
+    assert '1 were missed' in str(found)
+    assert compare([*same, (3, 30)], same).extra == 1
+    assert not compare([*same, (3, 30)], same).exact

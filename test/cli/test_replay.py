@@ -18,7 +18,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.pipelines import EstimatorSettings
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

@@ -98,7 +98,7 @@ def test_reading_needs_no_rosbags(driven_bag: Path, tmp_path: Path) -> None:
 
 
 def test_the_player_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
+    from trainid_ros.ros.playback import BagPlayer  # noqa: PLC0415
 
     monkeypatch.setitem(sys.modules, 'mcap', None)
     for name in [name for name in sys.modules if name.startswith(('mcap.', 'trainid_ros.bag.'))]:

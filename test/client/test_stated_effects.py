@@ -16,7 +16,7 @@ from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import Record
 from trainid_ros.interface.results import Output
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile, load_train_file

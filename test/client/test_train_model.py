@@ -23,7 +23,7 @@ from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import RESISTANCE_TOPIC
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.pipelines import EstimatorSettings
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.forces import acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file
 

@@ -13,14 +13,12 @@ from unittest.mock import Mock
 import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.client import TrainModel
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.interface.results import ResistanceEstimate, Status
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import BRAKE_RATE, RESISTANCE, SPEED_MODEL
 from trainid_ros.sim.worlds import UNKNOWNS, WORLDS
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.train.effects import EFFECTS, FOLDERS_VARIABLE, Davis, TrackPoint
 
 if TYPE_CHECKING:

@@ -10,15 +10,20 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.algorithm_registry import Algorithms
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.interface.results import Output, Rejection
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.setup.pipelines import (
+    BRAKE_RATE,
+    RESISTANCE,
+    SPEED_MODEL,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

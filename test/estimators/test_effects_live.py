@@ -15,8 +15,13 @@ import pytest
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.records import Record
 from trainid_ros.interface.results import Output, Reason, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.resistance.davis_fit import PieceCollector
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample

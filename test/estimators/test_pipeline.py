@@ -19,7 +19,12 @@ from trainid_ros.estimators.pipeline_group import PipelineGroup, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile

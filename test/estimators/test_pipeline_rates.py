@@ -22,7 +22,12 @@ from trainid_ros.interface.records import (
     SpeedRecord,
 )
 from trainid_ros.interface.results import Output, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]

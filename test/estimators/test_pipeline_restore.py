@@ -17,8 +17,13 @@ from trainid_ros.estimators.pipeline_group import share_streams
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import (
+    RESISTANCE,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.train.train_file import Effect, TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {

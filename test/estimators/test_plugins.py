@@ -20,8 +20,8 @@ from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.resistance.vmils import VMils
-from trainid_ros.ros.jobs import JOBS, chosen_algorithms
-from trainid_ros.ros.params_template import parameter_file
+from trainid_ros.setup.jobs import JOBS, chosen_algorithms
+from trainid_ros.setup.params_template import parameter_file
 
 PACKAGE = Path(trainid_ros.__file__).parent
 METRO = PACKAGE.parent / 'config' / 'trains' / 'yizhuang.yaml'

@@ -18,7 +18,12 @@ from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Output
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.train.train_file import load_train_file
 

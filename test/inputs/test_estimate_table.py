@@ -15,7 +15,7 @@ from trainid_ros.inputs.estimate_table import COLUMNS, EstimateTable, Row, estim
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import OUTPUT_TOPICS
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001))

@@ -32,7 +32,12 @@ from trainid_ros.interface.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import TrainFile
 

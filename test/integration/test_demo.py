@@ -68,7 +68,7 @@ def children_of(demo: subprocess.Popen[str]) -> list[int]:
             command = (entry / 'cmdline').read_bytes().split(b'\0') if entry.name.isdecimal() else []
         except OSError:
             continue
-        if b'trainid_ros.demo.processes' in command and str(demo.pid).encode() in command:
+        if b'trainid_ros.cli.processes' in command and str(demo.pid).encode() in command:
             found.append(int(entry.name))
     return found
 

@@ -28,9 +28,14 @@ from trainid_ros.cli.main import main
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.monitor.shown_estimates import SHOWN, resistance_at
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.recording import input_panels
 from trainid_ros.report.viewer import SHARES, USED, ViewRecorder, estimate_panel, switch_off_telemetry, time_range
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.train.train_file import load_train_file
 
 switch_off_telemetry()

@@ -32,7 +32,7 @@ def run() -> Run:
 
 
 def after(deviations: np.ndarray) -> list[Mixture]:
-    return [item for item in foreseen_mixtures(bank(), run(), deviations, FIRST, 1.0, VARIANCES) if item is not None]
+    return list(foreseen_mixtures(bank(), run(), deviations, FIRST, 1.0, VARIANCES))
 
 
 def test_each_run_makes_the_resistance_better_known() -> None:

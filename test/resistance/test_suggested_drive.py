@@ -5,22 +5,19 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
-from test.calls import count_in_sources
 from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
-from trainid_ros.resistance.suggested_drive import SuggestedDrive, drive_search, suggested_drive
+from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_drive
 from trainid_ros.resistance.vmils import VMils
+from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import G
@@ -80,31 +77,12 @@ def test_a_promise_leaves_the_estimator_as_it_is() -> None:
     assert first.numbers == second.numbers
 
 
-def search_steps(estimator: FilterBank | VMils) -> Iterator[Callable[[], object]]:
-    prior = estimator.estimate(0.0)
-    steps = drive_search(driven(estimator), FILE, prior, estimator.estimate(0.0)).steps()
-    return (partial(next, steps, None) for _ in range(3000))
-
-
-@pytest.mark.parametrize(
-    ('estimator', 'most'),
-    [('FilterBank(FILE, FilterBankConfig())', 18_000), ('VMils(FILE, VMilsConfig())', 220_000)],
-    ids=['bank', 'V-MILS'],
-)
-def test_no_step_of_a_search_keeps_a_live_estimator_waiting(estimator: str, most: int) -> None:
-    """In calls of the sources: most steps take less than a millisecond, the longest, with a new run, up to 20."""
-    steps = [calls for calls in count_in_sources(__file__, f'search_steps({estimator})') if calls > 10]
-    print(f'{len(steps)} steps, at most {max(steps)} calls')
-    assert len(steps) > 20
-    assert max(steps) < most
-
-
 @pytest.mark.parametrize('estimator', [FilterBank(FILE, BANK), VMils(FILE, VMilsConfig())], ids=['bank', 'V-MILS'])
 def test_repetitions_promise_more(estimator: FilterBank | VMils) -> None:
     driven(estimator)
     drive = suggested(estimator)
     assert drive is not None
-    stds = [math.sqrt(then.covariance[4]) for then in estimator.foreseen(drive.run, 3) if then is not None]
+    stds = [math.sqrt(then.covariance[4]) for then in estimator.foreseen(drive.run, 3)]
     assert stds[0] > stds[1] > stds[2]
     assert stds[0] < math.sqrt(estimator.estimate(0.0).covariance[4])
 
@@ -137,7 +115,7 @@ def test_no_drive_is_suggested_after_which_something_known_would_not_be() -> Non
     assert isinstance(bank, FilterBank)
     run = plan_run(Manoeuvre(25.0 * KM_H, 10.0 * KM_H), file, Davis(now.a, now.b, now.c), now.force_scale)
     assert run is not None
-    then = [estimate for estimate in bank.foreseen(run, 3) if estimate is not None][-1]
+    *_, then = bank.foreseen(run, 3)
     # This drive shows more of c, but for so long that w is no longer known.
     limit = math.hypot(bank.config.valid_std, bank.config.valid_share * 1.2)
     assert math.sqrt(then.covariance[8]) < 0.9 * math.sqrt(now.covariance[8])

@@ -19,10 +19,9 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from test.hang import HANG_S
-from trainid_ros.demo.processes import free_domain, local_environment
+from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.estimator_node import RESISTANCE, EstimatorNode
 from trainid_ros.ros.topics import message_from_record, time_message
 
 if TYPE_CHECKING:

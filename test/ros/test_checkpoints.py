@@ -22,8 +22,7 @@ from trainid_msgs.msg import ResistanceEstimate
 from trainid_ros.checkpoint import CheckpointFile, default_path, parse_checkpoint
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import BRAKE_RATE, SPECS
+from trainid_ros.ros.estimator_node import BRAKE_RATE, SPECS, EstimatorNode
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 
@@ -305,7 +304,9 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
     arguments = ('--params-file', str(dump), '-p', f'train_file:={tmp_path / "other.yaml"}')
     other = graph.make(partial(EstimatorNode, SPECS['resistance_estimator']), arguments=arguments)
     assert other.bring_up(), other.failure
-    mixed = [other.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')]
+    mixed = [
+        other.shared.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')
+    ]
     assert mixed == [210000.0, 60.0, 2.5, 0.9]
     log = capfd.readouterr().err
     assert (
@@ -347,7 +348,7 @@ def test_after_a_jump_it_is_saved_once_the_estimate_is_valid_or_when_asked_for(
     graph.feed(node, early[:20])
     node.checkpoints.save(node.pipeline)
     assert (node.pipeline.resets, path.exists()) == (1, False)
-    node._services_offered.reset(node.pipeline)
+    node.reset_on_request(node.pipeline)
     node.checkpoints.save(node.pipeline)
     path.unlink()
     node.checkpoints.note_wiped()

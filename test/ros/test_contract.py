@@ -15,8 +15,7 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from trainid_msgs.msg import ResistanceEstimate
 
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.estimator_node import RESISTANCE, EstimatorNode
 from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S
 
 pytestmark = pytest.mark.ros

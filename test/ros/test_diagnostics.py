@@ -20,9 +20,7 @@ from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.diagnostics import EstimatorSpec
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
+from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, EstimatorNode
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.stream.brake_checks import ShapeChange
@@ -78,22 +76,6 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     assert 'use_sim_time' in diagnosed.by_name[speed].message
     mass = diagnosed.by_name['resistance_estimator: input ato/mass']
     assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter is used')
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize('spec', [RESISTANCE, BRAKE_RATE], ids=['resistance', 'brake rate'])
-def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str, spec: EstimatorSpec) -> None:
-    diagnosed = Diagnosed(graph)
-    few = {'estimator.hypotheses': 8} if spec is RESISTANCE else {}  # the search is quick
-    settings = {'diagnostic_period': 0.1, 'stale_after': 60.0, **few}
-    node = graph.make(partial(EstimatorNode, spec), train_file=train_file, **settings)
-    own = f'{node.get_name()}: estimator'
-    node.bring_up()
-    graph.until(lambda: own in diagnosed.by_name)
-    assert 'to drive' not in diagnosed.values(own)
-    graph.feed(node, graph.coasting(150))
-    graph.until(lambda: 'to drive' in diagnosed.values(own))
-    assert 'km/h' in diagnosed.values(own)['to drive']
 
 
 @pytest.mark.ros
@@ -243,7 +225,7 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
     assert 'not saved' not in message_at(301)
     stale = Changed(node.pipeline.current(), status=Status.STALE)
     stream = SimpleNamespace(finding='ato/speed looks like km/h')
-    node.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
+    node.shared.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
     finding = f'inputs contradict each other: ato/speed looks like km/h, since {clock_time(clock_ns(400))}: check units'
     assert message_at(400).startswith(finding)
     assert '; STALE: ' in diagnosed.by_name[own].message
@@ -257,7 +239,7 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
     node.bring_up()
     own, messages = 'brake_rate_estimator: estimator', []
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
-    node.pipeline = Changed(node.pipeline, current=lambda: converging)
+    node.shared.pipeline = Changed(node.pipeline, current=lambda: converging)
     check = node.pipeline.stream.brake_delay
     check.max_speed, check.shape.found = 22.0, ShapeChange(least=0.5, most=-0.5, size=0.4, std=0.01)
     for is_wrong in (False, True):

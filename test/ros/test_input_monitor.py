@@ -19,7 +19,7 @@ from trainid_ros.interface.records import (
 )
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.ros.input_monitor import Finding, InputMonitor, InputMonitors
-from trainid_ros.ros.publishers import Publishers
+from trainid_ros.ros.topics import Publishers
 from trainid_ros.stream.alignment import AlignmentConfig
 
 START_NS = 1_700_000_000 * NS_PER_S  # 2023-11-14 22:13:20 UTC

@@ -11,8 +11,7 @@ import pytest
 
 from trainid_ros.checkpoint import Checkpoint
 from trainid_ros.interface.records import NS_PER_S, Record
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.inputs import SharedInputs
 
 pytestmark = pytest.mark.ros
@@ -42,12 +41,12 @@ def resume(node: Any) -> None:
 
 
 def reset(node: Any) -> None:
-    node._services_offered.reset(node.pipeline)
+    node.reset_on_request(node.pipeline)
 
 
 def save_and_load(node: Any) -> None:
-    node._services_offered.save(node.pipeline)
-    node._services_offered.load(node.pipeline)
+    node.save_on_request(node.pipeline)
+    node.load_on_request(node.pipeline)
 
 
 def nothing(_node: Any) -> None:

@@ -20,11 +20,10 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
-from trainid_ros.ros.bag_player import BagPlayer
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.foreign_topics import ForeignTopic, foreign_class
 from trainid_ros.ros.inputs import SharedInputs
+from trainid_ros.ros.playback import BagPlayer
 from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
@@ -109,7 +108,7 @@ def test_live_estimates_equal_the_replay_of_the_bag_to_the_bit(
         kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
         for log_ns, topic, data in reader.stored():
             group.receive(topics[topic], deserialize_message(data, kinds[topic]), log_ns)
-        pipelines = [node.job.pipeline(load_train_file(train_file), node._settings) for node in nodes]
+        pipelines = [node.shared.job.pipeline(load_train_file(train_file), node._settings) for node in nodes]
         expected = [[out for record in reader.records() for out in pipeline.push(record)] for pipeline in pipelines]
     assert min(map(len, expected)) > 140
     assert [repr(item.messages) for item in published] == [repr(made) for made in expected]
@@ -162,8 +161,8 @@ def test_a_publisher_may_come_later_and_start_again_with_another_type(
     again = type(graph)(graph.domain)
     publish = odometer(again)
     graph.until(lambda: publish() or diagnosed[SPEED].level == DiagnosticStatus.OK)
-    assert 'no ato/force yet' in node.missing_inputs()
-    assert 'odo' not in node.missing_inputs()
+    assert 'no ato/force yet' in node.shared.missing_inputs()
+    assert 'odo' not in node.shared.missing_inputs()
     again.close()
 
 
@@ -203,7 +202,7 @@ def test_the_time_of_reception_is_that_of_the_clock_of_the_node(
     clock = graph.simulated(node)
     clock.go(graph.start_ns)
     publisher = others.plain('wheel').create_publisher(Float64, '/wheel', 10)
-    (monitor,) = (item for item in node.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
+    (monitor,) = (item for item in node.shared.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
     graph.until(lambda: publisher.publish(Float64(data=20.0)) or monitor.count)
     assert monitor.newest_ns == graph.start_ns
 
@@ -213,7 +212,7 @@ def test_values_that_hold_are_latched_if_their_publisher_offers_it(
 ) -> None:
     others.plain('scales').create_publisher(Float64, '/load', LATCHED).publish(Float64(data=200.0))
     node = start('mass: {topic: /load, field: data, unit: t, stamp: receive}')
-    (monitor,) = (item for item in node.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
+    (monitor,) = (item for item in node.shared.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
     graph.until(lambda: monitor.count)
     assert monitor.optional
 
@@ -235,7 +234,7 @@ def test_relative_topics_lie_in_the_namespace_of_the_node(
     publisher = others.plain('map').create_publisher(Vector3Stamped, '/train_2/slope', 10)
     graph.until(lambda: '/train_2/slope' in subscribed(nodes[1]))
     graph.until(
-        lambda: publisher.publish(Vector3Stamped()) or any(m.count for m in nodes[1].monitors.by_topic.values())
+        lambda: publisher.publish(Vector3Stamped()) or any(m.count for m in nodes[1].shared.monitors.by_topic.values())
     )
     assert '/train_1/slope' not in subscribed(nodes[0])
 
@@ -246,9 +245,9 @@ def test_a_gradient_of_the_line_waits_for_a_position(graph: Graph, tmp_path: Pat
         train.read_text(encoding='utf-8') + 'line: {gradient: [[0.0, 1.0], [500.0, 2.0]]}\n', encoding='utf-8'
     )
     node = start('gradient: {from: line}')
-    assert 'no gradient of the line, as the position is not known yet' in node.missing_inputs()
+    assert 'no gradient of the line, as the position is not known yet' in node.shared.missing_inputs()
     graph.feed(node, [record for record in graph.coasting(3) if isinstance(record, SpeedRecord)])
-    assert 'gradient' not in node.missing_inputs()
+    assert 'gradient' not in node.shared.missing_inputs()
 
 
 @pytest.mark.parametrize(

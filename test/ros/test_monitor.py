@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 from test.hang import HANG_S
-from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
+from trainid_ros.cli.processes import ProcessGroup, free_domain, local_environment
 
 pytestmark = pytest.mark.ros
 

@@ -48,13 +48,13 @@ found = {{name.partition('.')[0] for name in set(sys.modules) - before}}
 found = {{name for name in found if getattr(sys.modules.get(name), '__spec__', None) is not None}}
 print(*sorted(name for name in found - set(sys.stdlib_module_names) if not name.startswith('_sysconfigdata')))
 """
-IMPORTS = 'import trainid_ros.ros.estimator_nodes'
+IMPORTS = 'import trainid_ros.ros.estimator_node'
 # A run from stop to stop through the pipelines of all three nodes.
 DRIVE = f"""
 {IMPORTS}
 import numpy
-from trainid_ros.pipelines import EstimatorSettings
-from trainid_ros.ros.jobs import JOBS
+from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.setup.jobs import JOBS
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 file = load_train_file({str(ROOT / 'config/trains/yizhuang.yaml')!r})

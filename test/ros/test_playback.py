@@ -22,10 +22,8 @@ from trainid_ros.interface.records import (
     record_from_message,
 )
 from trainid_ros.ros import playback
-from trainid_ros.ros.bag_player import BagPlayer
-from trainid_ros.ros.playback import Pacer, TimedRecord, Timeline, with_ticks
+from trainid_ros.ros.playback import BagPlayer, Pacer, TimedRecord, Timeline, TrainSimulator, with_ticks
 from trainid_ros.ros.topics import message_class
-from trainid_ros.ros.train_simulator import TrainSimulator
 
 MS = NS_PER_S // 1000
 

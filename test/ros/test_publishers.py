@@ -11,8 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.type_hash import TypeHash
 from trainid_msgs.msg import AtoSpeed
 
-from trainid_ros.ros.publishers import NAMELESS, Publishers, sort_publishers, type_name
-from trainid_ros.ros.topics import input_qos
+from trainid_ros.ros.topics import NAMELESS, Publishers, input_qos, sort_publishers, type_name
 
 SPEED = 'trainid_msgs/msg/AtoSpeed'
 

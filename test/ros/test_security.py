@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.ros
 TRAIN = Path(__file__).parents[2] / 'bags' / 'tiny' / 'train.yaml'
-NODE = 'import sys; from trainid_ros.ros.estimator_nodes import resistance_main; sys.exit(resistance_main())'
+NODE = 'import sys; from trainid_ros.ros.estimator_node import resistance_main; sys.exit(resistance_main())'
 COMMANDS = {
     'resistance_estimator': ('-c', NODE),
     'run': ('-m', 'trainid_ros.cli.main', 'run', '--train', str(TRAIN)),

@@ -14,8 +14,7 @@ from std_srvs.srv import Trigger
 
 from trainid_ros.checkpoint import default_path
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
+from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, EstimatorNode
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 

@@ -11,10 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from trainid_ros.client import TrainModel
-from trainid_ros.inputs.mapping_file import parse_mapping
-from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import SPECS
-from trainid_ros.ros.sros2_policy import policy
+from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.train_monitor import TrainMonitor
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
@@ -46,15 +43,26 @@ def full_name(name: str, node: str) -> str:
     return name if name.startswith('/') else f'/{node}{name[1:]}' if name.startswith('~') else f'/{name}'
 
 
-def test_the_file_is_up_to_date() -> None:
-    assert FILE.read_text(encoding='utf-8') == policy()
+def test_the_policy_has_an_enclave_for_each_process_and_no_other() -> None:
+    enclaves = {item.get('path'): item.findall('.//profile') for item in ElementTree.parse(FILE).iter('enclave')}
+    nodes = {path: [item.get('node') for item in profiles] for path, profiles in enclaves.items()}
+    assert nodes == {
+        '/trainid': list(SPECS),
+        **{f'/trainid/{name}': [name] for name in SPECS},
+        '/trainid/monitor': ['trainid_monitor'],
+        '/trainid/controller': ['ato_controller'],
+    }
+    assert {item.get('ns') for profiles in enclaves.values() for item in profiles} == {'/'}
 
 
-def test_the_policy_of_a_mapping_grants_its_topics_in_place_of_ours() -> None:
-    text = policy(parse_mapping('speed: {topic: /odo/twist, field: twist.linear.x}', 'map.yaml'))
-    assert text.count('<topic>/odo/twist</topic>') == 2 * len(SPECS)
-    assert text.count('<topic>ato/speed</topic>') == 1  # of the monitor, which shows inputs of our types
-    assert text.count('<topic>ato/force</topic>') == 2 * len(SPECS) + 1
+def test_the_policy_only_allows_topics_and_answers() -> None:
+    groups = [group for item in ElementTree.parse(FILE).iter('profile') for group in item]
+    found = {(group.tag, tuple(group.attrib.items()), frozenset(item.tag for item in group)) for group in groups}
+    assert found == {
+        ('topics', (('publish', 'ALLOW'),), frozenset({'topic'})),
+        ('topics', (('subscribe', 'ALLOW'),), frozenset({'topic'})),
+        ('services', (('reply', 'ALLOW'),), frozenset({'service'})),
+    }
 
 
 @pytest.mark.ros

@@ -9,7 +9,7 @@ import pytest
 
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.status_changes import StatusChanges, is_latched
+from trainid_ros.ros.estimate_publisher import StatusChanges, is_latched
 
 CONVERGING, VALID, HOLDING, STALE, FAULT = list(Status)[1:]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.ros.estimate_publisher import Watchdog
 
 LIMIT = 8 * NS_PER_S // 10
 

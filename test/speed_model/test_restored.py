@@ -14,7 +14,7 @@ import pytest
 from trainid_ros.estimators.settings import AmVffRlsConfig
 from trainid_ros.interface.errors import SettingInfo, setting_info
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL, am_vff_rls
+from trainid_ros.setup.pipelines import SPEED_MODEL, am_vff_rls
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile

@@ -19,8 +19,8 @@ from trainid_ros.estimators.settings import AmVffRlsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.setup.pipelines import am_vff_rls
 from trainid_ros.speed_model.am_vff_rls import resistance_variance
-from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, Effect, TrainFile

@@ -10,9 +10,9 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.estimators.settings import AmVffRlsConfig
+from trainid_ros.setup.pipelines import am_vff_rls
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Learned
 from trainid_ros.speed_model.nuisance_parameters import ForceDelay, RecentSamples
-from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

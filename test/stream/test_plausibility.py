@@ -15,7 +15,12 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import share_streams
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

@@ -13,7 +13,12 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.estimators.pipeline_group import share_streams
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Output, Reason
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy

@@ -82,7 +82,7 @@ def test_exponents_without_a_point_are_numbers() -> None:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('train: {mass: -1}\nresistance: {a: 1, b: 0, c: 0}', 'T.yaml: train.mass = -1 kg must be > 0'),
+        ('train: {mass: -1}\nresistance: {a: 1, b: 0, c: 0}', 'T.yaml: train.mass = -1 kg must be >= 1'),
         ('resistance: {a: 1, b: 0, c: 0}', 'T.yaml: train is missing'),
         ('train: {mass: 1}', 'T.yaml: resistance is missing'),
         ('train: {}\nresistance: {a: 1, b: 0, c: 0}', 'T.yaml: train.mass is missing'),
@@ -117,7 +117,7 @@ def test_exponents_without_a_point_are_numbers() -> None:
             'train: {mass: 1, mass: 2}\nresistance: {}',
             "T.yaml: line 1, column 18 is not valid YAML: key 'mass' is given twice",
         ),
-        ('train: {mass: 1, length: 0}\nresistance: {}', 'T.yaml: train.length = 0 m must be > 0'),
+        ('train: {mass: 1, length: 0}\nresistance: {}', 'T.yaml: train.length = 0 m must be >= 0.1'),
         ('train: {mass: 1, rotary_mass: 8}\nresistance: {}', 'T.yaml: train.rotary_mass = 8 must be <= 1'),
         ('train: {mass: 1, cars: 0}\nresistance: {}', 'T.yaml: train.cars = 0 must be >= 1'),
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),

@@ -12,7 +12,12 @@ from pytest import raises
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
+from trainid_ros.setup.pipelines import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import dump_train_file, parse_train_file
 

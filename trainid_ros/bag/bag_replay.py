@@ -24,7 +24,7 @@ from trainid_ros.interface.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
 )
-from trainid_ros.pipelines import (
+from trainid_ros.setup.pipelines import (
     BrakeRatePipeline,
     ResistancePipeline,
     SpeedModelPipeline,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.contradiction import Contradiction
     from trainid_ros.interface.records import Row
-    from trainid_ros.pipelines import EstimatorSettings
+    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]

@@ -17,7 +17,7 @@ from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.planned_drive import STEP_S, planned_brakings
-from trainid_ros.resistance.suggested_drive import DriveSearch, SuggestedDrive, Wanted
+from trainid_ros.resistance.suggested_drive import SuggestedDrive, Wanted, best_drive
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import BrakeCommandChange, acceleration, davis, lag_integral, lag_response
 
@@ -45,39 +45,28 @@ def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEs
     Returns:
         None if it is valid, if nothing was measured yet, if the train file is wrong, or if no braking would help.
     """
-    return braking_search(estimator, train_file, now).finish()
-
-
-def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> DriveSearch:
-    """Return the search of :func:`suggested_braking`."""
     config = estimator.config if isinstance(estimator, Gsma) else None
     if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
-        return DriveSearch.empty(now)
+        return None
     if estimator.converged or estimator.state.stamp_ns == 0:
-        return DriveSearch.empty(now)
+        return None
     saved = estimator.save()
 
-    def foresee(run: Run, times: int) -> Iterator[BrakeRateEstimate | None]:
+    def foreseen(run: Run, times: int) -> Iterator[BrakeRateEstimate]:
         copy = Gsma(train_file, config, np.random.default_rng())
         copy.restore(saved)
         for _ in range(times):
-            yield from _stepped(copy, run, train_file)
+            start_ns = copy.state.stamp_ns + round(len(run.steps) * STEP_S * NS_PER_S)
+            for sample in _braking(copy, run, train_file, start_ns):
+                copy.step(sample)
             yield copy.estimate(0.0)
 
     wanted = Wanted('brake rate', '', _std, config.valid_std)
-    return DriveSearch((wanted,), now, planned_brakings(train_file), foresee)
+    return best_drive((wanted,), now, planned_brakings(train_file), foreseen)
 
 
 def _std(estimate: BrakeRateEstimate) -> float:
     return estimate.brake_rate_std
-
-
-def _stepped(estimator: Gsma, run: Run, train_file: TrainFile) -> Iterator[None]:
-    """Let an estimator go through a run to the stop; yield after each sample."""
-    start_ns = estimator.state.stamp_ns + round(len(run.steps) * STEP_S * NS_PER_S)
-    for sample in _braking(estimator, run, train_file, start_ns):
-        estimator.step(sample)
-        yield
 
 
 def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) -> Iterator[Sample]:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Final
 
 LIVE_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
+DEMO_BAGS: Final = {'altrios': 'altrios_manifest', 'yizhuang': 'yizhuang_day'}
+"""Chapters of the demo with their bags."""
 DEMO_RATE: Final = 70.0
 """Rate at which two cores keep up with three nodes, player and listener [x real time]."""
 DEMO_QUICK_S: Final = 300.0
@@ -24,8 +26,6 @@ EXPLAIN_CHAPTER: Final = 'explain'
 
 def configure_demo(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``demo``."""
-    from trainid_ros.demo.bags import STOCK  # noqa: PLC0415 - other verbs need not load it
-
     parser.add_argument(
         'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
     )
@@ -39,7 +39,7 @@ def configure_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
     )
-    parser.add_argument('--only', choices=(*STOCK, EXPLAIN_CHAPTER), help='run only this chapter')
+    parser.add_argument('--only', choices=(*DEMO_BAGS, EXPLAIN_CHAPTER), help='run only this chapter')
     parser.add_argument('--quick', action='store_true', help=f'only the first {DEMO_QUICK_S:g} s of each bag')
     _add_json(parser)
 

@@ -14,7 +14,7 @@ from trainid_ros.fleet.run_fleet import Files, check_setup, known_rows, rows_her
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
-from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.setup.jobs import mapping_in
 
 if TYPE_CHECKING:
     import argparse

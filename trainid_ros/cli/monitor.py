@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: A ROS argument cannot be used, or ROS is not installed.
     """
     # ROS is imported only here, so that other commands work without it.
-    from trainid_ros.ros.runner import spin_nodes, start_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import spin_nodes, start_ros  # noqa: PLC0415
     from trainid_ros.ros.train_monitor import TrainMonitor  # noqa: PLC0415
 
     node = TrainMonitor(start_ros(args.ros_args), args.namespace)

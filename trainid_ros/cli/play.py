@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from trainid_ros.ros.bag_player import BagPlayer
+    from trainid_ros.ros.playback import BagPlayer
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,8 +31,8 @@ def run(args: argparse.Namespace) -> int:
     # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
-    from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
-    from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.playback import BagPlayer  # noqa: PLC0415
 
     arguments = start_ros(args.ros_args)
     overrides = [Parameter(name, value=value) for name, value in _parameters(args).items()]

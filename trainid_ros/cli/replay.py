@@ -27,7 +27,7 @@ from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.setup.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.recording import Recorder, Recording
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.ros.jobs import Setup
+    from trainid_ros.setup.jobs import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -124,7 +124,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
         observers, recorder = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
+        pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start

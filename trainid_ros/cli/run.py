@@ -43,10 +43,9 @@ def run_live(names: tuple[str, ...], files: Mapping[str, Path], ros_args: list[s
     # ROS is imported only here, so that an invalid train file is reported without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
-    from trainid_ros.ros.estimator_node import EstimatorNode  # noqa: PLC0415
-    from trainid_ros.ros.estimator_nodes import SPECS  # noqa: PLC0415
+    from trainid_ros.ros.estimator_node import SPECS, EstimatorNode  # noqa: PLC0415
     from trainid_ros.ros.inputs import SharedInputs  # noqa: PLC0415
-    from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
 
     arguments = start_ros(ros_args)
     overrides = [Parameter(name, value=str(path.absolute())) for name, path in files.items()]

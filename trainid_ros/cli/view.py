@@ -17,7 +17,7 @@ from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
 from trainid_ros.report.viewer import RRD_START, ViewRecorder, switch_off_telemetry, write_recording
-from trainid_ros.ros.jobs import mapping_in
+from trainid_ros.setup.jobs import mapping_in
 
 if TYPE_CHECKING:
     import argparse
@@ -86,7 +86,7 @@ def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
     """Replay the bag as ``trainid replay`` does, and write the recording."""
     setups = load_setups(args, train, warn)
     with opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
-        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
+        pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
         recorder = ViewRecorder(pipelines)
         with progress(f'replaying {args.bag.name}', reader.input_count) as advance:
             replay_through(pipelines, reader, advance, (recorder,))

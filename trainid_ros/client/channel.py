@@ -173,7 +173,6 @@ _WORDS: Final = {
 SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
 REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
 NOT_YET: Final = 'no estimate yet'
-GONE: Final = 'its node is gone'
 # A way to the live value that takes longer is said, until it takes less than FALL_BACK_S [s].
 _LONG_WAY_S: Final = 1.0
 # A value this many standard deviations of the present estimate away from it is refuted.

@@ -48,7 +48,7 @@ from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
 from trainid_ros.resistance.force_findings import force_findings
-from trainid_ros.ros.jobs import node_setups
+from trainid_ros.setup.jobs import node_setups
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.table_file import Row
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.ros.jobs import Setup as NodeSetup
+    from trainid_ros.setup.jobs import Setup as NodeSetup
 
     Found = Generator[tuple[int, Row], None, None]
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Found]
@@ -206,7 +206,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     setups, inputs = _prepared(setup)
     opening, reading = in_two(advance)
     with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
-        pipelines = Pipelines(*(item.mapped(reader.mapping).pipeline() for item in setups))
+        pipelines = Pipelines(*(item.realigned(reader.mapping.alignment).pipeline() for item in setups))
         before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count))

@@ -44,7 +44,12 @@ class SettingInfo:
 
 def setting(default: float | int, description: str, unit: str, low: float, high: float) -> Any:
     """Declare a numeric dataclass field with its description, unit and closed range."""
-    return field(default=default, metadata={_KEY: SettingInfo(description, unit, low, high)})
+    return field(default=default, metadata=stated(description, unit, low, high))
+
+
+def stated(description: str, unit: str, low: float, high: float) -> dict[str, SettingInfo]:
+    """Return the metadata of a numeric dataclass field: its description, unit and closed range."""
+    return {_KEY: SettingInfo(description, unit, low, high)}
 
 
 def setting_info(item: Field[Any]) -> SettingInfo | None:

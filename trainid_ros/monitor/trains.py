@@ -34,7 +34,7 @@ from trainid_ros.interface.records import (
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.shown_estimates import SHOWN, ShownEstimate, value_text
 from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
-from trainid_ros.ros.jobs import JOBS
+from trainid_ros.setup.jobs import JOBS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping

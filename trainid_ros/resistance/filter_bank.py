@@ -288,8 +288,8 @@ class FilterBank:
             (1.0 + now.mean[_SCALE], scale_std, now.mean[_DELAY], delay_std),
         )
 
-    def foreseen(self, run: Run, times: int, deviations: Array | None = None) -> Iterator[ResistanceEstimate | None]:
-        """Yield the mean estimates after one, two, ... of a number of runs, each from a stop; None between short steps.
+    def foreseen(self, run: Run, times: int, deviations: Array | None = None) -> Iterator[ResistanceEstimate]:
+        """Yield the mean estimates after one, two, ... of a number of runs, each from a stop.
 
         Args:
             run: The run.
@@ -297,16 +297,14 @@ class FilterBank:
             deviations: Innovations over their standard deviations, shape (n, times, steps): covariances are means over
                 the n sequences; by default those of :func:`usual_deviations`.
         """
-        mean, slowest, found = self._current().mean, self.config.min_speed, list[list[Mixture]]()
+        mean, slowest = self._current().mean, self.config.min_speed
         first = max(1, run.first_learned(self._known.settling, slowest))
         speed_variance = self._tachometer.variance * self._sampled_s / STEP_S
         variances = speed_variance, scale_step(self._train, weighed=self._weighed) ** 2
-        for sequence in usual_deviations(run, times) if deviations is None else deviations:
-            found.append([])
-            for mixture in foreseen_mixtures(self.bank, run, sequence, first, 0.5 * slowest, variances):
-                if mixture is not None:
-                    found[-1].append(mixture)
-                yield None
+        found = [
+            list(foreseen_mixtures(self.bank, run, sequence, first, 0.5 * slowest, variances))
+            for sequence in (usual_deviations(run, times) if deviations is None else deviations)
+        ]
         for k, mixtures in enumerate(zip(*found, strict=True), 1):
             factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
             now = self._inflated(Mixture(mean, mean_covariance(mixtures)), factor)

@@ -34,8 +34,8 @@ def usual_deviations(run: Run, times: int) -> Array:
 
 def foreseen_mixtures(
     now: Bank, run: Run, deviations: Array, first: int, slowest: float, variances: tuple[float, float]
-) -> Iterator[Mixture | None]:
-    """Yield the mixture after each of some runs from a stop, and None after each step between.
+) -> Iterator[Mixture]:
+    """Yield the mixture after each of some runs from a stop.
 
     Args:
         now: The bank, which stays as it is.
@@ -54,7 +54,6 @@ def foreseen_mixtures(
         for step, deviation in zip(run.steps[first:], row[first:], strict=True):
             if not bank.foresee(_planned(step, speed_variance), deviation, slowest):
                 break
-            yield None
         yield bank.mixture(bank.plan.young_weight)
 
 

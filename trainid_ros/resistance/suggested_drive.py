@@ -151,78 +151,36 @@ def suggested_drive(
     Returns:
         None if all is known, if nothing was learned yet, or if no drive would help.
     """
-    return drive_search(estimator, train_file, prior, now).finish()
-
-
-def drive_search(
-    estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
-) -> DriveSearch:
-    """Return the search of :func:`suggested_drive`."""
     if not isinstance(estimator, FilterBank | VMils) or not now.speed_max > 0.0:
-        return DriveSearch.empty(now)
+        return None
     config = estimator.config
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
     scale = now.force_scale if now.force_scale > _LEAST_SCALE else 1.0  # it may be NaN
     runs = planned_runs(train_file, Davis(now.a, now.b, now.c), scale)
-    return DriveSearch(quantities, now, runs, estimator.foreseen)
+    return best_drive(quantities, now, runs, estimator.foreseen)
 
 
-class DriveSearch:
-    """The search of a drive, in short steps, so that a live estimator is not kept waiting.
+def best_drive(
+    quantities: Sequence[Wanted], now: object, runs: Iterable[Run], foreseen: Callable[[Run, int], Iterable[object]]
+) -> SuggestedDrive | None:
+    """Return the shortest drive that makes known what is not, None if all is known or no drive would help.
 
-    Attributes:
-        result: What was found, None before the end of the search.
+    Args:
+        quantities: What should be known.
+        now: Present estimate.
+        runs: Runs to compare.
+        foreseen: Returns the estimates after one, two, ... of a number of runs.
     """
-
-    def __init__(
-        self,
-        quantities: tuple[Wanted, ...],
-        now: object,
-        runs: Iterable[Run],
-        foresee: Callable[[Run, int], Iterator[object]],
-    ) -> None:
-        """Prepare.
-
-        Args:
-            quantities: What should be known.
-            now: Present estimate.
-            runs: Runs to compare.
-            foresee: Yields the estimates after one, two, ... of a number of runs, and None after each step between.
-        """
-        self.result: SuggestedDrive | None = None
-        self._quantities, self._now, self._foresee = quantities, now, foresee
-        is_known = all(wanted.std(now) <= wanted.limit for wanted in quantities)
-        self._runs = iter(()) if is_known else iter(runs)
-        self._drives: list[_Candidate] = []
-
-    @classmethod
-    def empty(cls, now: object) -> DriveSearch:
-        """Return a search that finds nothing."""
-        return cls((), now, (), lambda _run, _times: iter(()))
-
-    def finish(self) -> SuggestedDrive | None:
-        """Search to the end; return the result."""
-        for _ in self.steps():
-            pass
-        return self.result
-
-    def steps(self) -> Iterator[None]:
-        """Search; yield after each short step, and set the result after the last."""
-        for run in self._runs:
-            times = 0
-            for then in self._foresee(run, _TIMES):
-                if then is not None:
-                    times += 1
-                    self._promise(run, times, then)
-                yield
-        best = _shortest(sorted(self._drives, key=attrgetter('duration_s')))
-        helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
-        self.result = best if helps else None
-
-    def _promise(self, run: Run, times: int, then: object) -> None:
-        promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
-        if not any(promise.is_worse for promise in promises):
-            self._drives.append(_Candidate(run, times, promises))
+    if all(wanted.std(now) <= wanted.limit for wanted in quantities):
+        return None
+    drives = []
+    for run in runs:
+        for times, then in enumerate(foreseen(run, _TIMES), 1):
+            promises = tuple(Promise(wanted, wanted.std(now), wanted.std(then)) for wanted in quantities)
+            if not any(promise.is_worse for promise in promises):
+                drives.append(_Candidate(run, times, promises))
+    best = _shortest(sorted(drives, key=attrgetter('duration_s')))
+    return best if best is not None and best.least_known.then < _HELPS * best.least_known.now else None
 
 
 def _shortest(drives: Sequence[_Candidate]) -> SuggestedDrive | None:

@@ -229,7 +229,7 @@ class VMils:
         variances = self.learner.inflation.factor * self.learner.tracker.estimate.P.diagonal()
         return self._estimate(self._published(), variances, speed)
 
-    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate | None]:
+    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate]:
         """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
         P = np.array(self.learner.tracker.estimate.P)
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)

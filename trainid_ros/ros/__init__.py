@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 lifecycle nodes around the estimators; only cli and demo import rclpy besides."""
+"""ROS 2 lifecycle nodes around the estimators; only cli imports rclpy besides."""

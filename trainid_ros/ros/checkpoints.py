@@ -22,13 +22,13 @@ from trainid_ros.checkpoint import (
 )
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Status
+from trainid_ros.ros.context import NUMERICAL_ERRORS
 from trainid_ros.ros.input_monitor import shown_time
-from trainid_ros.ros.services import NUMERICAL_ERRORS
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.pipelines import EstimatorSettings
-    from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.ros.context import NodeContext
+    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -45,8 +45,9 @@ class Checkpoints:
         saved_at: When it was last saved, or nothing had changed, by a steady clock [s].
     """
 
-    def __init__(self, node: EstimatorNode) -> None:
-        self._node = node
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self._node = context.node
         self.problem = ''
         self._provenance: Provenance | None = None
         self._file: CheckpointFile | None = None
@@ -69,8 +70,8 @@ class Checkpoints:
         Raises:
             InputError: The parameter ``checkpoint_file`` cannot be used.
         """
-        path = str(self._node.parameters.value('checkpoint_file'))
-        self._provenance = provenance_of(self._node.job.field, train_file, settings)
+        path = str(self._context.parameters.value('checkpoint_file'))
+        self._provenance = provenance_of(self._context.job.field, train_file, settings)
         self._file = CheckpointFile(Path(path).expanduser()) if path else None
         kept, self._kept, self.problem, self._saved = self._kept, None, '', None
         self._is_wiped = False
@@ -101,10 +102,10 @@ class Checkpoints:
 
     def resume(self) -> None:
         """Save at intervals from now on."""
-        period = float(self._node.parameters.value('checkpoint_period'))
+        period = float(self._context.parameters.value('checkpoint_period'))
         self._stop_timer()
         if self._file is not None and period > 0.0:
-            self._timer = self._node.create_timer(period, self._tick, clock=self._node._steady)
+            self._timer = self._node.create_timer(period, self._tick, clock=self._node.steady_clock)
 
     def pause(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
         """Save no longer at intervals, but once more if the pipeline was running."""
@@ -132,7 +133,7 @@ class Checkpoints:
 
     def save_if_due(self) -> None:
         """Begin to save if the period is over and the disk has finished the checkpoint before."""
-        pipeline = self._node.pipeline
+        pipeline = self._context.pipeline
         if not self.is_due or pipeline is None or (self._writing is not None and not self._writing.done()):
             return
         self.is_due, self.saved_at = False, time.monotonic()
@@ -216,7 +217,7 @@ class Checkpoints:
     # Both ways
 
     def _checkpoint(self, pipeline: EstimatorPipeline[Any]) -> Checkpoint:
-        now_ns = int(self._node.get_clock().now().nanoseconds)
+        now_ns = self._node.now_ns()
         return Checkpoint(self._required_provenance(), now_ns, pipeline.current().stamp_ns, pipeline.save())
 
     def _load(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile, checkpoint: Checkpoint) -> str:
@@ -228,7 +229,7 @@ class Checkpoints:
 
     def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> str:
         """Continue from a checkpoint; return its age as text."""
-        age_s = checkpoint.age_s(int(self._node.get_clock().now().nanoseconds))
+        age_s = checkpoint.age_s(self._node.now_ns())
         pipeline.restore(checkpoint.state, _UNKNOWN_AGE_S if age_s is None else age_s)
         pipeline.current()  # An invalid state must raise here, not when it is published.
         return 'at an unknown time' if age_s is None else f'{shown_time(age_s)} ago'

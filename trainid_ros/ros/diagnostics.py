@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of ``/diagnostics``: one status for the estimator and one for each input, and what they are made from.
+"""Publishes ``/diagnostics`` of a node: one status for the estimator and one for each input; logs wrong publishers.
 
 Ages are measured with the node's clock, so they are correct under simulated time too.
 """
@@ -7,26 +7,37 @@ Ages are measured with the node's clock, so they are correct under simulated tim
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Status
-from trainid_ros.ros.input_monitor import Finding
+from trainid_ros.ros.input_monitor import Finding, InputMonitor
+from trainid_ros.ros.topics import (
+    NO_PUBLISHER_EVENTS,
+    Publishers,
+    diagnostics_qos,
+    is_hash,
+    sort_publishers,
+    time_message,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import Output
+    from trainid_ros.ros.checkpoints import Checkpoints
+    from trainid_ros.ros.context import NodeContext, StepTimeSummary
+    from trainid_ros.ros.estimate_publisher import StatusChanges
+    from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.ros.input_monitor import InputMonitor
-    from trainid_ros.ros.jobs import Job
+    from trainid_ros.ros.inputs import InputGroup
+    from trainid_ros.setup.jobs import Job
 
 _LEVELS: Final = {
     Status.UNINITIALIZED: DiagnosticStatus.WARN,
@@ -58,8 +69,6 @@ _REJECTED: Final = {
     Reason.GRADIENT_MISSING: ('no ato/gradient at the stamps of ato/speed', 'synchronise their clocks'),
     Reason.BRAKE_COMMAND_MISSING: ('no ato/brake_command at the stamps of ato/speed', 'synchronise their clocks'),
 }
-_STEPS_KEPT: Final = 3000
-OVERRUN_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,33 +285,159 @@ def _status(name: str, level: bytes, message: str, values: Iterable[tuple[str, o
     return DiagnosticStatus(level=level, name=name, message=message, hardware_id='', values=pairs)
 
 
-@dataclass(frozen=True, slots=True)
-class StepTimeSummary:
-    """Quantiles of the recent step times, the longest since the start [s], and the number of overruns since then."""
-
-    p50: float
-    p99: float
-    longest: float
-    overruns: int
+# A node that comes later than this to its diagnostics has kept its inputs waiting, too [s].
+_BUSY_S: Final = 0.8
 
 
-class StepTimes:
-    """Computing time of the estimator per sample."""
+class DiagnosticsPublisher:
+    """Publishes the status of an estimator and of its inputs.
 
-    def __init__(self) -> None:
-        self._recent: deque[float] = deque(maxlen=_STEPS_KEPT)
-        self._longest = 0.0
-        self._overruns = 0
+    Args:
+        context: The node and the state of its work.
+        spec: The estimator.
+        checkpoints: Its checkpoints.
+        changes: Changes of its status.
+        inputs: Returns the inputs of a configured node.
+    """
 
-    def add(self, seconds: float) -> None:
-        """Record the time of one step [s]."""
-        self._recent.append(seconds)
-        self._longest = max(self._longest, seconds)
-        self._overruns += seconds > OVERRUN_S
+    def __init__(
+        self,
+        context: NodeContext,
+        spec: EstimatorSpec,
+        checkpoints: Checkpoints,
+        changes: StatusChanges,
+        inputs: Callable[[], InputGroup],
+    ) -> None:
+        self._context, self._node, self._spec = context, context.node, spec
+        self._checkpoints, self._changes, self._inputs_of = checkpoints, changes, inputs
+        self._publisher = context.node.create_publisher(
+            DiagnosticArray, '/diagnostics', diagnostics_qos(), event_callbacks=NO_PUBLISHER_EVENTS
+        )
+        self._now_ns = 0
+        self._published_ns = 0
+        self._busy_s = 0.0
+        self._known: dict[AnyTopic, Finding] = {}
+        self._began: dict[Problem, int] = {}
+        self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
-    def summary(self) -> StepTimeSummary:
-        """Return the summary; zeros before the first step."""
-        if not self._recent:
-            return StepTimeSummary(0.0, 0.0, 0.0, 0)
-        p50, p99 = np.percentile(self._recent, (50.0, 99.0))
-        return StepTimeSummary(float(p50), float(p99), self._longest, self._overruns)
+    def publish(self) -> None:
+        """Publish everything; called once per diagnostic period."""
+        context = self._context
+        self._note_stall()
+        if context.pipeline is not None:
+            self._inputs_of().drain()  # what waits has arrived: the inputs are not late where this node is
+        health = self._health(self._node.now_ns())
+        array = DiagnosticArray()
+        array.header.stamp = time_message(health.now_ns)
+        if context.pipeline is None:
+            self._known.clear()
+            array.status = [idle_status(health)]
+        else:
+            array.status = [self._estimator(health, context.pipeline), *self._inputs(health)]
+        for status in array.status:
+            status.message = context.mapping.named(status.message)
+            for item in status.values:
+                item.value = context.mapping.named(item.value)
+        self._publisher.publish(array)
+
+    def _note_stall(self) -> None:
+        """Note how much later than it should this call comes."""
+        before_ns, self._published_ns = self._published_ns, self._node.steady_ns()
+        late_s = (self._published_ns - before_ns) / NS_PER_S - float(
+            self._context.parameters.value('diagnostic_period')
+        )
+        self._busy_s = late_s if before_ns and late_s > _BUSY_S else 0.0
+
+    def _health(self, now_ns: int) -> NodeHealth:
+        node, clock_problem = self._node, self._clock_problem(now_ns)
+        self._note_problems(now_ns, clock_problem)
+        return NodeHealth(
+            name=node.get_fully_qualified_name().strip('/'),
+            state=node.state,
+            failure=node.failure,
+            now_ns=now_ns,
+            clock_problem=clock_problem,
+            since_ns=self._changes.since_ns,
+            missing=self._context.missing_inputs(),
+            fault=self._context.fault,
+            unsaved=self._checkpoints.problem,
+            busy_s=self._busy_s,
+            began=self._began,
+        )
+
+    def _estimator(self, health: NodeHealth, pipeline: EstimatorPipeline[Any]) -> DiagnosticStatus:
+        spec, prior = self._spec, self._context.prior
+        details = spec.details(prior, pipeline.current().estimate)
+        steps = self._context.step_times.summary()
+        return estimator_status(health, pipeline, spec.shown, prior, steps, details)
+
+    def _inputs(self, health: NodeHealth) -> Iterator[DiagnosticStatus]:
+        for monitor in self._context.monitors.by_topic.values():
+            topic = self._node.resolve_topic_name(monitor.topic.name)
+            yield input_status(health, monitor, topic, self._judge(monitor, topic, health.now_ns))
+
+    def _note_problems(self, now_ns: int, clock_problem: str) -> None:
+        """Note when each present problem began."""
+        pipeline = self._context.pipeline
+        present: dict[Problem, object] = {
+            Problem.CLOCK: clock_problem,
+            Problem.UNSAVED: self._checkpoints.problem,
+            Problem.BUSY: self._busy_s,
+        }
+        if pipeline is not None:
+            present |= {
+                Problem.CONTRADICTION: pipeline.stream.finding,
+                Problem.BRAKE: brake_findings(pipeline),
+                Problem.REJECTED: unusable(pipeline.current()),
+                Problem.ERRORS: pipeline.consistency.is_alarm,
+            }
+        self._began = {problem: self._began.get(problem, now_ns) for problem, holds in present.items() if holds}
+
+    def _judge(self, monitor: InputMonitor, topic: str, now_ns: int) -> Finding:
+        """Return what is the case with an input, since when, after a look at the graph."""
+        node, before = self._node, monitor.publishers
+        monitor.publishers = self._publishers(monitor.topic, topic)
+        if not self._inputs_of().subscriptions.may_mix(monitor.topic):
+            monitor.publishers = monitor.publishers.at_a_time()
+        if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:
+            node.get_logger().error(f'{topic}: {"; ".join(monitor.publishers.unheard)}')
+        if len(monitor.publishers.heard) > max(1, len(before.heard)):
+            node.get_logger().warning(f'{topic}: more than one publisher: {", ".join(monitor.publishers.heard)}')
+        skew_s = self._context.monitors.skew_s(monitor.topic, now_ns)
+        finding = monitor.judge(now_ns, self._context.timeout_s(monitor.topic), skew_s)
+        known = self._known.get(monitor.topic)
+        # The text changes with its numbers; what to do is the same as long as the matter is.
+        since_ns = known.since_ns if known is not None and known.action == finding.action else now_ns
+        if finding.level != DiagnosticStatus.OK:
+            finding = Finding(finding.level, finding.text, finding.action, finding.since_ns or since_ns)
+        self._known[monitor.topic] = finding
+        return finding
+
+    def _publishers(self, topic: AnyTopic, name: str) -> Publishers:
+        """Return who publishes on a topic, after a look at the graph; ``name`` is its full name."""
+        subscriptions, infos = self._inputs_of().subscriptions, self._node.get_publishers_info_by_topic(name)
+        if infos and (problem := subscriptions.problem(topic)) is not None:
+            return problem
+        if not (wanted := subscriptions.type(topic)):
+            return Publishers()
+        definition = self._definition(topic, name, wanted)
+        return sort_publishers(infos, wanted, definition, subscriptions.profile(topic))
+
+    def _definition(self, topic: AnyTopic, name: str, wanted: str) -> str:
+        """Return the hash of the definition with which a topic is subscribed, '' while it is not known."""
+        key = (topic, wanted)
+        if key not in self._definitions:
+            for info in self._node.get_subscriptions_info_by_topic(name):
+                is_own = info.node_name == self._inputs_of().subscriber and info.topic_type == wanted
+                if is_own and is_hash(text := str(info.topic_type_hash)):
+                    self._definitions[key] = text
+        return self._definitions.get(key, '')
+
+    def _clock_problem(self, now_ns: int) -> str:
+        """Return what is wrong with simulated time, '' if nothing."""
+        before, self._now_ns = self._now_ns, now_ns
+        if not self._node.get_clock().ros_time_is_active:
+            return ''
+        if now_ns == 0:
+            return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
+        return '/clock has stopped: resume its publisher' if now_ns == before else ''

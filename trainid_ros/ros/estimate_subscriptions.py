@@ -8,18 +8,19 @@ of the nodes. The latched ones ask for the lease of the nodes and say when a nod
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import qos_policy_name_from_kind
 
-from trainid_ros.client.channel import GONE
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, stamp_of, status_of
 from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
 
 if TYPE_CHECKING:
     from trainid_ros.interface.records import OutputTopic
     from trainid_ros.interface.results import Status
+
+_GONE: Final = 'its node is gone'
 
 
 class Receiver(Protocol):
@@ -58,7 +59,7 @@ def _subscribe_latched(node: Any, receiver: Receiver, topic: OutputTopic) -> Any
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:
-            receiver.lose(topic, GONE)
+            receiver.lose(topic, _GONE)
 
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.last_valid, take, latched_qos(), event_callbacks=events)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node around any estimator; it converts messages and computes nothing itself.
+"""The three estimator nodes and their programs; a node converts messages and computes nothing itself.
 
 Estimates are published from the callback of the message that completes their sample; timers only detect
 missing input. They run on a steady clock, which a stopped ``/clock`` cannot stall.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 import traceback
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,43 +17,43 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
+from std_srvs.srv import Trigger
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.estimators.observability import observe
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
+from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, Status
-from trainid_ros.pipelines import EstimatorSettings
+from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.ros.checkpoints import Checkpoints
-from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
-from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
-from trainid_ros.ros.estimate_publisher import EstimatePublisher
-from trainid_ros.ros.foreign_topics import required_inputs
+from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
+from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec, ShownValue
+from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
+from trainid_ros.ros.foreign_topics import NodeMapping
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
-from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
-from trainid_ros.ros.node_mapping import NodeMapping
-from trainid_ros.ros.parameter_specs import (
+from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
+from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
+from trainid_ros.setup.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB
+from trainid_ros.setup.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
-    ParameterSpec,
     build_settings,
     build_train_file,
     estimator_parameters,
     qos_overrides,
     requested_algorithm,
 )
-from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
-from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges
-from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
-from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.estimators.pipeline_group import SharedRecord
     from trainid_ros.ros.foreign_topics import AnyTopic
+    from trainid_ros.setup.jobs import Job
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -75,49 +76,52 @@ class EstimatorNode(ManagedNode):
             options: Options of the rclpy node.
         """
         super().__init__(spec.job.node_name, **options)
-        self.spec = spec
         self._inputs = inputs or SharedInputs()
-        self.job = spec.job
         self._message = message_class(spec.job.topic)
-        self.mapping = NodeMapping(self)
-        expected = qos_overrides(self.job, self.resolve_topic_name, self.mapping.topics)
-        self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
-        self.parameters.check_sections(arguments, self.job.node_name)
-        self._preload_train_file()
-        self.parameters.report()
-        self.parameters.on_live_change = self._retune
-        self.checkpoints = Checkpoints(self)
-        self.pipeline: EstimatorPipeline[Any] | None = None
+        mapping = NodeMapping(self)
+        specs = estimator_parameters(spec.job.algorithms, self._requested_algorithm(spec.job))
+        expected = qos_overrides(spec.job.topic, self.resolve_topic_name, mapping.topics)
+        parameters = NodeParameters(self, specs, expected=expected)
+        parameters.check_sections(arguments, spec.job.node_name)
         self._settings = EstimatorSettings()
-        self.prior: Any = None
+        self.shared = NodeContext(self, spec.job, parameters, mapping, InputMonitors(self._settings.alignment))
+        self._preload_train_file()
+        parameters.report()
+        parameters.on_live_change = self._retune
+        self.checkpoints = Checkpoints(self.shared)
         self._input_group: InputGroup | None = None
-        self.monitors = InputMonitors(self._settings.alignment)
-        self.status_changes = StatusChanges(self.get_logger(), self.missing_inputs)
+        self.status_changes = StatusChanges(self.get_logger(), self.shared.missing_inputs)
         self._publisher: EstimatePublisher | None = None
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = DiagnosticsPublisher(self)
+        self._diagnostics = DiagnosticsPublisher(
+            self.shared, spec, self.checkpoints, self.status_changes, lambda: self.inputs
+        )
         self._diagnostic_timer = self._make_diagnostic_timer()
-        self._services_offered = EstimatorServices(self)
+        self._offer_services()
 
-    def _parameter_specs(self) -> tuple[ParameterSpec, ...]:
+    def _requested_algorithm(self, job: Job) -> str:
         overrides = self._parameter_overrides  # rclpy gives no public access to them
         given = {name: parameter.value for name, parameter in overrides.items()}
-        algorithms = self.job.algorithms
-        return estimator_parameters(algorithms, requested_algorithm(given, algorithms))
+        return requested_algorithm(given, job.algorithms)
+
+    @property
+    def pipeline(self) -> EstimatorPipeline[Any] | None:
+        """The pipeline of a configured node, else None."""
+        return self.shared.pipeline
 
     @property
     def algorithm(self) -> str:
         """Name of the running algorithm."""
-        return str(self.parameters.value(ALGORITHM))
+        return str(self.shared.parameters.value(ALGORITHM))
 
     def about(self) -> str:
         """Return what the node does, for the log."""
-        return f'{self.algorithm} on {self.resolve_topic_name(self.job.topic.name)}'
+        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.job.topic.name)}'
 
     def _make_diagnostic_timer(self) -> Any:
-        period = float(self.parameters.value('diagnostic_period'))
+        period = float(self.shared.parameters.value('diagnostic_period'))
         return self.create_timer(period, self._diagnostics.publish, clock=self._steady)
 
     # Transitions
@@ -126,16 +130,16 @@ class EstimatorNode(ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the pipeline from the parameters; subscribe."""
         self.failure = ''
-        self.parameters.check()
+        self.shared.parameters.check()
         train_file = self._train_file()
-        settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
-        self._settings = self.mapping.configure(train_file, settings)
-        pipeline = self.job.pipeline(train_file, self._settings)
-        self.prior = pipeline.current().estimate
+        settings = build_settings(self.shared.parameters.values(), self.shared.job.algorithms, self.shared.job.field)
+        self._settings = self.shared.mapping.configure(train_file, settings)
+        pipeline = self.shared.job.pipeline(train_file, self._settings)
+        self.shared.prior = pipeline.current().estimate
         self.checkpoints.open(pipeline, train_file, self._settings)
-        self.pipeline = pipeline
+        self.shared.pipeline = pipeline
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
-        self.step_times = StepTimes()
+        self.shared.step_times = StepTimes()
         self.status_changes.restart(self.now_ns())
         self._open()
         return super().on_configure(state)
@@ -158,8 +162,8 @@ class EstimatorNode(ManagedNode):
             self._diagnostic_timer = self._make_diagnostic_timer()
         if 'checkpoint_period' in names and self._listening:
             self.checkpoints.resume()
-        if 'stale_after' in names and self.pipeline is not None:
-            self.pipeline.set_stale_after(float(self.parameters.value('stale_after')))
+        if 'stale_after' in names and self.shared.pipeline is not None:
+            self.shared.pipeline.set_stale_after(float(self.shared.parameters.value('stale_after')))
 
     # Resources
 
@@ -171,65 +175,60 @@ class EstimatorNode(ManagedNode):
             self.get_logger().error(str(error))
 
     def _load_train_file(self) -> TrainFile | None:
-        path = str(self.parameters.value('train_file'))
+        path = str(self.shared.parameters.value('train_file'))
         if not path:
             return None
         train_file = load_train_file(Path(path).expanduser())
-        self.parameters.fall_back({item.name: item.of(train_file) for item in TRAIN_PARAMETERS}, path)
+        self.shared.parameters.fall_back({item.name: item.of(train_file) for item in TRAIN_PARAMETERS}, path)
         return train_file
 
     def _train_file(self) -> TrainFile:
         base = self._load_train_file()
-        return build_train_file(self.parameters.values(), frozenset(self.parameters.given), base)
+        return build_train_file(self.shared.parameters.values(), frozenset(self.shared.parameters.given), base)
 
     def _open(self) -> None:
-        self._publisher = EstimatePublisher(self, self.job.topic, self.status_changes)
+        self._publisher = EstimatePublisher(self, self.shared.job.topic, self.status_changes)
         alignment = self._settings.alignment
-        self._input_group = self._inputs.join(self)
-        self.monitors = InputMonitors(alignment, self._input_group.topics)
+        group = self._input_group = self._inputs.join(self)
+        self.shared.lacking = lambda: group.lacking
+        self.shared.monitors = InputMonitors(alignment, group.topics)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
         self._jump_handle = self.get_clock().create_jump_callback(threshold, post_callback=self._note_jump)
 
     def _pause(self) -> None:
-        self.checkpoints.pause(self.pipeline, running=self._listening)
+        self.checkpoints.pause(self.shared.pipeline, running=self._listening)
         self._listening = False
-        if self.pipeline is not None:
-            self.pipeline.interrupt()
+        if self.shared.pipeline is not None:
+            self.shared.pipeline.interrupt()
         if self._watchdog_timer is not None:
             self.destroy_timer(self._watchdog_timer)
             self._watchdog_timer = None
 
     def _release(self) -> None:
-        self.checkpoints.close(self.pipeline, running=self._listening)
+        self.checkpoints.close(self.shared.pipeline, running=self._listening)
         self._pause()
         self._inputs.leave(self)
         if self._publisher is not None:
             self._publisher.close()
         if self._jump_handle is not None:
             self._jump_handle.unregister()
-        self._input_group = self._publisher = self._jump_handle = self.prior = None
+        self._input_group = self._publisher = self._jump_handle = None
         self._forget()
 
     def _forget(self) -> None:
-        self.pipeline = None
+        self.shared.forget()
         self.watchdog = Watchdog(0)
-        self.step_times = StepTimes()
-        self.fault = ''
         self._rejected: list[Rejection] = []
         self._jumped_s = 0.0
         self._listening = False
 
     # Data
 
-    def now_ns(self) -> int:
-        """Return the time of the node's clock [ns]."""
-        return int(self.get_clock().now().nanoseconds)
-
     def running_pipeline(self) -> EstimatorPipeline[Any] | None:
         """Return the pipeline if it takes in records now, after following a jump of the clock."""
-        pipeline = self.pipeline
+        pipeline = self.shared.pipeline
         if not self._listening or pipeline is None:
             return None
         self._follow_jump(pipeline)
@@ -251,7 +250,7 @@ class EstimatorNode(ManagedNode):
         except NUMERICAL_ERRORS:
             outputs = [self.fail(pipeline, traceback.format_exc())]
         if outputs:
-            self.step_times.add(time.perf_counter() - start)
+            self.shared.step_times.add(time.perf_counter() - start)
         if pipeline.resets != resets:
             self.checkpoints.note_wiped()
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
@@ -273,29 +272,29 @@ class EstimatorNode(ManagedNode):
 
     def latch_loaded(self) -> None:
         """Latch the estimate of a loaded state, for which late subscribers would else wait until the next sample."""
-        if self.pipeline is None or not self.pipeline.samples:
+        if self.shared.pipeline is None or not self.shared.pipeline.samples:
             return
-        self.watchdog.saw(self.pipeline.newest_ns, self.now_ns(), self.steady_ns())
-        self.publisher.latch_loaded(self.serialize(self.pipeline.current()))
+        self.watchdog.saw(self.shared.pipeline.newest_ns, self.now_ns(), self.steady_ns())
+        self.publisher.latch_loaded(self.serialize(self.shared.pipeline.current()))
 
     def conclude(self, topic: AnyTopic, stamp_ns: int) -> None:
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
         now_ns = self.now_ns()
         self.publisher.conclude(now_ns)
-        self.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
+        self.shared.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
         self._rejected = []
-        if self._listening and self.pipeline is not None:
-            self.watchdog.saw(self.pipeline.newest_ns, now_ns, self.steady_ns())
+        if self._listening and self.shared.pipeline is not None:
+            self.watchdog.saw(self.shared.pipeline.newest_ns, now_ns, self.steady_ns())
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
         """Put the pipeline into FAULT and return its output; log the reason once."""
         if pipeline.status is not Status.FAULT:
-            self.fault = reason.strip().splitlines()[-1]
+            self.shared.fault = reason.strip().splitlines()[-1]
             self.get_logger().error(f'{self.algorithm} cannot continue until it is reset: {reason}')
         return pipeline.fail()
 
     def _watch(self) -> None:
-        pipeline, inputs = self.pipeline, self._input_group
+        pipeline, inputs = self.shared.pipeline, self._input_group
         if pipeline is None or inputs is None:
             return
         inputs.drain()
@@ -317,20 +316,6 @@ class EstimatorNode(ManagedNode):
         heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _SHORTEST_WATCH_NS)
         return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
 
-    def timeout_s(self, topic: AnyTopic) -> float:
-        """Return how long a topic may be missing [s]; 0 for one that need not come."""
-        required = required_inputs(topic)
-        if self.pipeline is None or not required:
-            return 0.0
-        return min(self.pipeline.timeout_ns(INPUT_TOPICS.index(item)) for item in required) / NS_PER_S
-
-    def missing_inputs(self) -> str:
-        """Return which inputs do not arrive and for how long, '' if all do."""
-        found = [self.monitors.describe_missing(self.now_ns(), self.timeout_s)]
-        if self._input_group is not None:
-            found.append(self._input_group.lacking)
-        return ', '.join(text for text in found if text)
-
     @property
     def inputs(self) -> InputGroup:
         """The subscriptions of a configured node."""
@@ -342,6 +327,55 @@ class EstimatorNode(ManagedNode):
         """The publishers of a configured node."""
         assert self._publisher is not None
         return self._publisher
+
+    # Services, each of which responds in every lifecycle state
+
+    def _offer_services(self) -> None:
+        services = {
+            'reset': self.reset_on_request,
+            'save_checkpoint': self.save_on_request,
+            'load_checkpoint': self.load_on_request,
+        }
+        for name, serve in services.items():
+            self.create_service(Trigger, f'~/{name}', partial(self._answer, serve))
+
+    def _answer(self, serve: Callable[[EstimatorPipeline[Any]], str], _request: Any, response: Any) -> Any:
+        logger, pipeline = self.get_logger(), self.shared.pipeline
+        if pipeline is None:
+            response.success, response.message = False, f'{self.get_name()} is {self.state}: configure it first'
+            return response
+        try:
+            response.success, response.message = True, serve(pipeline)
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        except NUMERICAL_ERRORS as error:
+            self.fail(pipeline, traceback.format_exc())
+            response.success, response.message = False, f'{type(error).__name__}: {error}'
+        # Two calls: rclpy does not allow one line of code to log with different severities.
+        if response.success:
+            logger.info(response.message)
+        else:
+            logger.error(response.message)
+        return response
+
+    def reset_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Reset the estimator to the prior."""
+        pipeline.reset()
+        self.checkpoints.note_wanted()
+        self.watchdog.restart()
+        if self.state != 'active':  # or else the next checkpoint comes soon
+            self.checkpoints.save(pipeline)
+        return f'reset to the prior; resets so far: {pipeline.resets}'
+
+    def save_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Write the estimator's state to the checkpoint file."""
+        return f'saved {self.algorithm} to {self.checkpoints.save_on_request(pipeline)}'
+
+    def load_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Load the estimator's state from the checkpoint file."""
+        loaded = self.checkpoints.load_on_request(pipeline)
+        self.latch_loaded()
+        return f'loaded {self.algorithm} from {loaded}'
 
     # Time
 
@@ -364,3 +398,69 @@ class EstimatorNode(ManagedNode):
         self.watchdog.restart()
         done = 'estimator reset' if follow else 'estimator continues'
         self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
+
+
+def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
+    yield 'findings', '; '.join(force_findings(live)) or 'none'
+    yield 'force scale', f'{live.force_scale:.4f}'
+    yield 'force scale std', f'{live.force_scale_std:.2g}'
+    yield 'force delay [s]', f'{live.force_delay:.3f}'
+    yield 'force delay std [s]', f'{live.force_delay_std:.2g}'
+    seen = observe(live.covariance, prior.covariance, live.speed_min, live.speed_max)
+    yield 'observability', seen.text
+    for name, share in zip('abc', seen.shares, strict=True):
+        yield f'{name} prior variance removed', f'{share:.3f}'
+    yield 'resistance std at speeds seen, at most [N/kN]', f'{seen.std_observed:.3g}'
+    yield 'resistance std at other speeds, at most [N/kN]', f'{seen.std_outside:.3g}'
+    yield 'resistance known from [m/s]', f'{seen.known[0]:.1f}'
+    yield 'resistance known to [m/s]', f'{seen.known[1]:.1f}'
+
+
+RESISTANCE: Final = EstimatorSpec(
+    job=RESISTANCE_JOB,
+    shown=(
+        ShownValue('resistance', 'N/kN', std='resistance_std'),
+        ShownValue('a', 'N/kN', variance=0),
+        ShownValue('b', 'N/kN per m/s', variance=1),
+        ShownValue('c', 'N/kN per (m/s)^2', variance=2),
+    ),
+    details=_details,
+)
+SPEED_MODEL: Final = EstimatorSpec(
+    job=SPEED_MODEL_JOB,
+    shown=(
+        ShownValue('prediction_error', 'm/s'),
+        ShownValue('a1', '1/(m/s)', variance=0),
+        ShownValue('a2', '', variance=1),
+        ShownValue('b1', 'm/s per N/kN', variance=2),
+        ShownValue('d0', 'm/s', variance=3),
+        ShownValue('a', 'N/kN'),
+        ShownValue('b', 'N/kN per m/s'),
+        ShownValue('c', 'N/kN per (m/s)^2'),
+        ShownValue('mass_factor', ''),
+    ),
+)
+BRAKE_RATE: Final = EstimatorSpec(
+    job=BRAKE_RATE_JOB,
+    shown=(
+        ShownValue('brake_rate', '', std='brake_rate_std'),
+        ShownValue('effective_particles', ''),
+    ),
+)
+SPECS: Final = {spec.job.node_name: spec for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE)}
+"""The nodes by name, in starting order."""
+
+
+def resistance_main() -> int:
+    """Run the resistance estimator as a program."""
+    return run_node(partial(EstimatorNode, RESISTANCE))
+
+
+def speed_model_main() -> int:
+    """Run the speed model estimator as a program."""
+    return run_node(partial(EstimatorNode, SPEED_MODEL))
+
+
+def brake_rate_main() -> int:
+    """Run the brake rate estimator as a program."""
+    return run_node(partial(EstimatorNode, BRAKE_RATE))

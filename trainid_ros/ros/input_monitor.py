@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Reason
 from trainid_ros.ros.foreign_topics import label_of, required_inputs, subscribed_topics
-from trainid_ros.ros.publishers import Publishers
+from trainid_ros.ros.topics import Publishers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -13,24 +13,27 @@ import time
 from bisect import bisect_left
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
 from trainid_ros.inputs.mapping import OWN
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import InputTopic, record_from_message
 from trainid_ros.ros.foreign_topics import ForeignSubscription, ForeignTopic, subscribed_topics
-from trainid_ros.ros.publishers import Publishers, type_name
-from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
+from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, Publishers, input_qos, message_class, overridable, type_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rclpy.qos import QoSProfile
 
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.records import Record
-    from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.ros.checkpoints import Checkpoints
+    from trainid_ros.ros.context import NodeContext
     from trainid_ros.ros.foreign_topics import AnyTopic
+    from trainid_ros.ros.node import ManagedNode
+    from trainid_ros.ros.topics import SerializedEstimate
 
 _MAX_IDLE_ROUNDS: Final = 3
 _NUMBERS_KEPT: Final = 20
@@ -84,7 +87,7 @@ class InputSubscriptions:
     """
 
     def __init__(
-        self, node: EstimatorNode, topics: Sequence[AnyTopic], deliver: Callable[[AnyTopic, Any, int], None]
+        self, node: ManagedNode, topics: Sequence[AnyTopic], deliver: Callable[[AnyTopic, Any, int], None]
     ) -> None:
         self._node = node
         self._deliver = deliver
@@ -209,6 +212,28 @@ class InputSubscriptions:
         self._own, self._foreign = {}, {}
 
 
+class Consumer(Protocol):
+    """A node that takes in inputs."""
+
+    shared: NodeContext
+    checkpoints: Checkpoints
+
+    def running_pipeline(self) -> EstimatorPipeline[Any] | None:
+        """Return the pipeline if it takes in records now."""
+
+    def step(self, pipeline: EstimatorPipeline[Any], record: SharedRecord) -> list[Any]:
+        """Pass a record to the pipeline; return the outputs of the samples it completes."""
+
+    def serialize(self, output: Any) -> SerializedEstimate:
+        """Return an output as a message that is ready to be sent."""
+
+    def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
+        """Publish estimates."""
+
+    def conclude(self, topic: AnyTopic, stamp_ns: int) -> None:
+        """Do the rest, after a message with this stamp [ns] was taken in by all."""
+
+
 class InputGroup:
     """Nodes that take in the same topics through one set of subscriptions.
 
@@ -222,16 +247,16 @@ class InputGroup:
         mapped: What makes records of the messages of foreign topics, None without a mapping.
     """
 
-    def __init__(self, node: EstimatorNode) -> None:
-        self._members: list[EstimatorNode] = []
-        self.subscriber = str(node.get_name())
-        self.mapped = node.mapping.inputs()
+    def __init__(self, node: Consumer) -> None:
+        self._members: list[Consumer] = []
+        self._node = node.shared.node
+        self.subscriber = str(self._node.get_name())
+        self.mapped = node.shared.mapping.inputs()
         mapping = OWN if self.mapped is None else self.mapped.mapping
         self.topics = subscribed_topics(mapping)
-        self._node = node
-        self.subscriptions = InputSubscriptions(node, self.topics, self.receive)
+        self.subscriptions = InputSubscriptions(self._node, self.topics, self.receive)
 
-    def __contains__(self, node: EstimatorNode) -> bool:
+    def __contains__(self, node: Consumer) -> bool:
         return node in self._members
 
     @property
@@ -241,11 +266,11 @@ class InputGroup:
             return ''
         return 'no gradient of the line, as the position is not known yet'
 
-    def add(self, node: EstimatorNode) -> None:
+    def add(self, node: Consumer) -> None:
         """Let a node take in the inputs."""
         self._members.append(node)
 
-    def remove(self, node: EstimatorNode) -> bool:
+    def remove(self, node: Consumer) -> bool:
         """Let a node leave; return True, and close the subscriptions, if it was the last one."""
         self._members.remove(node)
         if not self._members:
@@ -275,7 +300,7 @@ class InputGroup:
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
-        outputs: list[tuple[EstimatorNode, list[Any]]] = [(node, []) for node, _ in running]
+        outputs: list[tuple[Consumer, list[Any]]] = [(node, []) for node, _ in running]
         for record in records:
             shared = SharedRecord(record.row())
             for (node, pipeline), (_, made) in zip(running, outputs, strict=True):
@@ -308,7 +333,7 @@ class SharedInputs:
     def __init__(self) -> None:
         self._groups: dict[object, InputGroup] = {}
 
-    def join(self, node: EstimatorNode) -> InputGroup:
+    def join(self, node: Consumer) -> InputGroup:
         """Return the group of a node, which takes in the inputs from now on."""
         key = _wiring(node)
         if key not in self._groups:
@@ -316,16 +341,16 @@ class SharedInputs:
         self._groups[key].add(node)
         return self._groups[key]
 
-    def leave(self, node: EstimatorNode) -> None:
+    def leave(self, node: Consumer) -> None:
         """Let a node leave its group, if it is in one."""
         for key, group in list(self._groups.items()):
             if node in group and group.remove(node):
                 del self._groups[key]
 
 
-def _wiring(node: EstimatorNode) -> object:
+def _wiring(consumer: Consumer) -> object:
     """Return what subscriptions depend on: topic names, overrides of the quality of service, and the mapping."""
-    mapped = node.mapping.inputs()
+    mapped, node = consumer.shared.mapping.inputs(), consumer.shared.node
     topics = subscribed_topics(OWN if mapped is None else mapped.mapping)
     names = tuple(node.resolve_topic_name(topic.name) for topic in topics)
     overrides = node._parameter_overrides  # rclpy gives no public access to them

@@ -1,28 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playback of records at their recorded pace, mapped to a steady clock without drift, and its lifecycle node."""
+"""Lifecycle nodes that play records at their recorded pace, mapped to a steady clock without drift.
+
+``bag_player`` publishes the inputs of a bag and ``/clock``, in bag order, paced by log time. ``train_simulator``
+publishes a simulated train in real time; without ``publish_clock`` its stamps are those of the present, as a real
+train's would be.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from trainid_ros.bag import missing_package_error
 from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Record
 from trainid_ros.interface.text import pluralise
 from trainid_ros.ros.foreign_topics import foreign_class
-from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
-from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
-from trainid_ros.ros.publishers import is_hash
-from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
+from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
+from trainid_ros.ros.topics import is_hash, message_class, message_from_record, source_qos, time_message
+from trainid_ros.setup.parameter_specs import AUTOSTART, TRAIN_FILE, ParameterSpec
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from trainid_ros.bag.reader import BagReader
+    from trainid_ros.inputs.mapping import Mapping as InputMapping
+    from trainid_ros.interface.records import Record
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
 _TICK_NS: Final = NS_PER_S // 20
@@ -333,3 +348,132 @@ class PlaybackNode(ManagedNode):
         self._pause()
         self.finished = True
         self.get_logger().info(f'played {self.played} records')
+
+
+BAG_PLAYER: Final = 'bag_player'
+_BAG_PARAMETERS: Final = (
+    ParameterSpec('bag', '', 'rosbag2 directory, .mcap or .db3 file; takes effect on the next configure'),
+    ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
+    ParameterSpec('mapping_file', '', 'mapping file, whose topics are played; takes effect on the next configure'),
+    ParameterSpec('max_chunk', 64, 'largest chunk to unpack [MB]; takes effect on the next configure', 1, 4095),
+    *playback_parameters(live=False),
+)
+
+
+class BagPlayer(PlaybackNode):
+    """Lifecycle node that plays a bag."""
+
+    def __init__(self, arguments: Any = (), **options: Any) -> None:
+        self._reader: BagReader | None = None
+        super().__init__(BAG_PLAYER, _BAG_PARAMETERS, arguments=arguments, **options)
+
+    def open_timeline(self) -> Timeline:
+        """Open the bag.
+
+        Raises:
+            InputError: It cannot be read or has no messages on the input topics, or the packages for bags are missing.
+        """
+        path = str(self.parameters.value('bag'))
+        if not path:
+            raise InputError('no bag: give the parameter bag')
+        # Imported here so that the node can name what is missing.
+        try:
+            from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
+
+            max_chunk = int(self.parameters.value('max_chunk')) << 20
+            namespace = str(self.parameters.value('bag_namespace'))
+            reader = BagReader(path, namespace, max_chunk, mapping=self._mapping()).__enter__()
+        except ModuleNotFoundError as error:
+            raise missing_package_error(error) from None
+        self._reader = reader
+        for warning in reader.warnings:
+            self.get_logger().warning(warning)
+        span = reader.time_range()
+        if span is None or not reader.input_count:
+            self.close_timeline()
+            raise InputError(f'{path}: no messages on the input topics')
+        foreign = {name: ForeignOutput(kind.name, kind.digest) for name, kind in reader.mapped_types().items()}
+        return Timeline(*span, lambda: _bag_entries(reader), foreign, reader.mapping.replaced)
+
+    def _mapping(self) -> InputMapping:
+        path = str(self.parameters.value('mapping_file'))
+        return load_mapping(Path(path).expanduser()) if path else OWN
+
+    def close_timeline(self) -> None:
+        """Close the bag."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+
+def _bag_entries(reader: BagReader) -> Iterator[TimedRecord]:
+    for log_ns, topic, content in reader.stored():
+        yield TimedRecord(log_ns, StoredMessage(topic, content) if isinstance(content, bytes) else content)
+
+
+def bag_player_main() -> int:
+    """Run the bag player as a program."""
+    return run_node(BagPlayer)
+
+
+TRAIN_SIMULATOR: Final = 'train_simulator'
+_SIMULATOR_PARAMETERS: Final = (
+    TRAIN_FILE,
+    ParameterSpec(
+        'world',
+        '',
+        'type of railway, with its own train unless train_file is given, whose values are the stated ones, not true; '
+        'takes effect on the next configure',
+        choices=('', *WORLDS),
+    ),
+    ParameterSpec(
+        'realism',
+        'clean',
+        'with world only: clean, the train file is exact, or field, it has errors as on real trains; '
+        'takes effect on the next configure',
+        choices=tuple(REALISMS),
+    ),
+    ParameterSpec('runs', 4, 'runs from stop to stop; takes effect on the next configure', 1, 1000),
+    ParameterSpec('seed', 1, 'seed of the random numbers; takes effect on the next configure', 0, 2**31 - 1),
+    *playback_parameters(live=True),
+)
+
+
+class TrainSimulator(PlaybackNode):
+    """Lifecycle node that simulates on configure and publishes while active."""
+
+    def __init__(self, arguments: Any = (), **options: Any) -> None:
+        super().__init__(TRAIN_SIMULATOR, _SIMULATOR_PARAMETERS, arguments=arguments, **options)
+
+    def open_timeline(self) -> Timeline:
+        """Simulate, and return the records as a timeline.
+
+        Raises:
+            InputError: The train file is missing or cannot be simulated.
+        """
+        rng = np.random.default_rng(int(self.parameters.value('seed')))
+        records = simulate(self._scenario(rng), rng).records
+        return Timeline(records[0].stamp_ns, records[-1].stamp_ns, lambda: _record_entries(records))
+
+    def _scenario(self, rng: np.random.Generator) -> Scenario:
+        path, name = str(self.parameters.value('train_file')), str(self.parameters.value('world'))
+        realism, runs = str(self.parameters.value('realism')), int(self.parameters.value('runs'))
+        if not (path or name):
+            raise InputError('no train: give the parameter train_file or world')
+        given = load_train_file(Path(path).expanduser()) if path else None
+        if not name and given:
+            if realism != 'clean':
+                raise InputError(f'realism = {realism!r} needs the parameter world')
+            return Scenario(given, runs=runs)
+        world = find_world(name)
+        stated = given or world_train(world)
+        return make_case(world, stated, unknowns_of(realism, (), stated), runs, rng.spawn(1)[0]).scenario
+
+
+def _record_entries(records: tuple[Record, ...]) -> Iterator[TimedRecord]:
+    return (TimedRecord(record.stamp_ns, record) for record in records)
+
+
+def train_simulator_main() -> int:
+    """Run the simulator as a program."""
+    return run_node(TrainSimulator)

@@ -19,13 +19,13 @@ from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, record_fr
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.ros.node import creation_of
-from trainid_ros.ros.publishers import type_name
 from trainid_ros.ros.topics import (
     NO_SUBSCRIPTION_EVENTS,
     diagnostics_qos,
     estimate_qos,
     input_qos,
     message_class,
+    type_name,
 )
 
 if TYPE_CHECKING:

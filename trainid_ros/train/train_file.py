@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from trainid_ros.interface.errors import setting, setting_info, stated
 from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
 Pairs = tuple[tuple[float, float], ...]
@@ -23,6 +24,7 @@ NamedValues = tuple[tuple[str, float], ...]
 _SLOWEST = 0.1
 # A brake rate outside this range is a unit error.
 LEAST_RATE, MOST_RATE = 0.01, 10.0
+_CARS = 6
 # The time of an answer of the client grows with the rows of the brake rate.
 _MOST_ROWS = 100
 # Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
@@ -35,15 +37,16 @@ _MOST_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
 class Train:
     """Parameters of the vehicle; only the mass has no default."""
 
-    mass: float  # Mass with the usual load [kg]
-    rotary_mass: float = 0.08  # Rotating mass as a share of the mass, gamma [1]
-    length: float = 118.0  # Length over couplers [m]
-    cars: int = 6  # Number of cars
-    max_traction_force: float = 310e3  # Maximum tractive force at the wheel rim [N]
-    max_traction_power: float = 3.1e6  # Maximum tractive power at the wheel rim [W]
-    max_speed: float = 80.0 / 3.6  # Maximum speed of the train [m/s]
-    mass_std: float = 0.03  # Standard deviation of the relative error of the mass, weighed or not [1]
-    force_std: float = 0.02  # Standard deviation of the relative error of the reported force [1]
+    mass: float = field(metadata=stated('train mass at its usual load', 'kg', 1.0, 1e9))
+    rotary_mass: float = setting(0.08, 'rotating mass as a fraction of the train mass', '1', 0.0, 1.0)
+    length: float = setting(118.0, 'length of the train', 'm', 0.1, 1e4)
+    cars: int = _CARS  # Number of cars
+    max_traction_force: float = setting(310e3, 'maximum tractive force at the wheel rim', 'N', 1.0, 1e9)
+    max_traction_power: float = setting(3.1e6, 'maximum tractive power at the wheel rim', 'W', 1.0, 1e12)
+    max_speed: float = setting(80.0 / 3.6, 'maximum speed of the train', 'm/s', 0.1, _MOST_SPEED)
+    # Of the mass, weighed or not, and of the force as it is reported.
+    mass_std: float = setting(0.03, 'std of the relative error of the mass', '1', 0.0, 0.5)
+    force_std: float = setting(0.02, 'std of the relative error of the force', '1', 0.0, 0.5)
 
     def traction_limit(self, speed: float) -> float:
         """Return the largest traction [N] at a speed [m/s]."""
@@ -54,20 +57,22 @@ class Train:
 class Davis:
     """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s."""
 
-    a: float  # Constant term [N/kN]
-    b: float  # Linear term [N/kN/(m/s)]
-    c: float  # Quadratic term [N/kN/(m/s)^2]
+    a: float = field(metadata=stated('prior Davis a', 'N/kN', 0.0, 100.0))
+    # Only b may be negative: published fits of real rolling stock have such values, and w(v) stays positive.
+    b: float = field(metadata=stated('prior Davis b', 'N/kN per m/s', -10.0, 10.0))
+    c: float = field(metadata=stated('prior Davis c', 'N/kN per (m/s)^2', 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Brake:
     """Brake actuator: a gain (actual over commanded acceleration) with a dead time and a first-order lag."""
 
-    rate: float = 1.0  # Brake rate (1 = nominal) [1]; with a table, the factor on it
-    time_constant: float = 0.4  # Time constant of the lag [s]
-    delay: float = 0.6  # Dead time [s]
+    # With a table, the factor on it.
+    rate: float = setting(1.0, 'prior brake rate, 1 = nominal', '1', LEAST_RATE, MOST_RATE)
+    time_constant: float = setting(0.4, 'time constant of the brake', 's', 0.0, 60.0)
+    delay: float = setting(0.6, 'dead time of the brake', 's', 0.0, 60.0)
     rate_table: Pairs = ()  # Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed
-    timing_std: float = 0.12  # Standard deviation of the relative error of dead time and lag [1]
+    timing_std: float = setting(0.12, 'std of the relative error of both times', '1', 0.0, 1.0)
 
     def shape_at(self, speed: float) -> float:
         """Return the table's value [1] at a speed [m/s]: linear between rows, constant beyond; 1 without a table."""
@@ -104,7 +109,7 @@ class Line:
     curve: Pairs = ()  # Position [m] and radius [m], 0 = straight
     tunnel: Pairs = ()  # Start and end of each tunnel [m]
     speed_limit: Pairs = ()  # Position [m] and limit [m/s]
-    gradient_std: float = 0.2  # Standard deviation of the error of the gradients [per mille]
+    gradient_std: float = setting(0.2, 'std of the error of the gradients', 'per mille', 0.0, 50.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,46 +180,39 @@ def dump_train_file(train_file: TrainFile) -> str:
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
 
 
+def _numbers(section: Section, kind: type[Any], *others: str) -> dict[str, Any]:
+    """Return the numbers of a section whose ranges are stated on the fields of a class, but for some others."""
+    stated_fields = [(item, info) for item in fields(kind) if (info := setting_info(item)) and item.name not in others]
+    return {
+        item.name: section.number(
+            item.name,
+            '' if info.unit == '1' else info.unit,
+            None if item.default is MISSING else item.default,
+            low=info.low,
+            high=info.high,
+        )
+        for item, info in stated_fields
+    }
+
+
 def _train(section: Section) -> Train:
     section.only(_names(Train))
-    default = Train(mass=1.0)
-    return Train(
-        mass=section.number('mass', 'kg', above=0.0, low=1.0, high=1e9),
-        rotary_mass=section.number('rotary_mass', '', default.rotary_mass, low=0.0, high=1.0),
-        length=section.number('length', 'm', default.length, above=0.0, low=0.1, high=1e4),
-        cars=section.integer('cars', default.cars, low=1, high=1000),
-        max_traction_force=section.number('max_traction_force', 'N', default.max_traction_force, low=1.0, high=1e9),
-        max_traction_power=section.number('max_traction_power', 'W', default.max_traction_power, low=1.0, high=1e12),
-        max_speed=section.number('max_speed', 'm/s', default.max_speed, low=0.1, high=_MOST_SPEED),
-        mass_std=section.number('mass_std', '', default.mass_std, low=0.0, high=0.5),
-        force_std=section.number('force_std', '', default.force_std, low=0.0, high=0.5),
-    )
+    return Train(**_numbers(section, Train), cars=section.integer('cars', _CARS, low=1, high=1000))
 
 
 def _davis(section: Section) -> Davis:
-    # Only b may be negative: published fits of real rolling stock have such values, and w(v) stays positive.
     section.only(_names(Davis))
-    return Davis(
-        a=section.number('a', 'N/kN', low=0.0, high=100.0),
-        b=section.number('b', 'N/kN/(m/s)', low=-10.0, high=10.0),
-        c=section.number('c', 'N/kN/(m/s)^2', low=0.0, high=1.0),
-    )
+    return Davis(**_numbers(section, Davis))
 
 
 def _brake(section: Section) -> Brake:
     section.only(('rate', 'time_constant', 'delay', 'timing_std'))
-    default = Brake()
-    given = section.data.get('rate', default.rate)
+    given = section.data.get('rate', 1.0)
     if isinstance(given, bool) or not isinstance(given, (int, float, list)):
         section.fail('rate', f'= {shown(given)} must be a number or a table [[speed m/s, rate], ...]')
-    table = _rate_table(section) if isinstance(given, list) else ()
-    return Brake(
-        rate=default.rate if table else section.number('rate', '', default.rate, low=LEAST_RATE, high=MOST_RATE),
-        time_constant=section.number('time_constant', 's', default.time_constant, low=0.0, high=60.0),
-        delay=section.number('delay', 's', default.delay, low=0.0, high=60.0),
-        rate_table=table,
-        timing_std=section.number('timing_std', '', default.timing_std, low=0.0, high=1.0),
-    )
+    if isinstance(given, list):
+        return Brake(rate_table=_rate_table(section), **_numbers(section, Brake, 'rate'))
+    return Brake(**_numbers(section, Brake))
 
 
 def _rate_table(section: Section) -> Pairs:
@@ -243,7 +241,7 @@ def _line(section: Section) -> Line:
         curve=_curves(section),
         tunnel=_tunnels(section),
         speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MOST_SPEED),
-        gradient_std=section.number('gradient_std', 'per mille', Line().gradient_std, low=0.0, high=50.0),
+        **_numbers(section, Line),
     )
 
 

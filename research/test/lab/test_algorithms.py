@@ -12,15 +12,13 @@ import pytest
 from trainid_lab.brake_rate.brake_rate_algorithms import ALGORITHMS as BRAKE_RATES
 from trainid_lab.resistance.resistance_algorithms import ALGORITHMS as RESISTANCES
 from trainid_lab.speed_model.speed_model_algorithms import ALGORITHMS as SPEED_MODELS
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.estimators.consistency import ConsistencyVerdict
 from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.interface.records import NS_PER_S, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.ros.jobs import JOBS, chosen_algorithms, node_setups
+from trainid_ros.setup.jobs import JOBS, chosen_algorithms, node_setups
+from trainid_ros.setup.pipelines import BRAKE_RATE, RESISTANCE, EstimatorSettings, brake_rate_pipeline
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

@@ -15,7 +15,7 @@ from trainid_lab.resistance.segments import Segments, Windows, observe
 from trainid_lab.resistance.windowed import WindowedRegression
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.setup.pipelines import RESISTANCE
 
 NAMES = [name for name in RESISTANCE.names if isinstance(RESISTANCE[name].config, type(RESISTANCE['LS'].config))]
 PLAN = data.CoastPlan(gust_std=0.1, coasts=8)

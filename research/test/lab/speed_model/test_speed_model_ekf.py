@@ -11,7 +11,7 @@ import pytest
 from benchmarks.stepping import step_and_estimate
 from trainid_lab.speed_model.speed_model_ekf import EkfConfig, speed_ekf
 from trainid_ros.estimators.settings import AmVffRlsConfig
-from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
+from trainid_ros.setup.pipelines import am_vff_rls
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

@@ -13,11 +13,11 @@ import pytest
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
-from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.vmils import VMils
-from trainid_ros.ros import jobs
-from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups
-from trainid_ros.ros.params_file import find_mismatch, read_overrides
+from trainid_ros.setup import jobs
+from trainid_ros.setup.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups
+from trainid_ros.setup.params_file import find_mismatch, read_overrides
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import parse_train_file
 
 TRAIN = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')

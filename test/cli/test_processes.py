@@ -15,8 +15,9 @@ from xml.etree import ElementTree
 import pytest
 
 from test.hang import HANG_S
-from trainid_ros.demo import processes
-from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
+from trainid_ros.cli import processes
+from trainid_ros.cli.processes import ProcessGroup, free_domain, local_environment
+from trainid_ros.interface.errors import NoAnswerError
 
 CONFIG = Path(__file__).parents[2] / 'config'
 
@@ -48,6 +49,19 @@ def test_log_of_a_failed_child_gives_the_reason(tmp_path: Path) -> None:
         child = group.start('info', ['info', str(tmp_path / 'nothing')])
         assert child.process.wait() == 2
     assert 'no such bag' in child.log_tail()
+
+
+def test_a_child_that_ends_is_a_failure_unless_it_may(tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        good = group.start('version', ['--version'])
+        good.process.wait()
+        group.check(may_end=good)
+        with pytest.raises(NoAnswerError, match='version ended with exit code 0'):
+            group.check()
+        bad = group.start('info', ['info', str(tmp_path / 'nothing')])
+        bad.process.wait()
+        with pytest.raises(NoAnswerError, match=r'(?s)ended with exit code'):
+            group.check(may_end=bad)
 
 
 def test_stop_kills_children_that_ignore_sigterm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +98,7 @@ def test_child_ends_with_a_parent_that_was_killed() -> None:
         'import sys, time\n'
         'from pathlib import Path\n'
         'import subprocess, os\n'
-        'run = "import os,sys,time; from trainid_ros.demo.processes import die_with; die_with(int(sys.argv[1]));"\n'
+        'run = "import os,sys,time; from trainid_ros.cli.processes import die_with; die_with(int(sys.argv[1]));"\n'
         'run += "print(os.getpid(), flush=True); time.sleep(900)"\n'
         'p = subprocess.Popen([sys.executable, "-c", run, str(os.getpid())], start_new_session=True)\n'
         'time.sleep(900)\n'
@@ -125,9 +139,9 @@ def _wait_for(log: Path, word: str) -> str:
     return text
 
 
-@pytest.mark.parametrize('text', [processes._PROFILE, (CONFIG / 'fastdds_localhost.xml').read_text(encoding='utf-8')])
-def test_the_profiles_use_this_machine_alone(text: str) -> None:
-    root = ElementTree.fromstring(text.encode())
+@pytest.mark.parametrize('name', ['fastdds_replay.xml', 'fastdds_localhost.xml'])
+def test_the_profiles_use_this_machine_alone(name: str) -> None:
+    root = ElementTree.parse(CONFIG / name).getroot()
     space = {'d': 'http://www.eprosima.com'}
     transports = root.iterfind('.//d:transport_descriptor', space)
     networks = [item for item in transports if item.findtext('d:type', namespaces=space) != 'SHM']

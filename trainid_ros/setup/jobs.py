@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
-from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.ros.parameter_specs import (
+from trainid_ros.setup.parameter_specs import (
     ALGORITHM,
     MAPPING_FILE,
     TRAIN_PARAMETERS,
@@ -27,14 +24,22 @@ from trainid_ros.ros.parameter_specs import (
     requested_algorithm,
     validate_overrides,
 )
-from trainid_ros.ros.params_file import find_mismatch, read_overrides
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.setup.params_file import find_mismatch, read_overrides
+from trainid_ros.setup.pipelines import (
+    BRAKE_RATE,
+    RESISTANCE,
+    SPEED_MODEL,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.inputs.mapping import Mapping as InputMapping
+    from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -128,10 +133,9 @@ class Setup:
         """Return the pipeline that the node would run."""
         return self.job.pipeline(self.train_file, self.settings)
 
-    def mapped(self, mapping: InputMapping) -> Setup:
-        """Return the setup whose alignment fits a mapping."""
-        alignment = mapping.alignment(self.settings.alignment)
-        return replace(self, settings=replace(self.settings, alignment=alignment))
+    def realigned(self, change: Callable[[AlignmentConfig], AlignmentConfig]) -> Setup:
+        """Return the setup with a changed alignment, such as that which fits a mapping."""
+        return replace(self, settings=replace(self.settings, alignment=change(self.settings.alignment)))
 
 
 def node_setups(
@@ -165,7 +169,7 @@ def node_setups(
         overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
         if job.field in chosen:
             overrides[ALGORITHM] = chosen[job.field]
-        topics = qos_overrides(job, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
+        topics = qos_overrides(job.topic, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
         setups.append(_setup(job, train_file, source, overrides, {*_OF_ROS, *topics}))
     return tuple(setups)
 

@@ -8,26 +8,26 @@ repeated here.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.estimators.algorithm_registry import Choice
 from trainid_ros.estimators.pipeline import PipelineConfig
 from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.interface.records import INPUT_TOPICS
-from trainid_ros.pipelines import EstimatorSettings
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from _typeshed import DataclassInstance
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.ros.jobs import Job
+    from trainid_ros.interface.records import OutputTopic
 
 Value: TypeAlias = bool | int | float | str
 Values: TypeAlias = 'Mapping[str, Value]'
@@ -106,31 +106,25 @@ class TrainParameter:
         return float(getattr(getattr(train_file, self.section), self.field))
 
 
-def _train(section: str, name: str, default: float, text: str, limits: tuple[float, float]) -> TrainParameter:
-    required = section == 'resistance' or name == 'mass'
-    source = 'required without a train file' if required else 'default if set neither here nor in the train file'
-    description = f'{text}; overrides the train file ({source}); {_NEXT}'
-    spec = ParameterSpec(f'{section}.{name}', default, description, *limits)
-    return TrainParameter(section, name, spec, required)
+def _train_parameters(section: str, kind: type[Any], *names: str) -> Iterator[TrainParameter]:
+    """Yield parameters for fields of a section; ranges and defaults are stated on the fields."""
+    by_name: dict[str, Field[Any]] = {item.name: item for item in fields(kind)}
+    for name in names:
+        item, info = by_name[name], setting_info(by_name[name])
+        assert info is not None
+        required = item.default is MISSING
+        default = 0.0 if item.default is MISSING else float(item.default)
+        source = 'required without a train file' if required else 'default if set neither here nor in the train file'
+        text = f'{info.description} [{info.unit}]; overrides the train file ({source}); {_NEXT}'
+        spec = ParameterSpec(f'{section}.{name}', default, text, min(info.low, default), info.high)
+        yield TrainParameter(section, name, spec, required)
 
 
-_NOMINAL: Final = (Train(mass=0.0), Brake())
 TRAIN_PARAMETERS: Final = (
-    _train('train', 'mass', 0.0, 'train mass at its usual load [kg]', (0.0, 1e9)),
-    _train(
-        'train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating mass as a fraction of the train mass [1]', (0.0, 1.0)
-    ),
-    _train('train', 'length', _NOMINAL[0].length, 'length of the train [m]', (0.1, 1e4)),
-    _train('train', 'mass_std', _NOMINAL[0].mass_std, 'std of the relative error of the mass [1]', (0.0, 0.5)),
-    _train('train', 'force_std', _NOMINAL[0].force_std, 'std of the relative error of the force [1]', (0.0, 0.5)),
-    _train('resistance', 'a', 0.0, 'prior Davis a [N/kN]', (0.0, 100.0)),
-    _train('resistance', 'b', 0.0, 'prior Davis b [N/kN per m/s]', (-10.0, 10.0)),
-    _train('resistance', 'c', 0.0, 'prior Davis c [N/kN per (m/s)^2]', (0.0, 1.0)),
-    _train('brake', 'rate', _NOMINAL[1].rate, 'prior brake rate, 1 = nominal [1]', (0.01, 10.0)),
-    _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
-    _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
-    _train('brake', 'timing_std', _NOMINAL[1].timing_std, 'std of the relative error of both times [1]', (0.0, 1.0)),
-    _train('line', 'gradient_std', Line().gradient_std, 'std of the error of the gradients [per mille]', (0.0, 50.0)),
+    *_train_parameters('train', Train, 'mass', 'rotary_mass', 'length', 'mass_std', 'force_std'),
+    *_train_parameters('resistance', Davis, 'a', 'b', 'c'),
+    *_train_parameters('brake', Brake, 'rate', 'time_constant', 'delay', 'timing_std'),
+    *_train_parameters('line', Line, 'gradient_std'),
 )
 ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec(
@@ -247,16 +241,16 @@ def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
     return ', '.join(f'{name} = {own[name]:g} (train file: {value:g})' for name, value in different)
 
 
-def qos_overrides(job: Job, resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
+def qos_overrides(output: OutputTopic, resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
     """Return the names of the QoS parameters.
 
     Args:
-        job: The job of the node.
+        output: Topic of the estimates of the node.
         resolve: Returns the full name of a topic.
         foreign: Topics of a mapping.
     """
     topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
-    topics += [(topic, 'publisher') for topic in (job.topic.name, job.topic.last_valid) if topic]
+    topics += [(topic, 'publisher') for topic in (output.name, output.last_valid) if topic]
     return [
         f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in QOS_POLICIES[entity]
     ]

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.cli.demo import summary
+from trainid_ros.cli.demo import HIDDEN, describe_hidden, is_found
 from trainid_ros.cli.main import main
-from trainid_ros.demo.hidden import HIDDEN, HiddenCase
 from trainid_ros.explain.result import Explanation
 from trainid_ros.train.train_file import TrainFile
 
@@ -30,11 +29,11 @@ def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert HIDDEN in (folder / 'report.html').read_text(encoding='utf-8')
 
 
-def test_summary_shows_the_hidden_and_the_found_effect(
+def test_text_shows_the_hidden_and_the_found_effect(
     make_explanation: Callable[..., Explanation], stated: TrainFile
 ) -> None:
-    case = HiddenCase(stated, make_explanation(), Path('out/report.html'))
-    text = summary([], case)
+    found = (stated, make_explanation())
+    text = describe_hidden(found, Path('out'))
     assert text.index(HIDDEN) < text.index('EXPLAINED: The current model lacks local_drag')
-    assert case.worked
-    assert not HiddenCase(stated, make_explanation(effects=()), Path('r')).worked
+    assert is_found(found)
+    assert not is_found((stated, make_explanation(effects=())))

@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Final, Self
 
-from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.package_files import shared_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -80,7 +81,7 @@ class ProcessGroup:
         path = self._folder / f'{name}.log'
         log = path.open('wb')
         self._logs.append(log)
-        command = [sys.executable, '-m', 'trainid_ros.demo.processes', str(os.getpid()), *arguments]
+        command = [sys.executable, '-m', 'trainid_ros.cli.processes', str(os.getpid()), *arguments]
         # A signal between the start of a child and its entry in the list would leave it running.
         with _signals_held():
             process = subprocess.Popen(
@@ -93,6 +94,13 @@ class ProcessGroup:
     def ended(self) -> tuple[Child, ...]:
         """Return the children that have ended."""
         return tuple(child for child in self._children if child.process.poll() is not None)
+
+    def check(self, may_end: Child | None = None) -> None:
+        """Raise NoAnswerError, with the end of its log, for a child that has ended; one may end without an error."""
+        for child in self.ended():
+            code = child.process.returncode
+            if child is not may_end or code != 0:
+                raise NoAnswerError(f'{child.name} ended with exit code {code} ({child.log}: {child.log_tail()})')
 
     def stop(self) -> tuple[Child, ...]:
         """End all children and wait for them; return those that had to be killed."""
@@ -128,33 +136,6 @@ _OFFSETS: Final = (0, 10, 11, 12, 13)
 # ROS recommends domains up to 101; 0 is the default of all processes.
 _DOMAINS: Final = 101
 _FAST_DDS: Final = 'rmw_fastrtps_cpp'
-# Fast DDS drops what does not fit into its shared memory, and resending takes long at many times real time.
-# These queues hold the messages of a process stalled for seconds. Only addresses of this machine are used, as in
-# config/fastdds_localhost.xml. Other middlewares do not read this profile.
-_PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com"><profiles>
-  <transport_descriptors>
-    <transport_descriptor>
-      <transport_id>deep_memory</transport_id><type>SHM</type>
-      <segment_size>33554432</segment_size><port_queue_capacity>32768</port_queue_capacity>
-    </transport_descriptor>
-    <transport_descriptor>
-      <transport_id>udp</transport_id><type>UDPv4</type>
-      <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
-      <maxInitialPeersRange>33</maxInitialPeersRange>
-    </transport_descriptor>
-  </transport_descriptors>
-  <participant profile_name="demo" is_default_profile="true"><rtps>
-    <useBuiltinTransports>false</useBuiltinTransports>
-    <userTransports>
-      <transport_id>deep_memory</transport_id><transport_id>udp</transport_id>
-    </userTransports>
-    <builtin>
-      <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
-    </builtin>
-  </rtps></participant>
-</profiles></dds>
-"""
 
 
 def free_domain(first: int) -> int:
@@ -191,12 +172,10 @@ def local_environment(profile: Path) -> dict[str, str]:
 
 
 def isolate(logs: Path) -> int:
-    """Put this process and its children into an unused domain; return it."""
+    """Put this process and its children into an unused domain, with queues for a fast playback; return the domain."""
     domain = free_domain(os.getpid())
-    profile = logs / 'fastdds.xml'
-    profile.write_text(_PROFILE, encoding='utf-8')
     os.environ |= {
-        **local_environment(profile),
+        **local_environment(shared_path('config/fastdds_replay.xml')),
         'ROS_DOMAIN_ID': str(domain),
         'ROS_LOG_DIR': str(logs.absolute()),
     }
