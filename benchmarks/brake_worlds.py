@@ -25,8 +25,8 @@ from trainid_ros.brake_rate.motion_model import brake_step
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.setup.pipelines import BRAKE_RATE
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
-from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.sample_stream import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import CommandHistory, davis
 

@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline import SharedRecord, share_streams
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.results import Rejection
 from trainid_ros.setup.pipelines import (

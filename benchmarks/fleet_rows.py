@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.fleet_bags import FAULTS, Fault, draw_day, draw_train, drive, stated_train
 from benchmarks.tables import Table
 from trainid_ros.bag.record_table import table_of
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.fleet.analysis import FleetView, analyse
 from trainid_ros.fleet.mixed_model import CHANNELS
 from trainid_ros.fleet.run_fleet import Odometer

@@ -14,8 +14,7 @@ from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from benchmarks.worlds import WORLDS
 from benchmarks.yizhuang_day import DRY, RAIN, yizhuang_day
-from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.interface.results import Output, Status
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.train.forces import specific_inertia

@@ -24,11 +24,11 @@ from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.checkpoint import Checkpoint, parse_checkpoint
 from trainid_ros.cli.processes import free_domain
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
+from trainid_ros.setup.checkpoint import Checkpoint, parse_checkpoint
 from trainid_ros.setup.jobs import JOBS
 
 if TYPE_CHECKING:

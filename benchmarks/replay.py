@@ -22,7 +22,7 @@ from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import typestore
 from trainid_ros.compiled import SWITCH, uses_sources
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.setup.pipelines import (
     EstimatorSettings,
     brake_rate_pipeline,

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.checkpoint import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.setup.checkpoint import (
     Checkpoint,
     CheckpointFile,
     ForeignFileError,
@@ -26,7 +27,6 @@ from trainid_ros.checkpoint import (
     parse_checkpoint,
     provenance_of,
 )
-from trainid_ros.interface.errors import InputError
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings
 from trainid_ros.train.train_file import Effect, TrainFile
 

@@ -18,7 +18,7 @@ import pytest
 
 from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.compiled import SWITCH, uses_sources
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.setup.pipelines import (

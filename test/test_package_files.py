@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.package_files import shared_path
+from trainid_ros.interface.files import shared_path
 
 
 def test_files_of_the_source_tree_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

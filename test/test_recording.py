@@ -17,7 +17,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Output, ResistanceEstimate, Status
-from trainid_ros.recording import CAPACITY, PlausibleStamps, Recorder
+from trainid_ros.report.recording import CAPACITY, PlausibleStamps, Recorder
 from trainid_ros.setup.pipelines import (
     EstimatorSettings,
     brake_rate_pipeline,

@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.vectors import vec
-from trainid_ros.state import (
+from trainid_ros.interface.state import (
     State,
     declare,
     decode,
@@ -32,6 +31,7 @@ from trainid_ros.state import (
     stored,
     unknown,
 )
+from trainid_ros.interface.vectors import vec
 
 
 class Colour(IntEnum):

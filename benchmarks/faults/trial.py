@@ -14,8 +14,7 @@ import numpy as np
 from benchmarks.faults.catalogue import BY_NAME
 from benchmarks.faults.injection import injected
 from benchmarks.rides import DAY, Ride, ride
-from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, share_streams
 from trainid_ros.interface.records import MAY_BE_UNKNOWN, NS_PER_S, Row, SpeedRecord
 from trainid_ros.interface.results import Output, Reason, Status
 from trainid_ros.setup.pipelines import (

@@ -22,9 +22,9 @@ from benchmarks.faults_live.cases import HEALTHY, NODES
 from benchmarks.faults_live.listener import Listener
 from benchmarks.kills import Nodes
 from benchmarks.sender import Sending, write_rows
-from trainid_ros.checkpoint import Checkpoint, provenance_of
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.records import BRAKE, NS_PER_S, Row
+from trainid_ros.setup.checkpoint import Checkpoint, provenance_of
 from trainid_ros.setup.jobs import JOBS
 from trainid_ros.setup.pipelines import EstimatorSettings
 

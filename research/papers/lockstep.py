@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.speed_model import integral_rls, rls
-from trainid_ros.state import encode, restore
+from trainid_ros.interface.state import encode, restore
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.bag.bag_info import BagInfo, TopicInfo, inspect
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
+from trainid_ros.inspection.bag_info import BagInfo, TopicInfo, inspect
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from benchmarks.measured_car import FOLDER, load_trip, records
-from trainid_ros.bag.bag_info import BagInfo, inspect
-from trainid_ros.bag.input_check import check_inputs
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
+from trainid_ros.inspection.bag_info import BagInfo, inspect
+from trainid_ros.inspection.input_check import check_inputs
 from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,

@@ -12,8 +12,8 @@ import pytest
 from mcap.writer import Writer
 
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
-from trainid_ros.bag import number_series
-from trainid_ros.bag.number_series import BagNumbers, read_numbers
+from trainid_ros.inspection import number_series
+from trainid_ros.inspection.number_series import BagNumbers, read_numbers
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.kills import Campaign
-from trainid_ros.checkpoint import parse_checkpoint
+from trainid_ros.setup.checkpoint import parse_checkpoint
 from trainid_ros.setup.jobs import JOBS
 
 

@@ -147,14 +147,14 @@ def test_the_help_of_the_simulator_imports_only_what_it_names() -> None:
 
 def test_info_imports_only_what_it_needs(driven_bag: Path) -> None:
     found = imported_by(['info', str(driven_bag)])
-    assert 'trainid_ros.bag.bag_info' in found
+    assert 'trainid_ros.inspection.bag_info' in found
     assert not found & (SLOW | {'trainid_ros.estimators.pipeline', 'trainid_ros.sim.truth'})
 
 
 def test_replay_imports_only_what_it_needs(driven_bag: Path) -> None:
     found = imported_by(['replay', str(driven_bag), '--train', str(driven_bag / 'train.yaml')])
     assert 'trainid_ros.estimators.pipeline' in found
-    assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.recording'})
+    assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.report.recording'})
 
 
 def test_closed_pipe_is_quiet(driven_bag: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from trainid_ros.client import TrainModel
 from trainid_ros.client.file_values import StatedEffects
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import Record
 from trainid_ros.interface.results import Output

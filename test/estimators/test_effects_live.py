@@ -23,7 +23,7 @@ from trainid_ros.setup.pipelines import (
     speed_model_pipeline,
 )
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
-from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.sample_stream import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import TrainFile

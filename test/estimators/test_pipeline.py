@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
-from trainid_ros.estimators.pipeline_group import PipelineGroup, SharedRecord
+from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig, PipelineGroup, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status

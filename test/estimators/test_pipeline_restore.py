@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, share_streams
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status

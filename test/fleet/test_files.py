@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.fleet.plan import write_whole
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import write_whole
 
 
 def test_a_full_disk_leaves_the_old_file_alone(tmp_path: Path) -> None:

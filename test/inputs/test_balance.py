@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.inputs.balance import PER_MILLE, is_near, nearest_unit, partial_slope, regress
+from trainid_ros.inspection.suggestion import PER_MILLE, is_near, nearest_unit, partial_slope, regress
 
 COUNT = 400
 TIME = np.array([2.0 * k for k in range(COUNT)], dtype=np.float64)

@@ -13,7 +13,6 @@ import pytest
 
 from benchmarks.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.bag.number_series import read_numbers
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
@@ -21,8 +20,9 @@ from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import Mapping, Signal, Source
 from trainid_ros.inputs.mapping_file import parse_mapping
-from trainid_ros.inputs.suggest import suggest
-from trainid_ros.inputs.suggestion import Suggestion, comment
+from trainid_ros.inspection.number_series import read_numbers
+from trainid_ros.inspection.suggest import suggest
+from trainid_ros.inspection.suggestion import Suggestion, comment
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     BrakeRecord,

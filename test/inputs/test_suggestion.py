@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from trainid_ros.inputs.suggestion import family, score, unit_in, words_of
+from trainid_ros.inspection.suggestion import family, score, unit_in, words_of
 
 
 @pytest.mark.parametrize(

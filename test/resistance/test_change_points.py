@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.robust_fit import robust_fit
-from trainid_ros.state import encode, restore
 
 STD = 0.5
 PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))

@@ -19,10 +19,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from trainid_msgs.msg import ResistanceEstimate
 
-from trainid_ros.checkpoint import CheckpointFile, default_path, parse_checkpoint
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import BRAKE_RATE, SPECS, EstimatorNode
+from trainid_ros.setup.checkpoint import CheckpointFile, default_path, parse_checkpoint
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from trainid_ros.checkpoint import Checkpoint
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.inputs import SharedInputs
+from trainid_ros.setup.checkpoint import Checkpoint
 
 pytestmark = pytest.mark.ros
 

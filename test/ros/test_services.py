@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from trainid_ros.checkpoint import default_path
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, EstimatorNode
+from trainid_ros.setup.checkpoint import default_path
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 

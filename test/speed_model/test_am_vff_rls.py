@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.estimators.settings import SpeedModelConfig
+from trainid_ros.interface.state import encode, restore
 from trainid_ros.speed_model.am_vff_rls import (
     AuxiliaryModel,
     Tuning,
@@ -19,7 +20,6 @@ from trainid_ros.speed_model.am_vff_rls import (
     prior_variances_given_b1,
     running_mean,
 )
-from trainid_ros.state import encode, restore
 
 Array = NDArray[np.float64]
 THETA, P0 = prior((1.5, 0.03, 0.004), 9.80665 / 1080.0, SpeedModelConfig(), 0.05)

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
-from trainid_ros.state import encode, restore
 
 NONE = (0.0, 0.0, 0.0, 0.0)
 UNIT = (1.0, 0.0, 0.0, 0.0)

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import pytest
 
+from trainid_ros.interface.state import encode, restore
 from trainid_ros.sim.plant import Plant
-from trainid_ros.state import encode, restore
-from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.sample_stream import DriveHistoryTracker
 from trainid_ros.stream.samples import NO_HISTORY, Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED
 from trainid_ros.train.forces import BrakeCommandChange

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.stream.intervals import LearnedInterval
+from trainid_ros.stream.topic_track import LearnedInterval
 
 MS = 1_000_000
 LONGEST = 1250 * MS

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.stream.left_time import RETURN_NS, LeftTime
+from trainid_ros.stream.alignment import RETURN_NS, LeftTime
 
 A, B, C = (k * 10**6 * NS_PER_S for k in (1, 2, 3))
 S = NS_PER_S

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, share_streams
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status
 from trainid_ros.setup.pipelines import (

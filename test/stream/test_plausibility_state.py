@@ -9,7 +9,7 @@ import pytest
 
 from trainid_ros.stream.balance_checks import BalanceCheck, ChangeCheck, LineCheck, ShiftCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
-from trainid_ros.stream.plausibility_state import PlausibilityState
+from trainid_ros.stream.plausibility import PlausibilityState
 from trainid_ros.stream.slope_checks import BRAKE_RANGE, TRACTION_RANGE, DistanceCheck, Effort, Slope
 
 SUSPICIONS: dict[str, Callable[[], PlausibilityState]] = {

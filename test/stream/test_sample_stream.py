@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
-from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig, share_streams
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Output, Reason
 from trainid_ros.setup.pipelines import (

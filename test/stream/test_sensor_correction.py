@@ -7,7 +7,7 @@ import math
 
 from trainid_ros.interface.records import FORCE, GRADIENT, SPEED
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.sensor_correction import SensorCorrection
+from trainid_ros.stream.sample_stream import SensorCorrection
 from trainid_ros.train.train_file import Effect
 
 WHEEL = (Effect('wheel_diameter', (('ratio', 1.05),)),)

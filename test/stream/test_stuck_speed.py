@@ -11,8 +11,8 @@ import pytest
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.sample_stream import StuckSpeed
 from trainid_ros.stream.samples import Sample
-from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, TrainFile
 

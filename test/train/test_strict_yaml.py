@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.fields import compose, load, parse_yaml, read_text
+from trainid_ros.train.fields import parse_yaml, read_text
+from trainid_ros.train.strict_yaml import compose, load
 
 
 def aliases(levels: int) -> str:

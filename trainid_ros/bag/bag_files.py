@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from trainid_ros.bag.db3_file import Db3File
 from trainid_ros.bag.mcap_file import McapFile, hint_of
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.fields import load, read_text
+from trainid_ros.train.fields import read_text
+from trainid_ros.train.strict_yaml import load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
 from trainid_ros.brake_rate.brake_findings import brake_findings
-from trainid_ros.estimators.pipeline import EstimatorPipeline
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineGroup
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
-    from trainid_ros.estimators.contradiction import Contradiction
+    from trainid_ros.estimators.pipeline import Contradiction
     from trainid_ros.interface.records import Row
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile

@@ -40,7 +40,7 @@ from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.state import State, declare, encode, restore, stored
+from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import SpeedNoise
 from trainid_ros.train.forces import CommandHistory
 

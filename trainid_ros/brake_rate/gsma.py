@@ -33,8 +33,8 @@ from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Errors, Start, Transition

@@ -27,8 +27,8 @@ import math
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import ERRORS, STATES
+from trainid_ros.interface.state import State, declare
 from trainid_ros.interface.vectors import i64, vec
-from trainid_ros.state import State, declare
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Start, Transition

@@ -19,9 +19,9 @@ from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
 from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show
 from trainid_ros.cli.processes import ProcessGroup, isolate
 from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, stamp_of, status_of
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.package_files import shared_path
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, load_train_file
@@ -277,7 +277,7 @@ class LiveRun:
     """What the nodes publish while a bag is played."""
 
     def __init__(self, truth: Truth | None, say: Say) -> None:
-        from trainid_ros.recording import Recorder  # noqa: PLC0415
+        from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
         self.estimates = Estimates()
         self.newest: dict[type, AnyOutput] = {}

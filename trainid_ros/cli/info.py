@@ -7,11 +7,11 @@ import math
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from trainid_ros.bag.bag_info import inspect
 from trainid_ros.bag.reader import NAMESPACE
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.inspection.bag_info import inspect
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.train.train_file import load_train_file
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.bag.bag_info import BagInfo, TopicInfo
+    from trainid_ros.inspection.bag_info import BagInfo, TopicInfo
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -50,8 +50,8 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         InputError: It cannot be read, or holds several trains.
     """
     # Imported here because other uses need not load it.
-    from trainid_ros.bag.number_series import read_numbers  # noqa: PLC0415
-    from trainid_ros.inputs.suggest import suggest, trains_in  # noqa: PLC0415
+    from trainid_ros.inspection.number_series import read_numbers  # noqa: PLC0415
+    from trainid_ros.inspection.suggest import suggest, trains_in  # noqa: PLC0415
 
     numbers = read_numbers(bag, args.namespace, args.max_chunk, advance)
     if trains := trains_in(numbers.series):

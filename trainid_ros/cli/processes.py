@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Final, Self
 
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.package_files import shared_path
+from trainid_ros.interface.files import shared_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.bag.input_check import brake_sign
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.opening import load_setups
@@ -20,6 +19,7 @@ from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.inspection.input_check import brake_sign
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.recording import Recorder, Recording
+    from trainid_ros.report.recording import Recorder, Recording
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.setup.jobs import Setup
     from trainid_ros.sim.truth import Truth
@@ -169,7 +169,7 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
         return observers, None
     # Imported here because most replays only print.
     from trainid_ros.bag.writer import BagRecorder, BagWriter  # noqa: PLC0415
-    from trainid_ros.recording import Recorder  # noqa: PLC0415
+    from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
     if out is not None and out.suffix in TABLE_SUFFIXES:
         observers.append(stack.enter_context(estimate_table(out)))

@@ -201,7 +201,7 @@ class TrainModel:
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
         if node is not None:
-            from trainid_ros.ros.estimate_subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
+            from trainid_ros.client.subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
             self.subscriptions = subscribe_estimates(node, self)
 

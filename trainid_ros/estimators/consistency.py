@@ -21,8 +21,8 @@ from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.state import State, declare, unknown
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import State, declare, unknown
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 

@@ -1,26 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One pipeline for every driver: records in, outputs out.
+"""When the inputs of a replay contradicted each other.
+
+One pipeline for every driver: records in, outputs out.
 
 Live nodes, bag replay and fleets push the same records into the same pipelines and copy their outputs; no number is
 computed elsewhere.
+
+Several pipelines that take in the same records share the streams that would give the same samples.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final, Generic
+from typing import Any, ClassVar, Final, Generic
 
 from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.interface.errors import InputError, check_settings, setting
-from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
+from trainid_ros.interface.records import NS_PER_S, Record, Row
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
-from trainid_ros.state import State, declare, encode, restore, several, stored
+from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.state import State, declare, encode, restore, several, stored
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
+
+
+@dataclass(slots=True)
+class Contradiction:
+    """The last time that inputs contradicted each other, in time covered by the samples."""
+
+    finding: str = ''  # What contradicted what, empty if nothing ever did
+    begin_s: float = math.nan  # When it began [s], NaN if it never did
+    end_s: float = math.nan  # When it ended [s], NaN while it lasts
+
+    def follow(self, finding: str, now_s: float) -> None:
+        """Take in what contradicts what after a sample, '' if nothing does; a new contradiction replaces the last."""
+        lasts = self.finding != '' and math.isnan(self.end_s)
+        if finding and not lasts:
+            self.begin_s, self.end_s = now_s, math.nan
+        elif lasts and not finding:
+            self.end_s = now_s
+        self.finding = finding or self.finding
+
+    @property
+    def text(self) -> str:
+        """What contradicted what, and when."""
+        if math.isnan(self.end_s):
+            return f'inputs contradict each other since {self.begin_s:.1f} s: {self.finding}'
+        return f'inputs contradicted each other from {self.begin_s:.1f} to {self.end_s:.1f} s: {self.finding}'
+
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
 _SNAPSHOT_S: Final = 120.0
@@ -320,3 +352,73 @@ class EstimatorPipeline(Generic[EstimateT]):
 def aged_status(saved: Status, *, converged: bool) -> Status:
     """Return the status of a restored estimate until its next sample; ``converged`` if its age allows to use it."""
     return Status.CONVERGING if saved in (Status.VALID, Status.HOLDING) and not converged else saved
+
+
+def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleStream, ...]:
+    """Let pipelines whose streams are new and would give the same samples share one; return the streams."""
+    streams: list[SampleStream] = []
+    for pipeline in pipelines:
+        equal = [stream for stream in streams if stream.equals(pipeline.stream)]
+        if equal:
+            pipeline.stream = equal[0]
+        else:
+            streams.append(pipeline.stream)
+    return tuple(streams)
+
+
+class SharedRecord:
+    """One record for several pipelines: it goes once into each of their streams, as they are at that time."""
+
+    def __init__(self, row: Row) -> None:
+        self._row = row
+        self._streams: list[SampleStream] = []
+        self._events: list[list[StreamEvent] | None] = []
+
+    def events(self, stream: SampleStream) -> list[StreamEvent]:
+        """Return what a stream makes of the record; TrainIdError if it has failed for another pipeline."""
+        for k in range(len(self._streams)):
+            if self._streams[k] is stream:
+                events = self._events[k]
+                if events is None:
+                    raise TrainIdError('the stream that it shares with another estimator has failed')
+                return events
+        self._streams.append(stream)
+        self._events.append(None)  # until it has succeeded
+        topic, stamp_ns, x, y, flag = self._row
+        events = self._events[-1] = stream.push_row(topic, stamp_ns, x, y, flag)
+        return events
+
+
+class PipelineGroup:
+    """Pipelines that take in the same records; those whose streams would give the same samples share one."""
+
+    def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
+        share_streams(pipelines)
+        self._pipelines, self.contradiction = list(pipelines), Contradiction()  # of the inputs of the first
+        self._first_ns = self._newest_ns = self._before_ns = 0
+
+    @property
+    def covered_s(self) -> float:
+        """Time covered by the samples [s]; where stamps jump back the time before counts too."""
+        return seconds(self._before_ns + self._newest_ns - self._first_ns)
+
+    def push_rows(self, rows: Iterable[Row], publish: Callable[[Output[Any]], object] | None = None) -> int:
+        """Take in rows of records; return their number. For ``publish`` see :meth:`EstimatorPipeline.take`."""
+        count = 0
+        for row in rows:
+            record = SharedRecord(row)
+            for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
+                if isinstance(event, Sample):
+                    self._cover(event.stamp_ns)
+                    self.contradiction.follow(self._pipelines[0].stream.finding, self.covered_s)
+            for pipeline in self._pipelines:
+                pipeline.take(record.events(pipeline.stream), publish)
+            count += 1
+        return count
+
+    def _cover(self, stamp_ns: int) -> None:
+        if stamp_ns < self._newest_ns:
+            self._before_ns += self._newest_ns - self._first_ns
+            self._first_ns = stamp_ns
+        self._first_ns = self._first_ns or stamp_ns
+        self._newest_ns = stamp_ns

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, date, datetime
 from glob import glob, has_magic
@@ -26,6 +25,7 @@ from trainid_ros.bag.record_file import RecordFile
 from trainid_ros.inputs.mapping import Signal
 from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
@@ -95,22 +95,6 @@ def day_of(label: str, start_s: float | None, where: Path) -> str | None:
         except ValueError:
             raise InputError(f'{where}: label day {label!r} is not a day such as 2026-01-31') from None
     return None if start_s is None else datetime.fromtimestamp(start_s, UTC).date().isoformat()
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let a function write another file, and rename that.
-
-    Raises:
-        InputError: It cannot be written.
-    """
-    part = path.with_name(f'{path.name}.part')
-    try:
-        write(part)
-        part.replace(path)
-    except OSError as error:
-        with suppress(OSError):  # half a file
-            part.unlink(missing_ok=True)
-        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
 
 
 _FORMAT: Final = 1

@@ -13,8 +13,8 @@ import json
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
-from trainid_ros.fleet.plan import write_whole
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.results import Reason, Status
 
 if TYPE_CHECKING:

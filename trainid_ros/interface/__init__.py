@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""interface."""
+"""What all else builds on: records, messages, results and their states, errors, text."""

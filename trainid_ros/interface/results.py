@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, TypeVar
 
-from trainid_ros.state import stored
+from trainid_ros.interface.state import stored
 
 
 class Status(IntEnum):

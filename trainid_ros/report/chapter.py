@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
-    from trainid_ros.recording import Array, Recording
+    from trainid_ros.report.recording import Array, Recording
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import Davis, TrainFile
 

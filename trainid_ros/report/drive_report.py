@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
-from trainid_ros.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, input_panels
 from trainid_ros.report import style
 from trainid_ros.report.chapter import (
     final_truth,
@@ -23,6 +22,7 @@ from trainid_ros.report.chapter import (
     true_theta,
 )
 from trainid_ros.report.page import Table, render, write_page
+from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, input_panels
 from trainid_ros.report.words import DASH, DAVIS_UNITS, number
 from trainid_ros.train.forces import davis
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-    from trainid_ros.recording import Array, Series, Track
     from trainid_ros.report.chapter import AccuracyScore, Chapter
+    from trainid_ros.report.recording import Array, Series, Track
 
 MODES: Final = {PULLING: style.TRACTION, COASTING: style.COAST, BRAKING: style.BRAKE, STANDSTILL: style.STAND}
 STATUSES: Final = {

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from trainid_ros.explain.result import FoundEffect, Location, Place, RunTrace
-    from trainid_ros.recording import Array
+    from trainid_ros.report.recording import Array
     from trainid_ros.train.train_file import Line, TrainFile
 
 # The tag has the colours of the estimators' statuses.

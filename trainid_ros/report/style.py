@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-    from trainid_ros.recording import Array, Panel, Span
+    from trainid_ros.report.recording import Array, Panel, Span
 
 INK: Final = '#1b1f24'
 MUTED: Final = '#6b7280'

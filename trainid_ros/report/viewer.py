@@ -10,11 +10,11 @@ from uuid import uuid4
 
 import numpy as np
 
-from trainid_ros.fleet.plan import write_whole
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.shown_estimates import SHOWN, ShownEstimate
-from trainid_ros.recording import Labels, Panel, Recorder, Recording, Track, input_panels
+from trainid_ros.report.recording import Labels, Panel, Recorder, Recording, Track, input_panels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.bag.bag_replay import Pipelines
-    from trainid_ros.recording import AnyOutput
+    from trainid_ros.report.recording import AnyOutput
 
 RRD_START: Final = 'RRF2'
 """How a recording starts."""

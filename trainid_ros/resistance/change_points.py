@@ -27,6 +27,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from trainid_ros.interface.state import State, declare, several
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.normal import (
     Array,
@@ -41,7 +42,6 @@ from trainid_ros.resistance.normal import (
     widened,
 )
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
-from trainid_ros.state import State, declare, several
 
 # Log odds against the long memory at which it is replaced.
 _REPLACED: Final = math.log(1e3)

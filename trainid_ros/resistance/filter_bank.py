@@ -21,6 +21,7 @@ from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.state import State, declare, encode, restore, several
 from trainid_ros.interface.vectors import append, vec
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
@@ -38,7 +39,6 @@ from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, 
 from trainid_ros.resistance.normal import Inflation
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
-from trainid_ros.state import State, declare, encode, restore, several
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import STANDING
 

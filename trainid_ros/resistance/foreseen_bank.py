@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.speed_states import Interval
-from trainid_ros.state import encode, restore
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.state import State, declare, several
 from trainid_ros.interface.vectors import append, i64, vec
 from trainid_ros.resistance.davis_posterior import DavisPosterior
 from trainid_ros.resistance.speed_states import (
@@ -41,7 +42,6 @@ from trainid_ros.resistance.speed_states import (
     entry,
     speed_filter,
 )
-from trainid_ros.state import State, declare, several
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import append, i64, vec
-from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
 import numpy as np
 
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.resistance.davis_posterior import MAX_DELAY, MIN_DELAY
-from trainid_ros.state import State, declare, definite
-from trainid_ros.stream.intervals import FAST_NS
+from trainid_ros.stream.topic_track import FAST_NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,9 +18,9 @@ import numpy as np
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.state import State, declare, several
 from trainid_ros.interface.vectors import append, vec
 from trainid_ros.resistance.normal import dot
-from trainid_ros.state import State, declare, several
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

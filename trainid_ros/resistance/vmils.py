@@ -28,6 +28,7 @@ from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError, check_settings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.state import State, declare, encode, restore
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
@@ -43,7 +44,6 @@ from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
-from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:

@@ -21,6 +21,7 @@ import numpy as np
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.state import State, declare
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.davis_posterior import DrivenSpeeds
 from trainid_ros.resistance.normal import Inflation, SlowNoise, gate
@@ -32,7 +33,6 @@ from trainid_ros.resistance.speed_window import (
     observe_resistance,
     overlap_factor,
 )
-from trainid_ros.state import State, declare
 from trainid_ros.stream.known_force import SpeedNoise
 
 if TYPE_CHECKING:

@@ -12,7 +12,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.checkpoint import (
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import Status
+from trainid_ros.ros.context import NUMERICAL_ERRORS
+from trainid_ros.ros.input_monitor import shown_time
+from trainid_ros.setup.checkpoint import (
     Checkpoint,
     CheckpointFile,
     ForeignFileError,
@@ -20,10 +24,6 @@ from trainid_ros.checkpoint import (
     default_path,
     provenance_of,
 )
-from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.results import Status
-from trainid_ros.ros.context import NUMERICAL_ERRORS
-from trainid_ros.ros.input_monitor import shown_time
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline

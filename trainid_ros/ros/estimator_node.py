@@ -50,8 +50,7 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
-    from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.estimators.pipeline_group import SharedRecord
+    from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
     from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.setup.jobs import Job
     from trainid_ros.train.train_file import TrainFile

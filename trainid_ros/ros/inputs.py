@@ -15,7 +15,7 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
-from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline import SharedRecord, share_streams
 from trainid_ros.inputs.mapping import OWN
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import InputTopic, record_from_message

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 import yaml
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.fields import compose, load, read_text
+from trainid_ros.train.fields import read_text
+from trainid_ros.train.strict_yaml import compose, load
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

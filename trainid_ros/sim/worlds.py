@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.package_files import shared_path
+from trainid_ros.interface.files import shared_path
 from trainid_ros.sim.plant import DriverModel, GustModel
 from trainid_ros.sim.scenario import Change, Scenario, SensorModel, check_scenario
 from trainid_ros.train.effects import effect_value

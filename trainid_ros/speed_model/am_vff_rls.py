@@ -44,8 +44,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol, TypeAlias
 
 from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import i64, vec
-from trainid_ros.state import State, declare, definite
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
+from trainid_ros.interface.state import State, declare
 from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Theta
-from trainid_ros.state import State, declare
 
 # Measurements kept: more than a second at the sample period, longer than any delay of the force.
 _KEPT: Final = 6

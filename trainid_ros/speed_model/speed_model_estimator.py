@@ -11,6 +11,7 @@ from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.state import State, declare, encode, restore
 from trainid_ros.resistance.davis_posterior import CURVE_RADIUS, curve_std, is_fit, representative_speeds
 from trainid_ros.speed_model.am_vff_rls import (
     AuxiliaryModel,
@@ -25,7 +26,6 @@ from trainid_ros.speed_model.am_vff_rls import (
 )
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
 from trainid_ros.speed_model.speed_model_state import SpeedModelState
-from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alignment: topics with stamps of their own become one sample per period, by stamp alone.
+"""Direction of travel and last stop, followed sample by sample.
+
+The time base that a step of the stamps forward has left: the stamps may soon come back to it.
+
+A clock that was set wrong for some seconds is set right again. That step back is no other drive, however large it is.
+
+Alignment: topics with stamps of their own become one sample per period, by stamp alone.
 
 A sample has the stamp of a speed record. Force, gradient and curvature are interpolated to that stamp; a brake command
 holds from its stamp on. A sample is released as soon as every required topic has reached its stamp, or when the newest
@@ -27,13 +33,70 @@ from trainid_ros.interface.errors import setting
 from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import find_fault, seconds
-from trainid_ros.state import State, declare, several
-from trainid_ros.stream.brake_commands import BrakeCommands
-from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
-from trainid_ros.stream.left_time import LeftTime
-from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
-from trainid_ros.stream.topic_track import TopicRow, TopicTrack, blank_row, insert_row
-from trainid_ros.stream.travel import Travel
+from trainid_ros.interface.state import State, declare, several
+from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
+from trainid_ros.stream.topic_track import (
+    ONE_LOST,
+    BrakeCommands,
+    LearnedInterval,
+    TopicRow,
+    TopicTrack,
+    blank_row,
+    insert_row,
+)
+
+# Farther than odometer noise, shorter than any run between stops [m].
+_TURNING_DISTANCE: Final = 5.0
+
+
+@dataclass(slots=True)
+class Travel:
+    """What positions and speeds have shown so far."""
+
+    direction: int = 1  # +1 or -1 as positions rise or fall, kept until the train has clearly moved
+    turning_position: float = math.nan  # Position from which the next movement counts [m], NaN while unknown
+    moving: bool = False  # Whether the train moved at the last sample
+    stop_ns: int = 0  # When it last came to a stop [ns]; 0 if it has not, also where records begin at rest
+
+    def follow(self, stamp_ns: int, speed: float, position: float) -> None:
+        """Take in stamp [ns], speed [m/s] and position [m] of a sample."""
+        moved = position - self.turning_position
+        if math.isnan(moved):
+            self.turning_position = position if math.isnan(self.turning_position) else self.turning_position
+        elif abs(moved) > _TURNING_DISTANCE:
+            self.direction = 1 if moved > 0.0 else -1
+            self.turning_position = position
+        if self.moving and speed < STANDING:
+            self.stop_ns = stamp_ns
+        self.moving = speed >= STANDING
+
+
+RETURN_NS: Final = 60 * NS_PER_S
+"""Time, by the stamps, within which a step forward is taken back [ns]."""
+
+
+@dataclass(slots=True)
+class LeftTime:
+    """The time base that was left."""
+
+    newest_ns: int = 0  # Its newest stamp [ns]; 0 if none was left
+    until_ns: int = 0  # Stamp of the present time base up to which the stamps may return [ns]
+
+    def leave(self, newest_ns: int, stamp_ns: int) -> bool:
+        """Follow a step forward; return whether a time base is left that was right until then."""
+        is_first = not self._may_return(newest_ns)
+        if is_first:
+            self.newest_ns = newest_ns
+        self.until_ns = stamp_ns + RETURN_NS
+        return is_first
+
+    def is_return(self, newest_ns: int, stamp_ns: int, slack_ns: int) -> bool:
+        """Return whether a step from the newest stamp back to another leads to the time base that was left."""
+        return self._may_return(newest_ns) and -slack_ns <= stamp_ns - self.newest_ns <= RETURN_NS
+
+    def _may_return(self, newest_ns: int) -> bool:
+        return self.newest_ns > 0 and newest_ns <= self.until_ns
+
 
 # Records in a row by which one topic shows a step of the stamps, and another number among which one topic has as many.
 _CONFIRMATIONS: Final = 3

@@ -36,7 +36,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.state import stored
+from trainid_ros.interface.state import stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.forces import lag_integral, lag_response

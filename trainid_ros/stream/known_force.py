@@ -20,7 +20,7 @@ from typing import Final
 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
-from trainid_ros.state import stored
+from trainid_ros.interface.state import stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G, specific_force, specific_inertia

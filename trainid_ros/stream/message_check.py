@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from trainid_ros.interface.scalars import is_finite
-from trainid_ros.state import stored
+from trainid_ros.interface.state import stored
 from trainid_ros.train.forces import BrakeCommandChange
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten

@@ -1,5 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stream of samples: everything between the records of a train and the estimators, none of which it depends on.
+"""Correct records for sensor errors in the train file: a wrong wheel diameter, delayed stamps of the force.
+
+History of the drive that effects depend on: time, distance, brake response and brake heat.
+
+Detect a stuck speed sensor.
+
+A speed is stuck that stays the same to the last bit although traction or brake must change it, or for longer than noisy
+measurements do: two of them with noise sigma, in steps of q, are equal with probability q / (2 sqrt(pi) sigma).
+Estimators would otherwise learn a brake without effect, or a resistance as large as the traction.
+
+The stream of samples: everything between the records of a train and the estimators, none of which it depends on.
 
 Records are corrected for sensor errors that the train file states, aligned to the stamps of the speed, given the
 history of the drive where effects depend on it, and checked for a stuck speed sensor and for contradictions.
@@ -9,25 +19,214 @@ Estimators with the same train file and settings can share one stream.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import ClassVar, Final, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
-from trainid_ros.interface.records import NS_PER_S, Record
-from trainid_ros.interface.results import Rejection
-from trainid_ros.interface.scalars import is_finite
-from trainid_ros.state import State, declare, encode, restore, several
+from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED, Record
+from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.state import State, declare, encode, restore, several, unknown
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.brake_checks import BrakeDelayCheck
-from trainid_ros.stream.drive_history import DriveHistoryTracker
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.plausibility import PlausibilityMonitor
-from trainid_ros.stream.samples import Sample
-from trainid_ros.stream.sensor_correction import SensorCorrection
-from trainid_ros.stream.stuck_speed import StuckSpeed
-from trainid_ros.train.forces import BrakeCommandChange
+from trainid_ros.stream.samples import Motion, Sample
+from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, actuator_response, davis
 from trainid_ros.train.train_file import TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.stream.alignment import AlignmentConfig
+    from trainid_ros.train.train_file import Effect
+
+
+class SensorCorrection:
+    """Corrects records for the effects ``wheel_diameter`` and ``stamp_skew``.
+
+    Attributes:
+        skew_s: Delay of the stamps of the force [s].
+        stop_position: Measured position of the last stop [m], NaN while unknown.
+        is_needed: True if any record needs a correction.
+    """
+
+    STATE: ClassVar[State] = declare(unknown('stop_position'))
+
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self.skew_s = effect_value(effects, 'stamp_skew', 'delay', 0.0)
+        self._skew_ns = round(self.skew_s * NS_PER_S)
+        self._ratio = effect_value(effects, 'wheel_diameter', 'ratio', 1.0)
+        self.is_needed = self._ratio != 1.0 or self._skew_ns != 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the position of the last stop."""
+        self.stop_position = math.nan
+
+    def widen(self, alignment: AlignmentConfig) -> AlignmentConfig:
+        """Return alignment settings whose ``max_lag`` allows for the shift of the corrected stamps."""
+        return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
+
+    def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
+        """Return stamp and numbers of a record, corrected where needed; see ``Row`` of the records."""
+        if topic == SPEED and self._ratio != 1.0:
+            speed, position = self._correct_speed(x, y)
+            return stamp_ns, speed, position
+        if topic == FORCE and stamp_ns > 0:  # a zero stamp stays one, to be rejected
+            return stamp_ns - self._skew_ns, x, y
+        return stamp_ns, x, y
+
+    def _correct_speed(self, speed: float, position: float) -> tuple[float, float]:
+        """Correct speed and distance since the last stop; the position at rest is that of the platform."""
+        if speed == 0.0 or math.isnan(self.stop_position):
+            self.stop_position = position
+        return speed / self._ratio, self.stop_position + (position - self.stop_position) / self._ratio
+
+
+# During a longer gap the train may have stood still.
+_MAX_GAP_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveHistoryState:
+    """State of the tracker: newest stamp [ns], speed [m/s] and motion there, and commands that may still act."""
+
+    stamp_ns: int = 0
+    speed: float = 0.0
+    motion: Motion = field(default_factory=lambda: Motion(time_s=0.0, distance_run=0.0))
+    commands: CommandHistory = field(default_factory=CommandHistory)
+
+
+class DriveHistoryTracker:
+    """Tracks a drive sample by sample, with the brake of the train file."""
+
+    STATE: ClassVar[State] = declare('state')
+
+    def __init__(self, train_file: TrainFile) -> None:
+        self._brake = train_file.brake
+        self._delay_ns = round(self._brake.delay * NS_PER_S)
+        self.state = DriveHistoryState()
+
+    def reset(self) -> None:
+        """Start a new drive."""
+        self.state = DriveHistoryState()
+
+    def follow(self, sample: Sample) -> Motion:
+        """Take in a sample; return the motion of the drive up to its stamp."""
+        state = self.state
+        same_drive = 0 < state.stamp_ns <= sample.stamp_ns
+        start_ns = state.stamp_ns if same_drive else sample.stamp_ns
+        commands = state.commands if same_drive else CommandHistory()
+        commands.follow(sample.brake_changes)
+        before, elapsed = state.motion, seconds(sample.stamp_ns - start_ns)
+        speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
+        brake, brake_integral = actuator_response(
+            commands,
+            start_ns,
+            sample.stamp_ns,
+            before.brake,
+            delay_ns=self._delay_ns,
+            time_constant=self._brake.time_constant,
+        )
+        rate = self._brake.rate_at(speed)
+        heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
+        motion = Motion(
+            time_s=before.time_s + elapsed,
+            distance_run=before.distance_run + speed * elapsed,
+            since_release=0.0 if brake < BRAKE_APPLIED else before.since_release + elapsed,
+            heat=heat,
+            brake=brake,
+        )
+        commands.prune(sample.stamp_ns - self._delay_ns)
+        self.state = DriveHistoryState(sample.stamp_ns, sample.speed, motion, commands)
+        return motion
+
+
+# A slower train may be at rest, where a constant speed is no fault [m/s].
+_MIN_SPEED: Final = 0.5
+# More than any quantum, and more than the train file's error of the resistance adds up to while cruising [m/s].
+_MAX_MISSING: Final = 0.5
+# Density of the difference of two equal measurements, times sigma: 1 / (2 sqrt(pi)).
+_EQUAL: Final = 0.2821
+# Coarser steps hide the noise: then repeats say nothing [1].
+_MOST_LIKELY: Final = 0.4
+# A brake has followed a command after its dead time and this many time constants.
+_FOLLOWED: Final = 2.0
+# Probability of repeats that never happen, fewest of them, and speeds that show the noise before.
+_NEVER: Final = 1e-9
+_FEWEST: Final = 5
+_SEEN: Final = 100
+
+
+@dataclass(slots=True)
+class StuckSpeedState:
+    """State of the check."""
+
+    speed: float = math.nan  # Last measured speed [m/s], NaN before the first
+    missing: float = 0.0  # Expected change of speed since the measured speed last changed [m/s]
+    repeats: int = 0  # Number of times that the last speed has come again
+    most: int = 0  # Most repeats of a noisy speed, as known when it changed last; 0 if repeats say nothing
+    changes: int = 0  # Number of changes in motion, up to those that show the noise
+    braked_s: float = 0.0  # Time for which the brake has been applied [s]
+
+
+class StuckSpeed:
+    """Checks the speed sample by sample.
+
+    Attributes:
+        state: State of the check.
+    """
+
+    STATE: ClassVar[State] = declare('state')
+
+    def __init__(self, known: KnownForce) -> None:
+        self._known = known
+        brake = known.train_file.brake
+        self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
+        self.state = StuckSpeedState()
+
+    def reject(self, sample: Sample, noise: SpeedNoise) -> Rejection | None:
+        """Return why the speed of a sample is rejected, or None if it is accepted; ``noise`` is that until then."""
+        state = self.state
+        state.braked_s = state.braked_s + sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 else 0.0
+        if sample.speed != state.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
+            if sample.speed >= _MIN_SPEED and sample.speed != state.speed:
+                state.changes = min(state.changes + 1, _SEEN)
+                state.most = most_repeats(noise) if state.changes == _SEEN else 0
+            state.speed, state.missing, state.repeats = sample.speed, 0.0, 0
+            return None
+        state.repeats += 1
+        expected = self._acceleration(sample) * sample.dt
+        if is_finite(expected):
+            state.missing += expected
+        if abs(state.missing) > _MAX_MISSING:
+            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, state.missing, _MAX_MISSING)
+        if 0 < state.most < state.repeats:
+            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, float(state.repeats), float(state.most))
+        return None
+
+    def _acceleration(self, sample: Sample) -> float:
+        """Return the acceleration expected from the brake command, or from traction less resistance [m/s^2].
+
+        It is NaN while the brake need not have followed the command yet.
+        """
+        if sample.brake_command < 0.0:
+            return sample.brake_command if self.state.braked_s > self._followed_s else math.nan
+        known = self._known
+        resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
+        return (known.traction(max(sample.force_mean, 0.0), sample) - resistance) / known.inertia
+
+
+def most_repeats(noise: SpeedNoise) -> int:
+    """Return how often in a row a noisy speed may come again, 0 if any number is possible."""
+    repeated = max(_EQUAL * noise.quantum / noise.std, 1.0 - noise.changed)
+    if repeated >= _MOST_LIKELY or not noise.is_seen:
+        return 0
+    return max(_FEWEST, math.ceil(math.log(_NEVER) / math.log(repeated))) if repeated > 0.0 else _FEWEST
+
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 

@@ -1,14 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records of one topic in stamp order: values interpolated to a stamp, and means between two."""
+"""The interval between the records of one topic, learned from their stamps.
+
+The records of one topic in stamp order: values interpolated to a stamp, and means between two.
+
+Brake commands by stamp: which one is in force, since when, and up to when that is known.
+
+Commands come all the time, or only when they change: then the last one holds for a declared time.
+"""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import ClassVar, Final
 
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import seconds
-from trainid_ros.state import State, declare, several, unknown
-from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
+from trainid_ros.interface.state import State, declare, several, unknown
+from trainid_ros.train.forces import BrakeCommandChange
+
+_WINDOW: Final = 16
+_FEWEST: Final = 4
+# Jitter makes no interval shorter than this share of the median; one lost record makes the others half of it.
+_SPREAD: Final = 0.75
+# 5 Hz with jitter of 50 ms; the limits of the settings suit topics as fast as this.
+FAST_NS: Final = NS_PER_S // 4
+ONE_LOST: Final = 2.5
+"""Longest time between records when one in a row is lost, in intervals; the half is for jitter."""
+NONE_LOST: Final = 1.5
+"""The same when none is lost."""
+_ROOM_TENTHS: Final = 18
+"""Shortest time in which a record may be missing, in tenths of the shortest interval; with one in between it is 20."""
+
+
+class LearnedInterval:
+    """The median of the last 16 intervals of a topic, or the third shortest if that is much shorter.
+
+    Jitter spreads intervals around their median. Lost records and dropouts only lengthen them, so where the shortest
+    ones are far below the median they are right: a fast topic of which most is lost is not taken for a slow one. A
+    topic that does become slower is followed after 14 records, one that becomes faster after 3.
+
+    Args:
+        longest_ns: A topic with longer intervals is too slow to be used: its interval counts as unknown.
+    """
+
+    __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'room_ns')
+    STATE: ClassVar[State] = declare('_stamps', '_interval_ns', '_shortest_ns', 'room_ns', '_outdated')
+
+    def __init__(self, longest_ns: int) -> None:
+        self._longest_ns = longest_ns
+        self._stamps: list[int] = []
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all stamps."""
+        self._stamps.clear()
+        self._interval_ns = 0
+        self._shortest_ns = 0
+        self.room_ns = 0
+        """Time between two records in which a third may be missing [ns]; 0, so that any may, while it is not known."""
+        self._outdated = False
+
+    def see(self, stamp_ns: int) -> None:
+        """Take in the stamp of a record, each once."""
+        stamps = self._stamps
+        stamps.append(stamp_ns)
+        if len(stamps) > _WINDOW + 1:
+            dropped_ns = stamps[1] - stamps[0]
+            del stamps[0]
+            added_ns = stamp_ns - stamps[-2]
+            if dropped_ns <= self._shortest_ns != added_ns or added_ns < self._shortest_ns:
+                self._find_shortest()
+        elif len(stamps) > _FEWEST:
+            self._find_shortest()
+        self._outdated = True
+
+    def _find_shortest(self) -> None:
+        stamps = sorted(self._stamps)
+        self._shortest_ns = stamps[1] - stamps[0]
+        for before, after in pairwise(stamps):
+            self._shortest_ns = min(self._shortest_ns, after - before)
+        self.room_ns = self._shortest_ns * _ROOM_TENTHS // 10
+
+    @property
+    def ns(self) -> int:
+        """The interval [ns]; 0 while it is not known, and where it is 0.25 s or less."""
+        # Asked for only where a gap is longer than any of a fast topic: nothing is sorted before.
+        if self._outdated:
+            self._interval_ns = self._typical()
+            self._outdated = False
+        return self._interval_ns
+
+    def _typical(self) -> int:
+        # A late record may have been seen after later ones.
+        intervals = sorted(after - before for before, after in pairwise(sorted(self._stamps)))
+        if len(intervals) < _FEWEST:
+            return 0
+        short, median = intervals[len(intervals) // 8], intervals[(len(intervals) - 1) // 2]
+        if short <= FAST_NS:
+            return 0
+        interval_ns = median if short > _SPREAD * median else short
+        return interval_ns if interval_ns <= self._longest_ns else 0
+
 
 _CAPACITY: Final = 4096
 
@@ -156,3 +249,95 @@ class TopicTrack:
         """Return the time between the last row before a stamp and the first one from it on [s], else 0."""
         right = self.first_from(at_ns)
         return 0.0 if right == 0 else seconds(self.rows[right].stamp_ns - self.rows[right - 1].stamp_ns)
+
+
+# What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
+_MAX_UNCERTAIN: Final = 0.25
+
+
+class BrakeCommands:
+    """The commands of one track, taken in sample by sample.
+
+    Attributes:
+        latest: The command in force, None before the first.
+
+    Args:
+        track: Rows of the commands.
+        timeout_ns: Age at which a command is no longer known, where commands come all the time [ns].
+        gap_ns: A command that changed over a longer gap changed unseen [ns].
+        hold_ns: How long a command published only on change holds; 0 if commands come all the time [ns].
+        lag_ns: How far a topic may lag behind the others [ns].
+    """
+
+    STATE: ClassVar[State] = declare(several('latest', blank_row))
+
+    def __init__(self, track: TopicTrack, timeout_ns: int, gap_ns: int, hold_ns: int, lag_ns: int) -> None:
+        self._track = track
+        self._timeout_ns = timeout_ns
+        self._gap_ns = gap_ns
+        self._hold_ns = hold_ns
+        self._lag_ns = lag_ns
+        self.latest: TopicRow | None = None
+
+    def clear(self) -> None:
+        """Forget the command; the track is cleared by its owner."""
+        self.latest = None
+
+    def known_ns(self, newest_ns: int) -> int:
+        """Return the stamp up to which all changes have arrived, by the newest stamp of any topic; 0 at first."""
+        last_ns = self._track.last_ns
+        if self._hold_ns == 0 or last_ns == 0:
+            return last_ns
+        return max(last_ns, min(newest_ns - self._lag_ns, last_ns + self._hold_ns))
+
+    def silence_ns(self) -> int:
+        """Return how long no command may come [ns]: the time it holds, or 2.5 intervals of a slow topic."""
+        return self._hold_ns if self._hold_ns > 0 else round(ONE_LOST * self._track.interval.ns)
+
+    def changes(self, after_ns: int, now_ns: int) -> tuple[tuple[BrakeCommandChange, ...], bool]:
+        """Return the changes of the command in (after, now], and whether one may have been missed."""
+        changes: list[BrakeCommandChange] = []
+        missed = False
+        rows = self._track.rows
+        seen_ns = after_ns
+        if self._hold_ns > 0:  # one that comes late must not be lost, since no other repeats it
+            seen_ns = 0 if self.latest is None else self.latest.stamp_ns
+        # A command after now may have changed before: then it holds already.
+        for k in range(self._track.first_from(seen_ns + 1), len(rows)):
+            before, command = self.latest, rows[k]
+            stamp_ns, unseen = self._change(before, command, after_ns)
+            if stamp_ns > now_ns:
+                break
+            self.latest = command
+            if before is None or before.x != command.x:
+                changes.append(BrakeCommandChange(stamp_ns, command.x))
+                missed = missed or unseen
+        return tuple(changes), missed
+
+    def _change(self, before: TopicRow | None, command: TopicRow, after_ns: int) -> tuple[int, bool]:
+        """Return the stamp of the change to a command, after a stamp, and whether it is too uncertain to be used."""
+        if before is None:
+            return max(command.stamp_ns, after_ns + 1), command.x < 0.0
+        span_ns, step = command.stamp_ns - before.stamp_ns, abs(command.x - before.x)
+        if self._hold_ns > 0:
+            return max(command.stamp_ns, after_ns + 1), command.stamp_ns <= after_ns or span_ns > self._hold_ns
+        if step == 0.0 or span_ns <= self._gap_ns:
+            return command.stamp_ns, False
+        if span_ns > NONE_LOST * self._track.interval.ns:
+            return command.stamp_ns, True
+        # The topic is slow and nothing was lost: the change lies anywhere between the two.
+        middle_ns = command.stamp_ns - span_ns // 2
+        uncertain = step * span_ns > _MAX_UNCERTAIN * NS_PER_S
+        return (middle_ns if middle_ns > after_ns else command.stamp_ns), uncertain
+
+    def at(self, now_ns: int) -> tuple[float, bool]:
+        """Return the command in force, NaN if it is not known any more, and the emergency flag."""
+        latest = self.latest
+        if latest is None:
+            return math.nan, False
+        age_ns = now_ns - latest.stamp_ns
+        if self._hold_ns > 0:
+            is_known = age_ns <= self._hold_ns
+        else:
+            is_known = age_ns <= self._timeout_ns or age_ns <= ONE_LOST * self._track.interval.ns
+        return (latest.x, latest.flag) if is_known else (math.nan, False)

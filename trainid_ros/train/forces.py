@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.state import stored
+from trainid_ros.interface.state import stored
 from trainid_ros.train.train_file import Davis
 
 G: Final = 9.80665

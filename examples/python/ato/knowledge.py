@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.client import TrainModel
-from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.train.effects import effect_value

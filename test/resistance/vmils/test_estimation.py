@@ -19,9 +19,9 @@ from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.interface.state import encode
 from trainid_ros.resistance.normal import gate
 from trainid_ros.resistance.vmils import VMils
-from trainid_ros.state import encode
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Davis, TrainFile

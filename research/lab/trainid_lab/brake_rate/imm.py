@@ -20,8 +20,8 @@ from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.gsma import drifts, transition
 from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import JumpConfig
+from trainid_ros.interface.state import decode, encode
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

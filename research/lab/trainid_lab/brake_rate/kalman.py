@@ -14,8 +14,8 @@ from trainid_lab.brake_rate.particles import errors_of
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import State, declare, definite
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

@@ -23,8 +23,8 @@ from trainid_lab.brake_rate.particles import (
 from trainid_lab.brake_rate.resampling import effective_number
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud
 from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
+from trainid_ros.interface.state import decode, encode
 from trainid_ros.interface.vectors import vec
-from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Array, LinearStep

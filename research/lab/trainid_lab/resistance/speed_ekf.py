@@ -22,6 +22,8 @@ from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import PriorSettings, prior_variances
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.state import State as Declared
+from trainid_ros.interface.state import declare, encode, restore
 from trainid_ros.resistance.davis_posterior import (
     drift_rates,
     drifted,
@@ -30,8 +32,6 @@ from trainid_ros.resistance.davis_posterior import (
     representative_speeds,
     resistance_estimate,
 )
-from trainid_ros.state import State as Declared
-from trainid_ros.state import declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:

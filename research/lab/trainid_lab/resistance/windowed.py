@@ -25,9 +25,9 @@ from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import is_fit, largest_std, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
-from trainid_ros.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ import pytest
 from trainid_lab.brake_rate.imm import ImmConfig, ImmPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import Start, Transition
+from trainid_ros.interface.state import is_covariance, packed
 from trainid_ros.setup.pipelines import BRAKE_RATE
-from trainid_ros.state import is_covariance, packed
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 

@@ -14,24 +14,31 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.balance import (
+from trainid_ros.inputs.mapping import TOPIC_OF, find_unit
+from trainid_ros.inspection.suggestion import (
     FEWEST,
     PER_MILLE,
     STEP_S,
     USUAL_ROTARY,
+    Choice,
+    Part,
+    Suggestion,
     Travel,
     at_times,
     common_times,
     compare_travel,
     correlation,
     derivative,
+    family,
+    is_nameless,
     is_near,
+    listed,
     nearest_unit,
     partial_slope,
     regress,
+    score,
+    unit_in,
 )
-from trainid_ros.inputs.mapping import TOPIC_OF, find_unit
-from trainid_ros.inputs.suggestion import Choice, Part, Suggestion, family, is_nameless, listed, score, unit_in
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.forces import G
 
@@ -40,8 +47,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.number_series import BagNumbers, NumberSeries
-    from trainid_ros.inputs.balance import Array
+    from trainid_ros.inspection.number_series import BagNumbers, NumberSeries
+    from trainid_ros.inspection.suggestion import Array
     from trainid_ros.train.train_file import TrainFile
 
 

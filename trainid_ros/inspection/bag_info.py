@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.bag.input_check import Findings, check_inputs
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, joined
+from trainid_ros.inspection.input_check import Findings, check_inputs
 from trainid_ros.interface.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
@@ -24,7 +24,7 @@ from trainid_ros.interface.records import (
     SPEED_TOPIC,
 )
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.intervals import ONE_LOST
+from trainid_ros.stream.topic_track import ONE_LOST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

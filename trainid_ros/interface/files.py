@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files shipped with the package, and files written as a whole: a killed run never leaves half of one."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trainid_ros.interface.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def shared_path(relative: str) -> Path:
+    """Return the path of a file or folder shipped with the package: in the source tree or the share directory.
+
+    Raises:
+        InputError: It is not found in either place.
+    """
+    places = [Path(__file__).parents[2], *_share()]
+    for place in places:
+        if (place / relative).exists():
+            return place / relative
+    raise InputError(f'{relative}: not found (looked in {", ".join(map(str, places))})')
+
+
+def _share() -> list[Path]:
+    if find_spec('ament_index_python') is None:
+        return []
+    from ament_index_python.packages import (  # noqa: PLC0415
+        PackageNotFoundError,
+        get_package_share_directory,
+    )
+
+    try:
+        return [Path(get_package_share_directory('trainid_ros'))]
+    except PackageNotFoundError:
+        return []
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let a function write another file, and rename that.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    part = path.with_name(f'{path.name}.part')
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        with suppress(OSError):  # half a file
+            part.unlink(missing_ok=True)
+        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
