@@ -33,18 +33,18 @@ class Particles:
         self.algorithm = MAlgorithm(self.cloud)
         self.cloud.start(f, weight)
         self.covariance.reset(STDS)
-        self.cloud.anchor(START)
-        self.covariance.anchor(START)
+        self.cloud.reinit_motion(START)
+        self.covariance.reinit_motion(START)
 
     def predict(self) -> None:
         self.cloud.predict(INTERVAL)
         self.covariance.predict(INTERVAL)
 
-    def learn(
+    def update(
         self, y: float, walk: list[float], uniforms: list[float], largest: float = 3.0, chain: Sequence[float] = (1.0,)
     ) -> float:
         K, S = self.covariance.K, self.covariance.correct(self.r)
-        return self.algorithm.learn(INTERVAL, vec[float](walk), y, K, S, largest, vec[float](chain), uniforms)
+        return self.algorithm.update(INTERVAL, vec[float](walk), y, K, S, largest, vec[float](chain), uniforms)
 
 
 class Alike(NamedTuple):

@@ -18,7 +18,7 @@ def test_total_is_the_moments_of_rate_and_errors(alike: Any) -> None:
     particles, matrices, P, step = alike
     share = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.5, 2.0])
     particles.predict()
-    particles.learn(9.9, [4e-4], [0.4])
+    particles.update(9.9, [4e-4], [0.4])
     fix = speed_correction(step.predict_covariance(P), particles.r)
     matrices = matrices.predicted(step).learned(step, fix, SPEED, np.array([9.9]), 4e-4, 3.0, 0.4)
     total = matrices.f + share @ matrices.x[3:]
@@ -30,7 +30,7 @@ def test_total_is_the_moments_of_rate_and_errors(alike: Any) -> None:
 def test_a_pause_widens_f_and_what_moves_with_it(alike: Any, matches: Callable[[Any, Array], None]) -> None:
     (particles, matrices, _, step), added = alike, 0.01
     particles.predict()
-    particles.cloud.widen(particles.interval, added)
+    particles.cloud.inflate_variance(particles.interval, added)
     matrices = matrices.predicted(step)
     off = (np.sqrt(1.0 + added / matrices.variance) - 1.0) * (matrices.f - matrices.mean)
     matches(particles.cloud.f, matrices.f + off)

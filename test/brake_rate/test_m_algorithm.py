@@ -36,7 +36,7 @@ def test_steps_equal_those_of_matrices(alike: Any, matches: Callable[[Any, Array
             assert cloud.expected(j) == pytest.approx(matrices.x[j].mean(), rel=1e-9, abs=1e-12)
             assert cloud.spread(j) == pytest.approx(matrices.x[j].var(), rel=1e-6, abs=1e-15)
         y, uniform = cloud.expected(0) + 0.02 * float(rng.standard_normal()), float(rng.random())
-        particles.learn(y, [4e-4], [uniform])
+        particles.update(y, [4e-4], [uniform])
         fix = speed_correction(P, particles.r)
         matrices, P = matrices.learned(step, fix, SPEED, np.array([y]), 4e-4, 3.0, uniform), fix.P
         matches(covariance.P, P)
@@ -49,10 +49,10 @@ def test_steps_equal_those_of_matrices(alike: Any, matches: Callable[[Any, Array
 def test_impossible_rates_die_out(alike: Any) -> None:
     particles = alike.particles
     particles.predict()
-    particles.learn(9.9, [4e-4], [0.4], largest=0.9)
+    particles.update(9.9, [4e-4], [0.4], largest=0.9)
     assert particles.cloud.rate < 0.9
     children = 3 * particles.cloud.N
-    assert 1.0 <= particles.learn(9.9, [4e-4], [0.4], largest=0.0) <= children
+    assert 1.0 <= particles.update(9.9, [4e-4], [0.4], largest=0.0) <= children
 
 
 def test_survivors_of_two_strata_follow_the_chain(particles: Callable[..., Any]) -> None:
@@ -62,7 +62,7 @@ def test_survivors_of_two_strata_follow_the_chain(particles: Callable[..., Any])
     for _ in range(5):
         two.predict()
         y = two.cloud.expected(0)
-        two.learn(y - 0.05, [1e-6, 1e-6], [0.3, 0.8], chain=(1.0, 0.0, 0.0, 1.0))
+        two.update(y - 0.05, [1e-6, 1e-6], [0.3, 0.8], chain=(1.0, 0.0, 0.0, 1.0))
     assert list(two.cloud.mean) == pytest.approx([0.5145, 1.5045], abs=0.01)
     assert sum(two.cloud.weight) == pytest.approx(1.0)
     f = list(two.cloud.f)

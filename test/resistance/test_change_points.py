@@ -132,8 +132,8 @@ def test_a_parameter_without_steps_keeps_its_variance_in_a_hypothesis_and_its_va
 def test_widening_adds_variance_up_to_the_limit() -> None:
     tracker = track(3, 300)
     before, most = tracker.estimate, np.array((4.0, 0.01, 1e-4))
-    tracker.widen(np.array((0.5, 0.0, 0.0)), most)
+    tracker.inflate_variance(np.array((0.5, 0.0, 0.0)), most)
     assert tracker.estimate.theta == pytest.approx(before.theta, rel=1e-6)
     assert tracker.estimate.P[0, 0] == pytest.approx(before.P[0, 0] + 0.5, rel=1e-6)
-    tracker.widen(np.array((50.0, 0.0, 0.0)), most)
+    tracker.inflate_variance(np.array((50.0, 0.0, 0.0)), most)
     assert tracker.estimate.P[0, 0] == pytest.approx(4.0, rel=0.01)

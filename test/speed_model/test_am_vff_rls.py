@@ -50,7 +50,7 @@ def state(m: AuxiliaryModel) -> Array:
 def driven(tuning: Tuning = TUNING) -> AuxiliaryModel:
     m = AuxiliaryModel(THETA, P0, tuning)
     m.start(R)
-    m.anchor(12.0, R)
+    m.reinit_speed(12.0, R)
     rng = np.random.default_rng(5)
     for k in range(40):
         m.coast(20.0 * (k % 7), 1.0)
@@ -131,13 +131,13 @@ def test_the_prior_of_the_davis_parameters_given_the_mass_is_diagonal() -> None:
 def test_an_anchor_keeps_theta_and_a_stop_widens_only_b1() -> None:
     m = driven()
     z, P = state(m), matrix(m)
-    m.anchor(3.0, R)
+    m.reinit_speed(3.0, R)
     assert m.speed() == 3.0
     assert np.array_equal(state(m)[1:], z[1:])
     assert np.array_equal(matrix(m)[1:, 1:], P[1:, 1:])
     assert matrix(m)[0].tolist() == matrix(m)[:, 0].tolist() == [R, 0.0, 0.0, 0.0, 0.0]
     before = matrix(m)
-    m.widen_load(0.5)
+    m.inflate_load_variance(0.5)
     wider = matrix(m) - before
     assert wider[3, 3] == pytest.approx(0.5e-8, rel=1e-6)
     assert np.count_nonzero(wider) == 1
@@ -146,7 +146,7 @@ def test_an_anchor_keeps_theta_and_a_stop_widens_only_b1() -> None:
 def test_force_uncertainty_widens_only_x() -> None:
     m = driven()
     z, P = state(m), matrix(m)
-    m.widen_speed(1e-4)
+    m.inflate_speed_variance(1e-4)
     wider = matrix(m) - P
     assert wider[0, 0] == pytest.approx(1e-4, rel=1e-9)
     assert np.count_nonzero(wider) == 1
@@ -157,7 +157,7 @@ def test_a_saved_model_continues_to_the_bit() -> None:
     m, other = driven(), AuxiliaryModel(THETA, P0, TUNING)
     restore(other, encode(m))
     for model in (m, other):
-        model.learn(14.0, 5.0, 1.0, R)
+        model.update(14.0, 5.0, 1.0, R)
     assert encode(other) == encode(m)
 
 

@@ -57,7 +57,7 @@ class Covariance:
     def __init__(self) -> None:
         self.P, self.K = vec[float]([0.0] * (STATES * STATES)), vec[float]([0.0] * STATES)
         # Row v of Phi, and the diagonal of the others.
-        self._gains, self._left = vec[float]([1.0] * STATES), vec[float]([1.0] * STATES)
+        self._gains, self._decay = vec[float]([1.0] * STATES), vec[float]([1.0] * STATES)
 
     def reset(self, stds: Errors) -> None:
         """Set uncertainty in the errors only."""
@@ -66,7 +66,7 @@ class Covariance:
         for j, std in enumerate(stds):
             self.P[(_E + j) * (STATES + 1)] = std * std
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
         P, decay_e, n = self.P, start.decay_e, STATES
         for k in range(_E * n):
@@ -81,7 +81,7 @@ class Covariance:
 
     def predict(self, step: Transition) -> None:
         """Predict over an interval, P = Phi P Phi' + Q, eq. (14); only v takes from other states."""
-        P, gains, left, n = self.P, self._gains, self._left, STATES
+        P, gains, left, n = self.P, self._gains, self._decay, STATES
         gains[1], gains[2], left[1], left[2] = step.reach, step.dt, step.decay, step.rho
         for j in range(ERRORS):
             gains[_E + j], left[_E + j] = step.gain_e[j], step.decay_e[j]
@@ -150,9 +150,9 @@ def drifts(config: JumpConfig) -> tuple[float, float]:
 
 
 _JUMPING_SHARE: Final = 1.0 / 3.0
-_LEAST_PARTICLES: Final = 3
+_MIN_PARTICLES: Final = 3
 _ROUNDING: Final = 1e-6
-LEAST_PAUSE: Final = 1e-6
+MIN_PAUSE_S: Final = 1e-6
 """Shorter times without braking are rounding [s]."""
 
 
@@ -166,7 +166,7 @@ class GsmaPosterior:
         self._largest = LARGEST_RATE * expected
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
-        jumping = max(_LEAST_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
+        jumping = max(_MIN_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
         self._sizes = [config.particles - jumping, jumping] if jumping else [config.particles]
         # Variance of f in each stratum [1/s].
         self._q = drifts(config)
@@ -244,10 +244,10 @@ class GsmaPosterior:
         self._effective = float(len(f))
         self._rng.bit_generator.state = json.loads(self._random0)
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
-        self.cloud.anchor(start)
-        self._covariance.anchor(start)
+        self.cloud.reinit_motion(start)
+        self._covariance.reinit_motion(start)
 
     def recentre(self, shift: Errors) -> None:
         """Express the errors relative to a new origin, ``shift`` away from the old."""
@@ -267,14 +267,14 @@ class GsmaPosterior:
         self._covariance.correct(r)
         self.cloud.follow(speed, self._covariance.K)
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]: one step of GSMA, eqs. (14)-(22)."""
         mean, variance = self.predicted()
         if not is_finite(speed - mean + variance):
             return False
         dt, steadiness, pause = interval.dt, interval.steadiness, elapsed - interval.dt
-        if pause > LEAST_PAUSE:
-            self.cloud.widen(interval, self._drift * self._drift * pause)
+        if pause > MIN_PAUSE_S:
+            self.cloud.inflate_variance(interval, self._drift * self._drift * pause)
         quiet, jumping = self._q
         self._walk[0] = quiet * dt
         if len(self._sizes) > 1:
@@ -284,7 +284,7 @@ class GsmaPosterior:
             self._chain[0], self._chain[1], self._chain[2], self._chain[3] = 1.0 - starts, starts, ends, 1.0 - ends
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()
-        self._effective = self._algorithm.learn(
+        self._effective = self._algorithm.update(
             interval, self._walk, speed, self._covariance.K, S, self._largest, self._chain, uniforms
         )
         return True

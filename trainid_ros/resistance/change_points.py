@@ -31,6 +31,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.normal import (
     Array,
     Normal,
+    inflated,
     information_in,
     information_of,
     mixed,
@@ -38,7 +39,6 @@ from trainid_ros.resistance.normal import (
     normal_of,
     soft_update,
     weigh,
-    widened,
 )
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
 from trainid_ros.state import State, declare, several
@@ -165,10 +165,10 @@ class Tracker:
         self._mix()
         return weight
 
-    def widen(self, variances: Array, limits: Array) -> None:
-        """Add the variances of random steps of the parameters, see :func:`normal.widened`."""
-        self._set_memory(information_of(widened(self._long, variances, limits)))
-        self._hypotheses = [replace(item, normal=widened(item.normal, variances, limits)) for item in self._hypotheses]
+    def inflate_variance(self, variances: Array, limits: Array) -> None:
+        """Add the variances of random steps of the parameters, see :func:`normal.inflated`."""
+        self._set_memory(information_of(inflated(self._long, variances, limits)))
+        self._hypotheses = [replace(item, normal=inflated(item.normal, variances, limits)) for item in self._hypotheses]
         self._mix()
 
     def _add_hypothesis(self) -> None:
@@ -178,7 +178,7 @@ class Tracker:
         if len(self._hypotheses) >= self.plan.hypotheses:
             evidence = [item.evidence for item in self._hypotheses]
             del self._hypotheses[evidence.index(min(evidence))]
-        self._hypotheses.append(RunLengthHypothesis(widened(self._long, self._steps)))
+        self._hypotheses.append(RunLengthHypothesis(inflated(self._long, self._steps)))
 
     def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""

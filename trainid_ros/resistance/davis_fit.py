@@ -258,7 +258,7 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
         step = work.advance()
         iterations += 1
         if learning:
-            learning = iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
+            learning = iterations <= _LEARNING_STEPS and work.update_noise() > _SETTLED
             if not learning:
                 work.allow_for_parameters()
                 step = math.inf
@@ -372,7 +372,7 @@ class _Iteration:
         force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
         return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
 
-    def learn(self) -> float:
+    def update_noise(self) -> float:
         """Update noise and weights from the residuals; return their largest change."""
         config, before = self._config, (self._density, self._weights)
         if config.learn_noise:

@@ -45,7 +45,7 @@ from trainid_ros.state import State, declare, several
 
 Array = NDArray[np.float64]
 
-PUBLISHED: Final[i64] = 5
+N_PUBLISHED: Final[i64] = 5
 """Number of states whose mixture is published: a, b, c, kappa, delta."""
 _INITIAL_AGE_S: Final = 1e9
 # Log weight relative to the best hypothesis below which one is pruned.
@@ -181,16 +181,16 @@ class Bank:
         plan = self.plan
         probability = min(1.0, plan.hazard * seconds)
         for state, variance in zip((A, C), plan.step_variances, strict=True):
-            self.widen(state, probability * variance, float(plan.variance[state]))
+            self.inflate_variance(state, probability * variance, float(plan.variance[state]))
 
-    def widen_force_scale(self, variance: float) -> None:
+    def inflate_force_scale_variance(self, variance: float) -> None:
         """Add a variance to the force scale, as for a change of load; limited to the prior variance plus this step."""
-        self.widen(KAPPA, variance, float(self.plan.variance[KAPPA]) + variance)
+        self.inflate_variance(KAPPA, variance, float(self.plan.variance[KAPPA]) + variance)
 
-    def widen(self, state: int, variance: float, limit: float) -> None:
+    def inflate_variance(self, state: int, variance: float, limit: float) -> None:
         """Add to the variance of a state in all hypotheses, up to a limit."""
         for item in self.hypotheses:
-            item.filter.widen(state, variance, limit)
+            item.filter.inflate_variance(state, variance, limit)
 
     def advance(self, interval: Interval) -> Innovation:
         """Predict and correct all hypotheses, update their weights, and branch when due.
@@ -218,7 +218,7 @@ class Bank:
             self._branch(best)
         return innovation
 
-    def foresee(self, interval: Interval, deviation: float, slowest: float) -> bool:
+    def simulate_step(self, interval: Interval, deviation: float, slowest: float) -> bool:
         """Advance as if the speed of an interval was what the likeliest hypothesis predicts, plus a deviation.
 
         Args:
@@ -306,11 +306,11 @@ class Bank:
         covariance, entries, apart = vec[float]([0.0] * len(self._entries)), self._entries, vec[float](mean)
         for n in range(len(weights)):
             weight, x, P = weights[n], self.hypotheses[n].filter.x, self.hypotheses[n].filter.P
-            for i in range(PUBLISHED):
+            for i in range(N_PUBLISHED):
                 apart[i] = x[self._states[i]] - mean[i]
             k: i64 = 0
-            for i in range(PUBLISHED):
-                for j in range(i, PUBLISHED):
+            for i in range(N_PUBLISHED):
+                for j in range(i, N_PUBLISHED):
                     covariance[k] += weight * (P[entries[k]] + apart[i] * apart[j])
                     k += 1
         return covariance
@@ -322,7 +322,7 @@ class Bank:
         self.branchings += 1
         for state, variance in zip((A, C), plan.step_variances, strict=True):
             now.append(self._child(best, plan.log_step, 0.0, best.size))
-            now[-1].filter.widen(state, variance, math.inf)
+            now[-1].filter.inflate_variance(state, variance, math.inf)
         if others := self._absent_sizes(best):
             now.append(self._child(best, math.log(_OTHER_SIZES), best.age, others[self.branchings % len(others)]))
         score = [item.log_weight + (_YOUNG_BONUS if item.age < plan.min_age else 0.0) for item in now]

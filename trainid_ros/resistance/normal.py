@@ -119,7 +119,7 @@ def _times(P: vec[float], x: vec[float]) -> vec[float]:
     return product
 
 
-def widened(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
+def inflated(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
     """Return the distribution after independent random steps of the parameters.
 
     Args:

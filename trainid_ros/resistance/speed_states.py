@@ -68,7 +68,7 @@ def entry(i: i64, j: i64) -> i64:
 
 
 @dataclass(slots=True)
-class Tick:
+class AdmittedSample:
     """One admitted sample."""
 
     stamp_ns: int  # Time stamp [ns]
@@ -139,7 +139,7 @@ class SpeedTransition:
         self._k2 = 0.5 * (before + next_) - now
         self._k1 = next_ - now - self._k2 - self._k3
         change = now - before
-        jitter = (noise.skew * noise.skew + _unseen_change(interval)) * change * change
+        jitter = (noise.skew * noise.skew + _force_timing_variance(interval)) * change * change
         self.speed_noise = (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
 
     def traction(self, delay: float) -> tuple[float, float]:
@@ -152,7 +152,7 @@ class SpeedTransition:
         return T, (self._k1 + u * (2.0 * self._k2 + u * 3.0 * self._k3)) / self._spacing
 
 
-def _unseen_change(interval: Interval) -> float:
+def _force_timing_variance(interval: Interval) -> float:
     """Return the variance of the time at which the force changed between two slow reports, per spacing [s^2].
 
     A step at any time within a report interval D has the variance D^2 / 12 about its middle. Interpolation spreads it
@@ -276,7 +276,7 @@ class SpeedFilter:
                 P[entry(i, j)] = 0.0
         P[V], P[_GUST_GUST], P[_MAP_MAP] = variance, self.gust_var, self.map_var
 
-    def widen(self, state: i64, variance: float, limit: float) -> None:
+    def inflate_variance(self, state: i64, variance: float, limit: float) -> None:
         """Add to the variance of a state up to a limit; one already above it stays unchanged."""
         k = entry(state, state)
         self.P[k] = max(self.P[k], min(self.P[k] + variance, limit))

@@ -33,7 +33,7 @@ _MIN_SAMPLES: Final = 8
 
 
 @dataclass(slots=True)
-class WindowTick:
+class WindowSample:
     """One sample of a window."""
 
     stamp_ns: int  # Time stamp of the speed [ns]
@@ -67,7 +67,7 @@ class WindowResult:
 class Cut:
     """Samples of a window, and the time from one window to the next [s]."""
 
-    ticks: list[WindowTick]
+    ticks: list[WindowSample]
     hop: float
 
     @property
@@ -83,7 +83,7 @@ class SlidingWindow:
     At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
     """
 
-    STATE: ClassVar[State] = declare(several('ticks', WindowTick), 'fresh_s')
+    STATE: ClassVar[State] = declare(several('ticks', WindowSample), 'fresh_s')
 
     def __init__(self, length: float, hop: float) -> None:
         self._length, self._hop = length, hop
@@ -91,10 +91,10 @@ class SlidingWindow:
 
     def clear(self) -> None:
         """Remove all samples."""
-        self.ticks: list[WindowTick] = []
+        self.ticks: list[WindowSample] = []
         self.fresh_s = 0.0
 
-    def push(self, tick: WindowTick) -> Cut | None:
+    def push(self, tick: WindowSample) -> Cut | None:
         """Add one sample; return a window if the sample completes one that is due."""
         ticks = self.ticks
         ticks.append(tick)
@@ -115,7 +115,7 @@ class SlidingWindow:
         return seconds(self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns)
 
 
-def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float) -> WindowResult | Rejection:
+def observe_resistance(ticks: list[WindowSample], inertia: float, speed_std: float) -> WindowResult | Rejection:
     """Fit one window.
 
     Args:
@@ -143,7 +143,7 @@ def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float
     return _result(ticks, times, rest, weights, speeds, inertia, speed_std)
 
 
-def _unforced(ticks: list[WindowTick], inertia: float) -> tuple[vec[float], vec[float]]:
+def _unforced(ticks: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
     """Return the times since the first tick, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
     times, rest = vec[float](), vec[float]()
@@ -183,7 +183,7 @@ def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> 
 
 
 def _result(
-    ticks: list[WindowTick],
+    ticks: list[WindowSample],
     times: vec[float],
     rest: vec[float],
     weights: vec[float],
@@ -220,7 +220,7 @@ def _result(
     )
 
 
-def _traction_rate(ticks: list[WindowTick], weights: vec[float]) -> float:
+def _traction_rate(ticks: list[WindowSample], weights: vec[float]) -> float:
     """Return sum w_k T(t_k), the slope of the traction; T at a stamp is the mean of the two adjacent intervals.
 
     A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the

@@ -35,13 +35,13 @@ from trainid_ros.resistance.davis_posterior import (
     drift_rates,
     drifted,
     force_errors,
-    is_fit_where_driven,
+    is_accurate_over_driven_speeds,
     resistance_estimate,
     scale_step,
 )
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
 from trainid_ros.state import State, declare, encode, restore
 from trainid_ros.stream.known_force import KnownForce
@@ -74,7 +74,7 @@ class VMils:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
 
     STATE: ClassVar[State] = declare(
-        'learner', '_stamp_ns', '_drifted_ns', '_judged_ns', '_admission', '_standing', '_converged'
+        'learner', '_stamp_ns', '_drifted_ns', '_validity_checked_ns', '_admission', '_standing', '_converged'
     )
 
     def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
@@ -94,7 +94,7 @@ class VMils:
         self._clear()
 
     def _clear(self) -> None:
-        self._stamp_ns = self._drifted_ns = self._judged_ns = self._admission.braked_ns = 0
+        self._stamp_ns = self._drifted_ns = self._validity_checked_ns = self._admission.braked_ns = 0
         self._converged = False
         # The prior already includes the change of load at the first stop.
         self._standing = True
@@ -123,16 +123,16 @@ class VMils:
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
         self._stamp_ns = sample.stamp_ns
-        self._widen_at_stops(sample)
+        self._inflate_at_stops(sample)
         if (rejection := self._admission.reject(sample)) is not None:
             self.learner.interrupt(sample.speed)
-            self._judge(updated=False)
+            self._check_validity(updated=False)
             return rejection
         self._drift()
         self._sampled_s = sample.dt
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
-        tick = WindowTick(
+        tick = WindowSample(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
             speed=sample.speed,
@@ -141,10 +141,10 @@ class VMils:
             curve=CURVE_RADIUS * sample.curvature,
         )
         rejection = self.learner.push(tick)
-        self._judge(updated=self.learner.driven.count != before)
+        self._check_validity(updated=self.learner.driven.count != before)
         return rejection
 
-    def _widen_at_stops(self, sample: Sample) -> None:
+    def _inflate_at_stops(self, sample: Sample) -> None:
         """Add the variance of a step of kappa at each standstill, where the passenger load changes."""
         if self._standing:
             self._standing = sample.speed < self.config.min_speed
@@ -153,13 +153,13 @@ class VMils:
             step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
             variances = np.zeros(len(self.learner.tracker.prior.theta))
             variances[_KAPPA] = step
-            self.learner.tracker.widen(variances, self._limits())
+            self.learner.tracker.inflate_variance(variances, self._limits())
 
     def idle(self, seconds: float) -> None:
         """Let the drift of a, b, c go on over a time without samples [s]."""
         if self._stamp_ns:
             self._stamp_ns += round(seconds * NS_PER_S)
-            self._judge(updated=True)
+            self._check_validity(updated=True)
 
     def _limits(self) -> Array:
         """Return the upper limits of the variances of theta: the prior ones, plus one step of kappa."""
@@ -176,7 +176,7 @@ class VMils:
             limits = self._limits()
             variances = np.zeros(len(limits))
             variances[:3] = np.array(self._rates) * elapsed_s
-            self.learner.tracker.widen(variances, limits)
+            self.learner.tracker.inflate_variance(variances, limits)
             self._drifted_ns = self._stamp_ns
 
     def _published(self) -> DavisPosterior:
@@ -204,19 +204,19 @@ class VMils:
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
         return (a, b, c, *(factor * x + e2 * square for x, square in zip(P, squares, strict=True)))
 
-    def _judge(self, *, updated: bool) -> None:
+    def _check_validity(self, *, updated: bool) -> None:
         """Decide whether w is fit to use: after a new observation, and at intervals without one."""
         learner = self.learner
-        waited_s = seconds(self._stamp_ns - self._judged_ns)
+        waited_s = seconds(self._stamp_ns - self._validity_checked_ns)
         if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
-        self._judged_ns = self._stamp_ns
-        self._converged = is_fit_where_driven(
+        self._validity_checked_ns = self._stamp_ns
+        self._converged = is_accurate_over_driven_speeds(
             self._published(),
             learner.driven,
             self.config.valid_std,
             self.config.valid_share,
-            was_fit=self._converged,
+            was_accurate=self._converged,
         )
 
     @property
@@ -246,12 +246,12 @@ class VMils:
             published = self._inflated(self._davis(P), factor)
             yield self._estimate(published, factor * P.diagonal(), run.steps[-1].speed)
 
-    def _planned(self, run: Run) -> list[WindowTick]:
+    def _planned(self, run: Run) -> list[WindowSample]:
         """Return the part of a run from which is learned."""
         scale = 1.0 + float(self.learner.tracker.estimate.theta[_KAPPA])
         first = run.first_learned(self._known.settling, self.config.min_speed)
         return [
-            WindowTick(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
+            WindowSample(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
             for k, step in enumerate(run.steps)
             if k >= first and step.speed >= self.config.min_speed
         ]

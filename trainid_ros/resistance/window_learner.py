@@ -28,7 +28,7 @@ from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
     WindowResult,
-    WindowTick,
+    WindowSample,
     observe_resistance,
     overlap_factor,
 )
@@ -117,7 +117,7 @@ class WindowLearner:
         self._windows.clear()
         self._tachometer.add(speed, math.nan)
 
-    def push(self, tick: WindowTick) -> Rejection | None:
+    def push(self, tick: WindowSample) -> Rejection | None:
         """Add a tick; every ``hop`` seconds make an observation. Return the rejection, if any."""
         self._tachometer.add(tick.speed, tick.dt)
         cut = self._windows.push(tick)
@@ -128,7 +128,7 @@ class WindowLearner:
             return observed
         return self._learn(observed, cut)
 
-    def foreseen_information(self, ticks: Sequence[WindowTick], sampled_s: float) -> Array:
+    def foreseen_information(self, ticks: Sequence[WindowSample], sampled_s: float) -> Array:
         """Return the information that planned motion would give on theta, shape (n, n).
 
         Args:

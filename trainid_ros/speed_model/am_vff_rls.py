@@ -57,7 +57,7 @@ Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, fl
 """Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
 
 # Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
-_LEAST_MASS_STD: Final = 1e-4
+_MIN_MASS_STD: Final = 1e-4
 
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
@@ -89,7 +89,7 @@ def prior(
     a, b, c = prior_variances(davis, config)
     scale = (SAMPLE_PERIOD * k) ** 2
     return to_speed_model(davis, k), (
-        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _LEAST_MASS_STD) ** 2, 0.0, scale * a
+        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _MIN_MASS_STD) ** 2, 0.0, scale * a
     )  # fmt: skip
 
 
@@ -151,19 +151,19 @@ class Method(Protocol):
     def covariance(self, variance: float) -> Symmetric:
         """Return the covariance of theta; ``variance`` is that of measured speed [(m/s)^2]."""
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with y [m/s] of a variance [(m/s)^2] after the force u [N/kN] over ``scale`` sample periods [1]."""
 
     def coast(self, u: float, scale: float) -> None:
         """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
 
-    def anchor(self, y: float, variance: float) -> None:
+    def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x from a measured speed y [m/s] with a variance [(m/s)^2]; theta is unchanged."""
 
     def shift(self, change: float) -> None:
         """Add to x the change of speed by gradient and other known resistance over a step [m/s]."""
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
 
 
@@ -176,7 +176,7 @@ _D0: Final = 4
 _SIZE: Final = 5
 _RESISTANCE: Final = (_A1, _A2, _D0)
 # Limit of one error in the running mean, in standard deviations.
-_MOST: Final = 3.0
+_MAX_ERROR: Final = 3.0
 _TINY: Final = 1e-300
 
 
@@ -215,7 +215,7 @@ class AuxiliaryModel:
         # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
         self._gradient = vec[float]([0.0] * _SIZE)
         # P and a vector while it is multiplied by the inverse.
-        self._left, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
+        self._remainder, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
         self.mean_error = 0.0
 
     def start(self, variance: float) -> None:
@@ -271,7 +271,7 @@ class AuxiliaryModel:
     def squared_norm(self, x: float, a1: float, a2: float, b1: float, d0: float) -> float:
         """Return c' P^-1 c for the covariances c of x, a1, a2, b1, d0 with another quantity: what they say of it."""
         n: i64 = _SIZE
-        left, rest, total = self._left, self._rest, 0.0
+        left, rest, total = self._remainder, self._rest, 0.0
         rest[_X], rest[_A1], rest[_A2], rest[_B1], rest[_D0] = x, a1, a2, b1, d0
         for k in range(n * n):
             left[k] = self.P[k]
@@ -286,7 +286,7 @@ class AuxiliaryModel:
                     left[n * i + j] -= share * left[n * k + j]
         return total
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update by one step of (7) in its computable order.
 
         Args:
@@ -360,7 +360,7 @@ class AuxiliaryModel:
             P[i] *= variance * r
         self._mirror()
 
-    def anchor(self, y: float, variance: float) -> None:
+    def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x from a measured speed y [m/s] with a variance [(m/s)^2], uncorrelated with theta."""
         n: i64 = _SIZE
         self.z[_X] = y
@@ -373,7 +373,7 @@ class AuxiliaryModel:
         """Add a change of speed [m/s] to x."""
         self.z[_X] += change
 
-    def widen_speed(self, variance: float) -> None:
+    def inflate_speed_variance(self, variance: float) -> None:
         """Add to the variance of x [(m/s)^2], for forces that are not reported."""
         self.P[0] += variance
 
@@ -388,7 +388,7 @@ class AuxiliaryModel:
         P[4] += covariance[3]
         self._mirror()
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Add a share of the load variance to the variance of b1."""
         self.P[18] += share * self.tuning.load
 
@@ -436,7 +436,7 @@ def prior_variances_given_b1(P0: Symmetric) -> tuple[float, float, float]:
 
 def running_mean(mean: float, z: float, share: float) -> float:
     """Return the running mean of errors in standard deviations [1] after one more error z of weight ``share``."""
-    bounded = z if -_MOST < z < _MOST else math.copysign(_MOST, z)
+    bounded = z if -_MAX_ERROR < z < _MAX_ERROR else math.copysign(_MAX_ERROR, z)
     return mean + share * (bounded - mean)
 
 
