@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of the unmodelled acceleration b, estimated while the train runs with its brake released.
-
-Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
-While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
-of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
-large while there is little data.
-
-Common part of all brake rate estimators: which samples update f, and the motion model of the train.
+"""Common part of all brake rate estimators: which samples update f, and the size of the unmodelled acceleration b.
 
 Based on Zheng et al. 2015, section 2, with these corrections:
 
@@ -16,6 +9,11 @@ Based on Zheng et al. 2015, section 2, with these corrections:
 * Errors of the train file are states too: dead time and lag, running resistance, traction, and a brake rate that
   changes with speed and with the brake level.
 * Standstill and traction never update f. While no brake acts, its variance grows by exactly q per second.
+
+Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
+While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
+of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
+large while there is little data.
 """
 
 from __future__ import annotations

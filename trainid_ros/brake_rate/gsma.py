@@ -1,21 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of x = [v, a, b, e], one for all particles.
+"""GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
 
-f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f: one
-Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) use one for each particle).
+After Zheng et al. 2015, section 3.5. (n) is an equation of the paper; [n] marks the same step in the code, here and in
+:mod:`m_algorithm`. f is the brake rate, x = [v, a, b, e] the motion of the train and the errors of the train file, see
+:mod:`motion_model`. State: particles (f_i, x_i) in strata m (quiet, jumping) with the weights W_m, means mu_m and
+variances s_m^2 of f; one covariance P of x given f for all particles.
 
-Markov chain of a brake rate with two states: slow drift (quiet) and a rare, short, fast change (jumping).
+    [1]  f_i = quantiles of the prior, W = stationary weights of the Markov chain T, P = variances of the errors e
+    for each sample with the speed y, measured with variance r, dt after the last one:
+    [2]      x_i = Phi x_i + gamma f_i + known input                                                (14)
+    [3]      P = Phi P Phi' + Q                                                                     (14)
+    [4]      S = P_vv + r                                                                           (16)
+    [5]      K = P e_v / S                                                                          (20)
+    [6]      P = P - K e_v' P                                                                       (21)
+    [7]      if the brake does not act: x_i = x_i + K (y - v_i), with f unchanged; next sample      (21)
+    [8]      after a pause without braking: scale f about its mean, which adds the variance drift^2 pause
+    [9]      f_i = mu_m + sqrt(1 - kappa^2) (f_i - mu_m), and x_i along its regression on f
+    [10]     h_m = sqrt(3 (q_m dt + kappa^2 s_m^2)); group of i: f_ig = f_i + h_m {-1, 0, 1}_g         section 3.5
+    [11]     w_ig = W_m / N_m {1/6, 4/6, 1/6}_g N(y; v_ig, S), or 0 unless 0 <= f_ig <= f_max         (17)
+    [12]     w_ig = w_ig / sum of all w                                                             (18)
+    [13]     W_m, mu_m, s_m^2 = moments of f_ig with the weights w_ig T_{stratum of i, m}
+    [14]     choose N_m survivors by systematic resampling in the order of f, with the weights of [13]
+    [15]     shift and scale the f of the survivors to mu_m and s_m^2
+    [16]     x_ig = x_ig + K (y - v_ig)                                                             (21)
+    [17]     x of the survivors: shifted to the mean and the regression on f before [14]
+    [18]     f = sum of W_m mu_m                                                                    (19)
+    [19]     x = sum of w_ig x_ig                                                                   (22)
 
-A jump since the last braking can be detected only when the response of the brake to its command is steady: before
-that, an error of dead time or lag has the same effect. So time in the chain is scaled by the steadiness of the
-response, and the probability of a jump while no brake acted is kept until then.
+The same in plain numpy is ``test/brake_rate/reference_gsma.py``. The differences from the paper are explained in
+:mod:`m_algorithm`. Two more:
 
-GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
+* f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f. One
+  Riccati equation suffices; (14), (16), (20) and (21) of the paper have one for each particle.
+* A jump since the last braking can be detected only when the response of the brake to its command is steady. Before
+  that, an error of dead time or lag has the same effect. Time in the chain T is therefore scaled by the steadiness, and
+  the probability of a jump while no brake acted is kept until then.
 
-A step and its differences from Zheng et al. 2015 are in :mod:`m_algorithm`, the particles in :mod:`group_cloud`, the
-motion model and the selection of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one
-for a jumping brake rate, it detects a jump within seconds; without jumps it is the exact filter except for sampling
-noise.
+Without jumps this is the exact filter, except for sampling noise.
 """
 
 from __future__ import annotations

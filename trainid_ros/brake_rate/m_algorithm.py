@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particles of a brake rate f and of the train's motion x, in strata of a Markov chain: their motion and their moments.
+"""The particles of GSMA: their motion and moments, and one step of the group stochastic M-algorithm.
 
-Between two prunings all particles move by the same linear map, x = A [1, f, x0] with the states x0 of the last pruning.
-So a step without pruning changes A, and of the particles only their speeds, whose spread is needed.
-
-One step of the group stochastic M-algorithm: particles branch into groups, are weighed by a speed and are pruned.
-
-Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+The steps [n] are those at the head of :mod:`gsma`. Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with
+these corrections:
 
 * The group of a particle is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
   h = sqrt(3 q dt): every value has its group (the paper omits one), values are not bound to a grid, and the
@@ -19,6 +15,9 @@ Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these correctio
   sqrt(3 (q dt + kappa^2 s^2)), which preserves its mean and its variance s^2 + q dt and keeps its values distinct. x
   moves with f according to its regression on f. After pruning, the particles are shifted and scaled to the mean and
   variance before pruning. In a stratum with a Gaussian posterior no sampling noise is left in either.
+
+Between two prunings all particles move by the same linear map, x = A [1, f, x0], with the states x0 at the last
+pruning. So a step without pruning changes only A and the speeds, whose spread is needed.
 """
 
 from __future__ import annotations

@@ -1,24 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of the posterior of a brake rate estimator: Gaussian, mixture or particles.
-
-Sensitivity of the brake response to dead time T and lag tau, which may be wrong in a train file.
-
-The integral of the lagged target y over a sample, s(T, tau), is computed for T +- h and tau +- h. Its differences give
-the gains of speed by the errors of dead time and lag, for f = 1, by statistical linearisation:
-
-    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
-
-and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
-Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
-
-Exact response of the brake over one sample, linear in the brake rate.
-
-The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in
-the argument) and the command u is piecewise constant, so over any interval
-
-    a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
-
-Motion model of the train over one sample, with the effect of each error of the train file.
+"""Motion model of the train over one sample, linear in the brake rate f and in the errors of the train file.
 
 With the brake's lagged target y, its integral s over the sample and k = g / (1000 (1 + gamma)), the inverse of the
 specific inertia,
@@ -31,6 +12,21 @@ where r is the brake rate by the table and the effects of the train file, and th
 
 p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which electric and friction brakes change over,
 0 at rest and at twice that speed. The last error is that of the brake at its level, because valves act in steps.
+
+The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in the argument).
+The command u is piecewise constant, so over any interval the response is exact:
+
+    a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
+
+Dead time T and lag tau may be wrong in a train file. The integral s(T, tau) is computed for T +- h and tau +- h. Its
+differences give the gains of speed by their errors, for f = 1, by statistical linearisation:
+
+    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
+
+and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
+Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
+
+:class:`Posterior` is what an estimator needs of the posterior of f and x: Gaussian, mixture or particles.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion without braking as arrays: pieces of a drive, each with its own initial speed, and the noise of its speeds.
+"""Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
-Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
-
-The model is that of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
+A :class:`Trajectory` is motion without braking: pieces of a drive, each with its own initial speed. The model is that
+of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
 ``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
 stage of constant acceleration, and the mean known force u. The fit minimises, over a, b, c *and all speeds*,
 

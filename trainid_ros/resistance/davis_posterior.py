@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error model of the known forces: scale and delay of the traction, and error of the curve resistance.
+"""Posterior of the Davis parameters: errors of the known forces, drift, the published estimate, and its validity.
 
 With T the reported specific traction [N/kN] and R the curve radius, the true forces are modelled as
 
@@ -7,13 +7,11 @@ With T the reported specific traction [N/kN] and R the curve radius, the true fo
 
 Force gain and mass share one scale kappa: only their ratio is observable in the motion.
 
-Posterior of the Davis parameters in plain floats: drift, prediction, and the published estimate.
-
 A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
 covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
 since arrays of three cost more than the arithmetic.
 
-Test whether a resistance is fit to use: known well enough over the observed speeds, with hysteresis.
+An estimate is valid while w is accurate over the driven speeds, with hysteresis.
 """
 
 from __future__ import annotations

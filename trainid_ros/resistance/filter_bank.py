@@ -1,12 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """filter-bank: Davis parameters with realistic uncertainty of mass, force, map and wheel diameter.
 
-A bank of extended Kalman filters on raw speed, see :mod:`hypotheses` and :mod:`speed_states`. For real trains the
-force errors are states: a scale kappa on the specific force, since mass and force gain are known only to a few per
-cent, and a delay delta, since forces are reported late. Both are observable in normal operation: kappa by driving
-with different tractive efforts, delta while the traction ramps.
+A bank of extended Kalman filters on raw speed. It is not from one of the three papers. It combines Bayesian
+change-point detection (Adams and MacKay 2007) with a multiple-model estimator of the noise sizes (Blom and Bar-Shalom
+1988). (1) is the motion at the head of :mod:`speed_states`; [n] marks the same step in the code: here, in
+:mod:`hypotheses` and in :mod:`speed_states`. A hypothesis i has a filter (x_i, P_i) with x = [v, a, b, c, g, e, kappa,
+delta, kappa_R], a weight W_i, an age, and sizes of gusts g and map errors e.
 
-The filters run two steps (0.4 s or two samples) late, since a delayed force needs the following force reports.
+    [1]  hypotheses = {stated prior, wide prior of small weight} x all sizes
+    at each departure with the measured speed y of variance R:
+    [2]      v = y, g = e = 0; after a stop P_kappa += change of load; after ten minutes P_a, P_c += possible step
+    for each sample with y and R, two samples late since a delayed force needs the following reports:
+    [3]      T(t + delta) by a cubic through four reports; variance of v by the noise of the force
+    [4]      x_i = solution of (1) over dt with the speed in the middle; g and e decay
+    [5]      P_i = F P_i F' + Q
+    [6]      nu, S = innovation of the mixture of all predictions and its variance: for outliers and diagnostics
+    [7]      S_i = P_vv + R,  nu_i = y - v_i
+    [8]      L_i = (1 - eps) N(nu_i; 0, S_i) + eps / 2 m/s;  w_i = first term / L_i
+    [9]      K = P_i e_v / (P_vv + R / w_i);  x_i = x_i + K nu_i;  P_i = P_i - K e_v' P_i
+    [10]     W_i = W_i L_i,  age_i = age_i + dt
+    every 10 s, from the hypothesis of the largest weight:
+    [11]     branch: P_aa += step, W = W p(step); the same for c; and one with other sizes of gusts or map errors
+    [12]     prune to the maximum number; young ones have a bonus
+    estimate:
+    [13]     mean = sum of W_i x_i over hypotheses of the minimum age
+    [14]     covariance = that of the mixture, in which young hypotheses count more: a step may just have happened
+    [15]     covariance = inflation covariance + error of the wheel diameter
+
+The same in plain numpy is ``test/resistance/reference_filter_bank.py``. For real trains the force errors are states: a
+scale kappa on the specific force, since mass and force gain are known only to a few per cent, and a delay delta, since
+forces are reported late. Both are observable in normal operation: kappa by driving with different tractive efforts,
+delta while the traction ramps.
 """
 
 from __future__ import annotations

@@ -1,19 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """V-MILS: Davis parameters by interval-varying multi-innovation least squares, robust and with step detection.
 
-theta = [a, b, c, kappa, delta, kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces,
-see :mod:`force_errors`. After Liu et al. 2018 (sections 3 and 4.2), with these corrections:
+After Liu et al. 2018. (n) is an equation of the paper, whose multi-innovation equations have no numbers: "MILS" are
+those of section 3, "V-MILS" those of section 4.2. [n] marks the same step in the code: here and in
+:mod:`window_learner`, :mod:`speed_window`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
+kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
 
-* y includes rotating mass, gradient and traction instead of eq. (5), see :mod:`speed_window`;
-* regularisation is a Gaussian prior (P(0), theta(0)), which equals ridge regression (7) at every step,
-  instead of (12)-(16), whose penalty grows with time;
+    [1]  theta = theta(0), P = P(0): the regularisation                                   (7): lambda I = P(0)^-1
+    for each sample without braking:
+    [2]      add it to a window of 5 s; every hop seconds the window is fitted            Fig. 2: segments
+    [3]      slope of v - v_u by least squares, v_u = speed by the known force alone      (6)
+    [4]      y = -m slope,  m = 1000 (1 + gamma) / g                                      (3), (4), (5)
+    [5]      phi = [1, v, v^2, -Tw, -Dw, (600/R)w], averaged over the window              (2)
+    [6]      R = variance of y; slow R = that of the mean of many y, whose noise is correlated
+    [7]      e = y - phi' theta, S = phi' P phi + R                                       (9), (16)
+    [8]      w = probability that y is good, given e: t_s, weighted instead of chosen     V-MILS: t_s
+    [9]      Phi = [phi(t), ..., phi(t-p+1)], Y = [y(t), ..., y(t-p+1)]                   V-MILS: Phi(p, t_s), Y(p, t_s)
+    [10]     P^-1 = P^-1 + Phi D Phi',  P^-1 theta = P^-1 theta + Phi D Y,                V-MILS: L, P, theta
+             D = diag(w / (p slow R)): the printed L = P Phi (D^-1 + Phi' P Phi)^-1 in information form
+    [11]     hypotheses: "a, b, c stepped k observations ago", each updated by (9)-(11)
+    [12]     one that is 1000 times as likely replaces the long memory of [10]
+    [13]     if most y contradict the long memory: restart from a robust fit of the latest
+    [14]     estimate = mixture of long memory and hypotheses
+    [15]     learn the variance of disturbances, slow, and the inflation of P from e
+    [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c
+    [17] publish: P = inflation P + (model error)^2 theta theta'
+
+The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vmils.py``. Differences from the paper:
+
+* y includes rotating mass, gradient and traction instead of (5), which has g = 10 and coasting on straight track;
+* the regularisation is a Gaussian prior, which equals ridge regression (7) at every step, instead of (12)-(16), whose
+  penalty grows with time;
 * the p innovations of a step have p times their noise variance, so that all uses of an observation together have its
-  weight exactly once and P is a covariance, see :mod:`multi_innovation`;
-* "interval-varying": only good observations enter the p of a step. A soft gate weights them;
+  weight exactly once and P is a covariance;
+* "interval-varying": good observations enter the p of a step. A soft gate weights them instead of choosing;
 * traction is not exact: its scale and delay are estimated too, and so is the curve resistance;
-* the correlation of the noise is learned, see :mod:`long_run_variance`, and so is the speed noise;
-* steps of a, b, c are detected and followed, see :mod:`change_points`;
-* the published covariance is P times the factor of :mod:`long_run_variance`, plus a share of w for wheel errors.
+* the correlation of the noise is learned, see :mod:`normal`, and so is the speed noise;
+* steps of a, b, c are detected and followed, see :mod:`change_points`.
 """
 
 from __future__ import annotations

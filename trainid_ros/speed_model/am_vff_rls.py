@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the speed model, their physical meaning and their prior.
+"""AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
 
-Yuan et al. 2017, eq. (2): x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0, by forward Euler of (1):
+After Yuan et al. 2017. (n) is an equation of the paper; [n] marks the same step in the code. State: z = [x_a, theta]
+with the auxiliary output x_a [m/s] and theta = [a1, a2, b1, d0], their covariance P, and the running mean m of the
+errors. A sample has the measured speed y of variance R, the specific force u, and s sample periods since the last one.
 
-    a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
+    [1]  theta = theta(0), P = P(0) from the train file; x_a = y
+    for each sample of a train that moves without braking:
+    [2]      phi = s [x_a^2, x_a, u, 1]                                                   (4), with x_a for y
+    [3]      f = 1 + s (2 a1 x_a + a2 - 1)                                                derivative of (2) by x_a
+    [4]      P = F P F' + Q,  F = [[f, phi'], [0, I]]: the true gradient of x_a by theta
+    [5]      x_a = x_a + phi' (theta - [0, 1, 0, 0])                                      (2), (7)
+    [6]      eps = y - x_a                                                                (7)
+    [7]      S = P_xx + R; if |eps| > max(gate sqrt(S), floor): next sample
+    [8]      m = m + share (eps / sqrt(S) - m), with the error limited to three standard deviations
+    [9]      chi2 = m^2 (2 - share) / share
+    [10]     lambda = 1 if chi2 <= threshold, else max(1 - (chi2 - threshold) / sigma, low)   (6)
+    [11]     if lambda < 1, for r = [a1, a2, d0] given b1:
+                 P_r^-1 = lambda P_r^-1 + (1 - lambda) P_r(0)^-1                          (7): P / lambda
+    [12]     K = P e / (P_xx + R),  e = [1, 0, 0, 0, 0]                                   (7)
+    [13]     z = z + K eps                                                                (7)
+    [14]     P = P - K e' P                                                               (7)
+    [15] at each stop: P_b1b1 = P_b1b1 + variance of a change of load
+    [16] after standstill, braking or outliers in a row: x_a = y, uncorrelated with theta
 
-with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
-gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
-only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
-kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
+The same in plain numpy is ``test/speed_model/reference_am_vff_rls.py``. The differences from (7) as printed:
 
-Interface of an algorithm for the speed model, as used by the estimator.
-
-AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
-
-Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, with these corrections:
-
+* (7) uses eps with theta(n), which is not known yet; [6] uses theta(n-1).
 * The gain uses the true gradient of the auxiliary output, and the measurement corrects that output together with
   theta. As printed, (7) uses phi(n) as the gradient of x_a(n) with respect to theta. This neglects that x_a(n-1)
   depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4; propagating
@@ -27,14 +38,22 @@ Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, wit
   running mean stays small; after a change they have the same sign.
 * Only the resistance is forgotten, not the mass, and forgetting ends at the prior in every direction.
 * P has the units of the parameters and is a consistent covariance: the speed noise, the strength of gusts and map
-  errors and the delay of the reported force are estimated (``nuisance_parameters``), and slow changes of the weather
+  errors and the delay of the reported force are estimated (:mod:`nuisance_parameters`), and slow changes of the weather
   are modelled as a drift of d0.
 * Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient,
   and the error of mass and force affects traction only.
-* A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts, and b1
-  gains variance at each stop for a change of load.
+* A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts.
 
 With lambda = 1 and a drift of d0 this is the extended Kalman filter.
+
+Theta follows from forward Euler of (1), x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0 (2):
+
+    a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
+
+with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
+gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
+only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
+kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
 """
 
 from __future__ import annotations
