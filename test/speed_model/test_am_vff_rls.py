@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from test.speed_model.reference_am_vff_rls import AmVffRls
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.speed_model.am_vff_rls import (
     AuxiliaryModel,
@@ -92,6 +95,24 @@ def test_correction_equals_that_of_the_kalman_filter() -> None:
     expected = (np.eye(5) - np.outer(K, np.eye(5)[0])) @ P
     assert relative(matrix(m), 0.5 * (expected + expected.T)) < 1e-9
     assert np.array_equal(matrix(m), matrix(m).T)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.2, 3.0), st.floats(-0.1, 0.1))
+def test_updates_equal_those_of_the_reference(seed: int, period: float, change: float) -> None:
+    """Noise, outliers and a change of the speed by ``change`` m/s in each step, which starts forgetting."""
+    rng, m = np.random.default_rng(seed), driven()
+    reference = AmVffRls(state(m), matrix(m), np.array(full(P0)).reshape(4, 4), TUNING)
+    for k in range(60):
+        u, scale = float(rng.uniform(-20.0, 60.0)), period * float(rng.uniform(0.5, 1.5))
+        outlier = 5.0 if rng.random() < 0.05 else 0.0
+        y = m.speed() + (change if k > 20 else 0.0) + 0.02 * float(rng.standard_normal()) + outlier
+        found, lam = m.update(y, u, scale, R), reference.update(y, u, scale, R)
+        assert found.forgetting == pytest.approx(lam, rel=1e-9)
+        assert m.mean_error == pytest.approx(reference.m, rel=1e-6, abs=1e-9)
+        std = np.sqrt(np.diag(reference.P))
+        assert np.max(np.abs(state(m) - reference.z) / std) < 1e-6
+        assert relative(matrix(m), reference.P) < 1e-6
 
 
 def given_b1(P: Array) -> Array:

@@ -102,19 +102,20 @@ class Covariance:
 
     def predict(self, step: Transition) -> None:
         """Predict over an interval, P = Phi P Phi' + Q, eq. (14); only v takes from other states."""
-        P, gains, left, n = self.P, self._gains, self._decay, STATES
-        gains[1], gains[2], left[1], left[2] = step.reach, step.dt, step.decay, step.rho
+        # [3] P = Phi P Phi' + Q, eq. (14)
+        P, gains, decay, n = self.P, self._gains, self._decay, STATES
+        gains[1], gains[2], decay[1], decay[2] = step.reach, step.dt, step.decay, step.rho
         for j in range(ERRORS):
-            gains[_E + j], left[_E + j] = step.gain_e[j], step.decay_e[j]
+            gains[_E + j], decay[_E + j] = step.gain_e[j], step.decay_e[j]
         variance = 0.0
         for j in range(n):
             with_v = 0.0
             for i in range(n):
                 with_v += gains[i] * P[i * n + j]
             variance += gains[j] * with_v
-            P[j] = left[j] * with_v
+            P[j] = decay[j] * with_v
             for i in range(1, n):
-                P[i * n + j] *= left[i] * left[j]
+                P[i * n + j] *= decay[i] * decay[j]
         for j in range(1, n):
             P[j * n] = P[j]
         P[0] = variance + step.q_v
@@ -137,10 +138,12 @@ class Covariance:
             The variance of the innovation, eq. (16) [(m/s)^2].
         """
         P, K, n = self.P, self.K, STATES
+        # [4] Eq. (16).
         S = P[0] + r
+        # [5] Eq. (20).
         for i in range(n):
             K[i] = P[i] / S
-        # From below, because the first row is that of before.
+        # [6] Eq. (21), from below because the first row is that of before.
         for i in range(n - 1, -1, -1):
             for j in range(i + 1):
                 P[i * n + j] -= K[i] * P[j]
@@ -255,7 +258,7 @@ class GsmaPosterior:
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Reset to the prior: particles at its quantiles, strata at the stationary weights of the Markov chain."""
-        # The normal distribution of the standard library, because importing that of SciPy is slow.
+        # [1] The normal distribution of the standard library, because importing that of SciPy is slow.
         prior = NormalDist(rate, std)
         f = [max(0.0, prior.inv_cdf((i + 0.5) / n)) for n in self._sizes for i in range(n)]
         starts, ends = transition(self._config, 1.0)
@@ -285,6 +288,7 @@ class GsmaPosterior:
 
     def follow(self, speed: float, r: float) -> None:
         """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
+        # [7] Eq. (21), with f unchanged.
         self._covariance.correct(r)
         self.cloud.follow(speed, self._covariance.K)
 
@@ -294,6 +298,7 @@ class GsmaPosterior:
         if not is_finite(speed - mean + variance):
             return False
         dt, steadiness, pause = interval.dt, interval.steadiness, elapsed - interval.dt
+        # [8]
         if pause > MIN_PAUSE_S:
             self.cloud.inflate_variance(interval, self._drift * self._drift * pause)
         quiet, jumping = self._q

@@ -116,6 +116,7 @@ class GroupCloud:
     def average(self) -> None:
         """Set mean and variance of f from those of the strata."""
         rate = spread = 0.0
+        # [18] Eq. (19).
         for m in range(self.M):
             rate += self.weight[m] * self.mean[m]
         for m in range(self.M):
@@ -143,6 +144,7 @@ class GroupCloud:
 
     def predict(self, step: Transition) -> None:
         """Predict over an interval with constant f, eq. (14)."""
+        # [2] Eq. (14).
         A, a, b = self.A, WIDTH, 2 * WIDTH
         gain_e, decay_e = step.gain_e, step.decay_e
         for k in range(WIDTH):
@@ -160,6 +162,7 @@ class GroupCloud:
         """Update x with a measured speed that carries no information on f, by the gain K, shape (n,), eq. (21)."""
         A = self.A
         for k in range(WIDTH):
+            # [7] Eq. (21).
             nu = (speed if k == 0 else 0.0) - A[k]
             for j in range(STATES):
                 A[j * WIDTH + k] += K[j] * nu
@@ -256,6 +259,7 @@ class GroupCloud:
         if total <= 0.0:
             return
         self._apply_transform()
+        # [8]
         ratio = math.sqrt(1.0 + variance / total)
         for i in range(N):
             wider = (ratio - 1.0) * (self.f[i] - rate)
@@ -365,6 +369,7 @@ class MAlgorithm:
         for m in range(M):
             kernel = _KAPPA * _KAPPA * cloud.variance[m]
             both = max(walk[m] + kernel, _TINY)
+            # [10]
             self._h[m] = math.sqrt(3.0 * both)
             # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
             for j in range(STATES):
@@ -375,6 +380,7 @@ class MAlgorithm:
             self._c_v[m] = self._c[_V * M + m]
             mean, slope = cloud.mean[m], self._slopes[_V * M + m]
             for i in range(self._edges[m], self._edges[m + 1]):
+                # [9]
                 off = _SHRUNK * (f[i] - mean)
                 moved[i] = off
                 base[i] = f[i] + off
@@ -394,6 +400,7 @@ class MAlgorithm:
                 off, log_prior = float(g - 1) * self._h[m], prior + (_LOG_MIDDLE if g == 1 else _LOG_OUTER)
                 ahead, child = off * self._c[_V * self.M + m], g * N
                 for i in range(low, high):
+                    # [11] Eq. (17).
                     rate, z = base[i] + off, W * (nu[i] - ahead)
                     log_weight = log_prior - 0.5 * (z * z) if 0.0 <= rate <= largest else -math.inf
                     rates[child + i], w[child + i] = rate, log_weight
@@ -405,6 +412,7 @@ class MAlgorithm:
             w[k] = weight
             total += weight
             squares += weight * weight
+        # [12] Eq. (18).
         for k in range(3 * N):
             w[k] /= total
         return total * total / squares
@@ -431,6 +439,7 @@ class MAlgorithm:
             self._sum_w[m], self._sum_wf[m], self._sum_wff[m] = ones, firsts, squares
             self._sum_woff[m], self._sum_wfoff[m] = offs, products
         for m in range(M):
+            # [13]
             weight = max(self._mix_into(self._sum_w, chain, m), _TINY)
             mean = self._mix_into(self._sum_wf, chain, m) / weight
             square = self._mix_into(self._sum_wff, chain, m) / weight
@@ -438,7 +447,7 @@ class MAlgorithm:
             self._next_variance[m] = max(square - mean * mean, _MIN_VARIANCE)
 
     def _mix_into(self, sums: vec[float], chain: vec[float], m: i64) -> float:
-        """Return what the chain carries of sums over each stratum, shape (M,), into the m-th."""
+        """Return the sums of the strata, shape (M,), mixed by the transition matrix into the m-th."""
         total = 0.0
         for source in range(self.M):
             total += sums[source] * chain[source * self.M + m]
@@ -493,6 +502,7 @@ class MAlgorithm:
         size = float(high - low)
         for source in range(M):
             share[source] = chain[source * M + m] / self._next_weight[m]
+        # [14]
         place: i64 = 0
         child = order[0]
         total = w[child] * share[of[child]]
@@ -514,6 +524,7 @@ class MAlgorithm:
         average /= size
         for k in range(low, high):
             spread += (f[k] - average) * (f[k] - average)
+        # [15]
         factor = min(math.sqrt(self._next_variance[m] / max(spread / size, _TINY)), _MAX_SPREAD_FACTOR)
         mean = self._cloud.rate + self._next_mean[m]
         for k in range(low, high):
@@ -527,15 +538,16 @@ class MAlgorithm:
         f, x, N, M = cloud.f, cloud.x, self.N, self.M
         at = j * N
         # The speeds have been predicted; of another state only its own share and f are in A.
-        known, gain, left = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
+        known, gain, decay = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
         if j == _V:
-            x, at, known, gain, left = cloud.v, 0, 0.0, 0.0, 1.0
+            x, at, known, gain, decay = cloud.v, 0, 0.0, 0.0, 1.0
         for m in range(M):
             slope = self._slopes[j * M + m]
             c[j * M + m] -= K * self._c_v[m]
             states = products = 0.0
             for i in range(self._edges[m], self._edges[m + 1]):
-                state = known + gain * f[i] + left * x[at + i] + slope * moved[i] + K * nu[i]
+                # [16] Eq. (21).
+                state = known + gain * f[i] + decay * x[at + i] + slope * moved[i] + K * nu[i]
                 row[i] = state
                 states += state * w0[i]
                 products += state * wf[i]
@@ -555,6 +567,7 @@ class MAlgorithm:
             total = 0.0
             for k in range(low, high):
                 i = parent[k]
+                # [17]
                 state = row[i] + off[k] * c[j * M + of[i]] + slope * shift[k]
                 after[j * N + k] = state
                 total += state
@@ -573,6 +586,7 @@ class MAlgorithm:
             cloud.weight[m] = self._next_weight[m] / total
             cloud.mean[m] = cloud.rate + self._next_mean[m]
             cloud.variance[m] = self._next_variance[m]
+        # [19] Eq. (22).
         for j in range(STATES):
             cloud.x_mean[j] /= total
         cloud.average()

@@ -8,7 +8,8 @@ and accumulates the log Bayes factor of its predictions against those of the lon
 mixture of all, weighted by their probability. Once the long memory has negligible probability, the most likely
 hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
 
-The long memory is that of :mod:`multi_innovation`, for n parameters: with information I = [P^-1 | P^-1 theta],
+The long memory is multi-innovation least squares, [9] and [10] at the head of :mod:`vmils`, for n parameters: with
+information I = [P^-1 | P^-1 theta],
 
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
@@ -149,17 +150,22 @@ class Tracker:
         self._count += 1
         self._rows.append((*phi, y, R, slow))
         expected, variance = long.predict(phi)
+        # [7], [8] V-MILS: a bad observation is weighted down instead of left out of t_s.
         weight, score = weigh(y - expected, variance + R, R, plan.outliers)
+        # [9] MILS: the latest p of phi and y, that is Phi(p, t) and Y(p, t).
         self._parts.append(information_in(phi, y, plan.p * slow * R, weight))
         if len(self._parts) > plan.p:
             del self._parts[0]
+        # [10] MILS: theta(t), L(t), P(t), in information form.
         information = self._memory[:]
         for part in self._parts:
             for k in range(len(part)):
                 information[k] += part[k]
         self._set_memory(information)
+        # [11], [12]
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
+        # [13]
         if self._mean_weight < _LOCKED_OUT:
             self._restart_from_latest()
         self._mix()
@@ -218,6 +224,7 @@ class Tracker:
 
     def _mix(self) -> None:
         """Update the mixture, weighted by probability."""
+        # [14]
         normals, odds = [self._long], [1.0]
         for item in self._hypotheses:
             if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_REPLACED:

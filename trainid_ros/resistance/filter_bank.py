@@ -213,30 +213,31 @@ class FilterBank:
     def _advance(self) -> Rejection | None:
         """Move the filters over the newest interval with enough later force reports."""
         self._published, stride = None, self._stride
-        tick, next_, last = self._admitted[-1 - 2 * stride], self._admitted[-1 - stride], self._admitted[-1]
+        sample, next_, last = self._admitted[-1 - 2 * stride], self._admitted[-1 - stride], self._admitted[-1]
         if not self._running:
-            self._depart(tick)
+            self._depart(sample)
             return None
         before = self._admitted[max(-1 - 3 * stride, -len(self._admitted))]
-        traction = (before.traction, tick.traction, next_.traction, last.traction)
+        traction = (before.traction, sample.traction, next_.traction, last.traction)
         interval = Interval(
-            dt=tick.dt,
+            dt=sample.dt,
             traction=traction,
-            track=tick.track,
-            curve=tick.curve,
-            speed=tick.speed,
-            speed_variance=tick.variance,
-            spacing=stride * tick.dt,
-            force_interval=tick.force_interval,
+            track=sample.track,
+            curve=sample.curve,
+            speed=sample.speed,
+            speed_variance=sample.variance,
+            spacing=stride * sample.dt,
+            force_interval=sample.force_interval,
         )
+        # [3]-[12]
         innovation = self.bank.advance(interval)
         if not is_finite(innovation.variance):
             self.bank.reset()
             # The estimate is lost, so it is not fit to use, and the driven speeds are cleared.
             self._driven, self._inflation = DrivenSpeeds(), Inflation()
             self._running = self._converged = False
-            return Rejection(tick.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
-        return self._account(tick, innovation)
+            return Rejection(sample.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
+        return self._account(sample, innovation)
 
     def idle(self, seconds: float) -> None:
         """Add the variance of possible steps in a time without samples [s]; after a long one nothing is fit to use."""
@@ -244,32 +245,33 @@ class FilterBank:
         self._published = None
         self._converged = self._converged and seconds <= _IDLE_S
 
-    def _depart(self, tick: AdmittedSample) -> None:
+    def _depart(self, sample: AdmittedSample) -> None:
         """Restart the speed; after a stop the load may have changed, after a long idle time also a and c."""
-        idle_s = seconds(tick.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
+        idle_s = seconds(sample.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
         if idle_s > _IDLE_S:
             self.idle(idle_s)
+        # [2]
         if self._stopped:
-            self.bank.inflate_force_scale_variance(scale_step(self._train, weighed=tick.weighed) ** 2)
+            self.bank.inflate_force_scale_variance(scale_step(self._train, weighed=sample.weighed) ** 2)
             self._stopped = False
-        self.bank.restart(tick.speed, tick.variance)
-        self._running, self._rejected_s, self._advanced_ns = True, 0.0, tick.stamp_ns
+        self.bank.restart(sample.speed, sample.variance)
+        self._running, self._rejected_s, self._advanced_ns = True, 0.0, sample.stamp_ns
         if self._converged:
             self._check_validity()
 
-    def _account(self, tick: AdmittedSample, innovation: Innovation) -> Rejection | None:
+    def _account(self, sample: AdmittedSample, innovation: Innovation) -> Rejection | None:
         """Record the innovation as a resistance [N/kN]; return the rejection of an outlier."""
         nu, S = innovation.value, innovation.variance
-        per_speed = self.bank.plan.noise.inertia / tick.dt
+        per_speed = self.bank.plan.noise.inertia / sample.dt
         self._innovation, self._innovation_variance = -per_speed * nu, per_speed * per_speed * S
         self._test_ratio = nu * nu / (_GATE * _GATE * S)
-        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0, tick.dt)
+        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0, sample.dt)
         if self._test_ratio > 1.0:
-            self._rejected_s += tick.dt
-            self._running = self._rejected_s < _RESTART_AFTER_S - 0.5 * tick.dt
-            return Rejection(tick.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
-        since_ns, self._rejected_s, self._advanced_ns = tick.stamp_ns - self._advanced_ns, 0.0, tick.stamp_ns
-        self._driven.add(tick.speed)
+            self._rejected_s += sample.dt
+            self._running = self._rejected_s < _RESTART_AFTER_S - 0.5 * sample.dt
+            return Rejection(sample.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
+        since_ns, self._rejected_s, self._advanced_ns = sample.stamp_ns - self._advanced_ns, 0.0, sample.stamp_ns
+        self._driven.add(sample.speed)
         if self._driven.count % _VALIDITY_CHECK_INTERVAL == 0 or since_ns > _VALIDITY_CHECK_AFTER_NS:
             self._check_validity()
         return None
@@ -292,13 +294,14 @@ class FilterBank:
     def _current(self) -> Mixture:
         """Return what is published: it covers steps that may just have happened."""
         if self._published is None:
+            # [13]-[15]
             self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight), self._inflation.factor)
         return self._published
 
     def _inflated(self, now: Mixture, factor: float) -> Mixture:
         """Return a mixture whose covariance is inflated for unmodelled errors and wheel diameter errors."""
         a, c, kappa = now.mean[0], now.mean[2], now.mean[3]
-        # A relative wheel diameter error r changes a by r a, c by -r c, and the force scale 1 + kappa by a share r.
+        # [15] A relative wheel diameter error r adds r a to a, -r c to c and a share r to the force scale 1 + kappa.
         wheel = vec[float]([_WHEEL_STD * x for x in (a, 0.0, -c, 1.0 + kappa, 0.0)])
         covariance = vec[float]()
         for i in range(N_PUBLISHED):

@@ -106,6 +106,7 @@ class SlidingWindow:
             del ticks[0]
         span = self._span(0)
         hop = self._hop * max(1.0, span / self._length) if len(ticks) == _MIN_SAMPLES else self._hop
+        # [2] The segments of Fig. 2, in time instead of speed.
         if span < self._length - half or self.fresh_s < hop - half:
             return None
         self.fresh_s = 0.0
@@ -152,6 +153,7 @@ def _unforced(ticks: list[WindowSample], inertia: float) -> tuple[vec[float], ve
             time += ticks[k].dt
             pushed += ticks[k].known_force * ticks[k].dt
         times = append(times, time)
+        # [3] v - v_u, whose slope replaces eq. (6).
         rest = append(rest, ticks[k].speed - pushed / inertia)
     return times, rest
 
@@ -207,6 +209,7 @@ def _result(
         size += abs(tick.traction)
         slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
+        # [4] Eqs. (3)-(5).
         y=-inertia * dot(weights, rest),
         phi=(phi0, phi1, phi2),
         noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),

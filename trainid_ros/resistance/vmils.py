@@ -163,6 +163,7 @@ class VMils:
             traction=traction,
             curve=CURVE_RADIUS * sample.curvature,
         )
+        # [2]-[15]
         rejection = self.learner.push(tick)
         self._check_validity(updated=self.learner.driven.count != before)
         return rejection
@@ -173,6 +174,7 @@ class VMils:
             self._standing = sample.speed < self.config.min_speed
         elif sample.speed < _STANDING:
             self._standing = True
+            # [16]
             step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
             variances = np.zeros(len(self.learner.tracker.prior.theta))
             variances[_KAPPA] = step
@@ -196,6 +198,7 @@ class VMils:
         if self._drifted_ns == 0 or elapsed_s < 0.0:
             self._drifted_ns = self._stamp_ns
         elif elapsed_s >= _DRIFT_LUMP_S:
+            # [16]
             limits = self._limits()
             variances = np.zeros(len(limits))
             variances[:3] = np.array(self._rates) * elapsed_s
@@ -223,6 +226,7 @@ class VMils:
 
     def _inflated(self, now: DavisPosterior, factor: float) -> DavisPosterior:
         a, b, c, *P = now
+        # [17]
         e2 = self.config.model_error**2
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
         return (a, b, c, *(factor * x + e2 * square for x, square in zip(P, squares, strict=True)))
@@ -303,6 +307,7 @@ def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: V
     variances = prior_variances(davis, config)
     share = config.step_share**2
     a, b, c = (share * variance for variance in variances)
+    # [1] The regularisation of eq. (7) as a Gaussian prior.
     prior = independent((*davis, 0.0, 0.0, 0.0), (*variances, *errors.variances))
     return Tracker(prior, change_point_config(config, (a, b, c, 0.0, 0.0, 0.0)))
 

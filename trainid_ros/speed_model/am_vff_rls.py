@@ -239,6 +239,7 @@ class AuxiliaryModel:
 
     def start(self, variance: float) -> None:
         """Go to the prior; ``variance`` is that of x [(m/s)^2]."""
+        # [1]
         self._set((0.0, *self._theta0), (variance, 0.0, 0.0, 0.0, 0.0), self._P0)
         self.mean_error = 0.0
 
@@ -315,23 +316,27 @@ class AuxiliaryModel:
             variance: Variance of y [(m/s)^2].
         """
         tuning = self.tuning
-        # Eq. (7): x_a = phi' theta(n-1), with its covariance.
+        # [2]-[5] Eq. (7): x_a = phi' theta(n-1), with its covariance.
         self.coast(u, scale)
         predicted = self.z[_X]
+        # [6] Eq. (7), with theta(n-1).
         eps = y - predicted
+        # [7]
         s = self.P[0] + variance
         std = math.sqrt(s)
         limit = max(tuning.gate * std, tuning.gate_floor)
         if not -limit <= eps <= limit:
             return Learned(predicted, eps, limit, 1.0, s)
+        # [8]
         mean, lam = running_mean(self.mean_error, eps / std, tuning.share), 1.0
-        # The variance of ``mean`` is share / (2 - share) if the errors are white.
+        # [9] The variance of ``mean`` is share / (2 - share) if the errors are white.
         chi2 = mean * mean * (2.0 - tuning.share) / tuning.share
         if chi2 > tuning.threshold:
+            # [10], [11]
             lam = forgetting_factor(chi2, tuning)
             self.forget(lam)
         self.mean_error = mean
-        # Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
+        # [12]-[14] Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
         self.correct(eps, variance)
         return Learned(predicted, eps, limit, lam, s)
 
@@ -340,12 +345,12 @@ class AuxiliaryModel:
         n: i64 = _SIZE
         z, P, g = self.z, self.P, self._gradient
         x = z[_X]
-        # phi, and before it f.
+        # [2] phi, eq. (4), and [3] before it f.
         g[_A2], g[_B1], g[_D0] = scale * x, scale * u, scale
         g[_A1] = g[_A2] * x
         g[_X] = 1.0 + scale * (2.0 * z[_A1] * x + z[_A2] - 1.0)
         P[24] += self.tuning.drift * scale
-        # var(x): f^2 var(x) + 2 f phi'p + phi'S phi, with p = cov(x, theta) and S = cov(theta)
+        # [4] var(x): f^2 var(x) + 2 f phi'p + phi'S phi, with p = cov(x, theta) and S = cov(theta)
         before = g[_X] * P[0]
         for j in range(1, n):
             before += P[j] * g[j]
@@ -359,7 +364,7 @@ class AuxiliaryModel:
             after += q * g[j]
         self._mirror()
         P[0] = g[_X] * before + after + self.tuning.noise * scale
-        # Eq. (2) for a step of ``scale`` sample periods.
+        # [5] Eq. (2) for a step of ``scale`` sample periods.
         z[_X] = x + z[_A1] * g[_A1] + (z[_A2] - 1.0) * g[_A2] + z[_B1] * g[_B1] + z[_D0] * scale
 
     def correct(self, error: float, variance: float) -> None:
@@ -368,7 +373,7 @@ class AuxiliaryModel:
         z, P = self.z, self.P
         r = 1.0 / (P[0] + variance)
         for i in range(n):
-            # K = P e / (e'P e + variance), e = (1, 0, 0, 0, 0)
+            # [12]-[14] K = P e / (e'P e + variance), z += K eps, P -= K e'P, e = (1, 0, 0, 0, 0)
             K = P[i] * r
             z[i] += K * error
             for j in range(i, n):
@@ -382,6 +387,7 @@ class AuxiliaryModel:
     def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x from a measured speed y [m/s] with a variance [(m/s)^2], uncorrelated with theta."""
         n: i64 = _SIZE
+        # [16]
         self.z[_X] = y
         self.P[0] = variance
         for i in range(1, n):
@@ -409,6 +415,7 @@ class AuxiliaryModel:
 
     def inflate_load_variance(self, share: float) -> None:
         """Add a share of the load variance to the variance of b1."""
+        # [15]
         self.P[18] += share * self.tuning.load
 
     def idle(self, scale: float) -> None:
@@ -428,6 +435,7 @@ class AuxiliaryModel:
             factor: lambda in (0, 1].
         """
         n: i64 = _SIZE
+        # [11]
         b1 = [self.P[n * i + _B1] for i in range(n)]
         r, wider, weight = 1.0 / b1[_B1], 1.0 / factor, 1.0 - factor
         given = [[self.P[n * i + j] - b1[i] * b1[j] * r for j in range(n)] for i in range(n)]
@@ -463,5 +471,5 @@ def forgetting_factor(chi2: float, tuning: Tuning) -> float:
     """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has mean 1 while the model is correct."""
     if chi2 <= tuning.threshold:
         return 1.0
-    # Eq. (6) with chi2 - threshold instead of the squared error.
+    # [10] Eq. (6) with chi2 - threshold instead of the squared error.
     return max(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low)
