@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from test.resistance.reference_vmils import observation
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.resistance.speed_window import (
@@ -71,6 +74,16 @@ def test_the_regressor_includes_resistance_that_grows_with_speed(seed: int) -> N
     result = observed(window(40, a=a, b=b, c=c, seed=seed))
     # Speed is taken as linear between samples; the curvature of 0.4 s of motion costs less than this.
     assert result.y == pytest.approx(a + b * result.phi[1] + c * result.phi[2], abs=1e-5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(8, 60), st.floats(3.0, 40.0), st.floats(0.0, 0.01))
+def test_a_window_is_observed_as_by_the_reference(seed: int, count: int, speed: float, noise: float) -> None:
+    ticks = window(count, a=1.5, b=0.03, c=0.004, seed=seed, speed=speed, noise=noise)
+    dt, v, force = np.array([(item.dt, item.speed, item.known_force) for item in ticks]).T
+    y, phi = observation(dt[1:], v, force[1:], INERTIA)
+    assert observed(ticks).y == pytest.approx(y, rel=1e-9, abs=1e-9)
+    assert observed(ticks).phi == pytest.approx(phi, rel=1e-9, abs=1e-9)
 
 
 def test_constant_speed_has_the_regressor_of_that_speed() -> None:

@@ -142,7 +142,7 @@ def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_chang
     M = np.array([[1.0, at.m1, at.m2], [at.m1, at.m2, at.m3], [at.m2, at.m3, at.m4]])
     rms = math.sqrt(float(np.sum(S * M)))
     data = json.loads(learned)
-    data['state']['converged'] = was_accurate
+    data['state']['_converged'] = was_accurate
     bank = restored(json.dumps(data), replace(SMALL, valid_std=rms / 1.2, valid_share=0.0, young_weight=1.0))
     item = minutes[-1]
     for _ in range(10):
