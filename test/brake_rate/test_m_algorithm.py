@@ -79,7 +79,7 @@ def test_impossible_rates_die_out() -> None:
     particles.predict()
     particles.update(9.9, [4e-4], [0.4], f_max=0.9)
     assert particles.cloud.rate < 0.9
-    children = 3 * particles.cloud.N
+    children = 3 * int(particles.cloud.N)
     assert 1.0 <= particles.update(9.9, [4e-4], [0.4], f_max=0.0) <= children
 
 

@@ -189,7 +189,7 @@ LARGEST_RATE: Final = 3.0
 
 
 @dataclass
-class DriveState:
+class EstimatorState:
     """State other than the posterior."""
 
     noise: SpeedNoise  # Noise of the measured speed
@@ -243,7 +243,7 @@ class BrakeRateEstimator:
         disturbance = DisturbanceNoise.declared(self._model.disturbance_std)
         delay_std, lag_std = self._model.timing_stds
         timing = Timing(brake.delay, brake.time_constant, delay_std, lag_std)
-        self.state = DriveState(noise, disturbance, CommandHistory(), timing)
+        self.state = EstimatorState(noise, disturbance, CommandHistory(), timing)
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
     def save(self) -> str:
