@@ -21,7 +21,7 @@ from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
     WindowResult,
-    WindowTick,
+    WindowSample,
     observe_resistance,
     overlap_factor,
 )
@@ -183,7 +183,7 @@ class InformedWindows:
         self._noise.add(sample.speed, sample.dt)
         traction = self._known.traction(sample.force_mean, sample)
         known = traction - self._known.track(sample)
-        cut = self._windows.push(WindowTick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
+        cut = self._windows.push(WindowSample(sample.stamp_ns, sample.dt, sample.speed, known, traction))
         if cut is None:
             return
         observed = observe_resistance(cut.ticks, self._known.inertia, self._noise.std)

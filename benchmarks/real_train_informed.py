@@ -64,7 +64,7 @@ class InformedFilter:
         while self._changes_ns and sample.stamp_ns >= self._changes_ns[0]:
             self._changes_ns.pop(0)
             for state, variance in zip((A, C), self._plan.step_variances, strict=True):
-                self._bank.bank.widen(state, variance, math.inf)
+                self._bank.bank.inflate_variance(state, variance, math.inf)
         return self._bank.step(sample)
 
     def estimate(self, speed: float) -> ResistanceEstimate:

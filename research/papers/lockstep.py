@@ -70,17 +70,17 @@ class ManyMethod(Protocol):
     """``Method`` for arrays: ``numbers`` has the shape (numbers, lines)."""
 
     def start(self, lines: int) -> Array: ...
-    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned: ...
+    def update(self, numbers: Array, y: Array, u: Array) -> ManyLearned: ...
     def coast(self, numbers: Array, u: Array) -> Array: ...
-    def anchor(self, numbers: Array, y: Array) -> Array: ...
-    def widen_load(self, numbers: Array) -> Array: ...
+    def reinit_speed(self, numbers: Array, y: Array) -> Array: ...
+    def inflate_load_variance(self, numbers: Array) -> Array: ...
     def covariance(self, numbers: Array) -> Array: ...
 
 
 def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Track:
     """Run one line with a kernel of the product, from its start; shapes as in :class:`Track` without the lines."""
     method.start(variance)
-    method.anchor(float(y[0]), variance)
+    method.reinit_speed(float(y[0]), variance)
     rows: list[tuple[float, ...]] = [(method.speed(), *method.theta(), float(y[0]), math.nan, math.nan, 1.0)]
     S = [method.covariance(variance)]
     slow = rejected = 0
@@ -94,17 +94,17 @@ def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool =
                 slow, rejected = slow + 1, 0
                 if slow >= STANDING:  # theta and its covariance stay constant
                     restore(method, before)
-                    method.anchor(now, variance)
+                    method.reinit_speed(now, variance)
                 if slow == STANDING:
-                    method.widen_load(1.0)
+                    method.inflate_load_variance(1.0)
         else:
-            learned, slow = method.learn(now, force, 1.0, variance), 0
+            learned, slow = method.update(now, force, 1.0, variance), 0
             predicted = learned.predicted
             rejected = rejected + 1 if learned.rejected else 0
             if not learned.rejected and learned.variance > 0.0:
                 nis, factor = learned.error**2 / learned.variance, learned.forgetting
             if rejected >= READMIT:
-                method.anchor(now, variance)
+                method.reinit_speed(now, variance)
                 rejected = 0
         rows.append((method.speed(), *method.theta(), predicted, now - predicted, nis, factor))
         if len(rows) % 10 == 1:
@@ -122,7 +122,7 @@ def drive_each(make: Callable[[], Method], y: Array, u: Array, variance: float, 
 def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -> Track:
     """Run all lines, shapes (samples, lines), sample by sample."""
     samples, lines = y.shape
-    numbers = method.anchor(method.start(lines), y[0])
+    numbers = method.reinit_speed(method.start(lines), y[0])
     slow, rejected = np.zeros(lines, dtype=np.int64), np.zeros(lines, dtype=np.int64)
     rows: list[tuple[Array, ...]] = [(numbers[:5], y[0], y[0] * np.nan, y[0] * np.nan, np.ones(lines))]
     S = [method.covariance(numbers)]
@@ -132,7 +132,7 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
             now = np.where(have, y[n], 0.0)
             still = have & (now < MIN_SPEED) if freeze else np.zeros(lines, dtype=np.bool_)
             learning = have & ~still
-            coasted, learned = method.coast(numbers, u[n - 1]), method.learn(numbers, now, u[n - 1])
+            coasted, learned = method.coast(numbers, u[n - 1]), method.update(numbers, now, u[n - 1])
             slow = np.where(learning, 0, slow + still)
             outliers = learning & learned.rejected
             rejected = np.where(outliers, rejected + 1, np.where(have, 0, rejected))
@@ -140,8 +140,8 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
             standing = still & (slow >= STANDING)
             # At standstill theta and its covariance stay constant, without the drift of coasting.
             new = np.where(standing, numbers, new)
-            new = np.where(standing | (rejected >= READMIT), method.anchor(new, now), new)
-            numbers = np.where(still & (slow == STANDING), method.widen_load(new), new)
+            new = np.where(standing | (rejected >= READMIT), method.reinit_speed(new, now), new)
+            numbers = np.where(still & (slow == STANDING), method.inflate_load_variance(new), new)
             rejected = np.where(rejected >= READMIT, 0, rejected)
             nis = np.where(learning & ~outliers, learned.error**2 / learned.variance, np.nan)
             factor = np.where(learning & ~outliers, learned.factor, 1.0)
@@ -162,7 +162,7 @@ class ManyRls:
     def start(self, lines: int) -> Array:
         return np.tile(np.array(self._start)[:, None], lines)
 
-    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
+    def update(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
         tuning = self._tuning
         theta, P = tuple(numbers[1:5]), tuple(numbers[5:])
         phi: Any = rls.regressor(numbers[0], u, 1.0)  # type: ignore[arg-type]
@@ -186,10 +186,10 @@ class ManyRls:
         x: Any = rls.output(tuple(numbers[1:5]), phi)
         return np.concatenate([x[None], numbers[1:]])
 
-    def anchor(self, numbers: Array, y: Array) -> Array:
+    def reinit_speed(self, numbers: Array, y: Array) -> Array:
         return np.concatenate([y[None], numbers[1:]])
 
-    def widen_load(self, numbers: Array) -> Array:
+    def inflate_load_variance(self, numbers: Array) -> Array:
         return numbers
 
     def covariance(self, numbers: Array) -> Array:
@@ -221,7 +221,7 @@ class ManyIntegral:
         window = np.concatenate([numbers[25:], phi, numbers[16:17]])
         return predicted, spreads, np.minimum(numbers[19] + 1.0, self._tuning.window), window
 
-    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
+    def update(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
         tuning, K = self._tuning, self._tuning.window
         predicted, (by_noise, by_theta), count, window = self._moved(numbers, u)
         error = y - predicted
@@ -250,12 +250,12 @@ class ManyIntegral:
         head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, *spreads, count])
         return np.concatenate([head, window])
 
-    def anchor(self, numbers: Array, y: Array) -> Array:
+    def reinit_speed(self, numbers: Array, y: Array) -> Array:
         zero = np.zeros_like(y)
         spreads = np.full_like(y, self._variance), zero
         return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, *spreads, zero]), 0.0 * numbers[20:]])
 
-    def widen_load(self, numbers: Array) -> Array:
+    def inflate_load_variance(self, numbers: Array) -> Array:
         wider = numbers.copy()
         wider[12] += self._tuning.load
         return wider

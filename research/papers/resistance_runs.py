@@ -22,7 +22,7 @@ from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import ForceErrors
-from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
 from trainid_ros.train.train_file import Davis
@@ -230,7 +230,7 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):
         if moving:
             learner.push(
-                WindowTick(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force)
+                WindowSample(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force)
             )
         else:
             learner.interrupt(speed)

@@ -42,7 +42,7 @@ _SETTLED_S: Final = 3.0
 _MOVING: Final = 1.0
 _GOOD: Final = 0.05
 # Printed filters may collapse to one value.
-_LEAST_STD: Final = 1e-12
+_MIN_STD: Final = 1e-12
 _FOUND: Final = 0.07
 _AFTER_JUMP_S: Final = 10.0
 # The growth law of the standard deviation is checked from this time after brake release on [s].
@@ -166,7 +166,7 @@ def score(run: BrakeRun, got: Array, without: NDArray[np.bool_] | None = None) -
     if without is not None:
         counted &= ~without
     error = got[:, 0] - run.rate
-    z = np.abs(error / np.maximum(got[:, 1], _LEAST_STD))[counted]
+    z = np.abs(error / np.maximum(got[:, 1], _MIN_STD))[counted]
     first = run.phase == run.phase[int(np.argmax(run.braked_s >= 0.0))]
     wrong = np.flatnonzero(np.abs(error[first]) >= _GOOD)
     return Score(

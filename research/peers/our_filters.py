@@ -17,7 +17,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.davis_posterior import ForceErrors
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.vmils import tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
 
@@ -106,11 +106,11 @@ class VMilsRaw(RowPeer):
         known, force = (raw.force - raw.gradient).tolist(), raw.force.tolist()
         parts = zip(raw.speed.tolist(), known, force, raw.moving.tolist(), strict=True)
         return [
-            (WindowTick(_TICK_NS * k + 1, PERIOD, v, u, f) if moving else None, v)
+            (WindowSample(_TICK_NS * k + 1, PERIOD, v, u, f) if moving else None, v)
             for k, (v, u, f, moving) in enumerate(parts)
         ]
 
-    def step(self, tick: WindowTick | None, speed: float) -> None:  # type: ignore[override]
+    def step(self, tick: WindowSample | None, speed: float) -> None:  # type: ignore[override]
         if tick is None:
             self._learner.interrupt(speed)
         else:

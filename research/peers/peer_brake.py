@@ -144,7 +144,7 @@ class FilterpyPosterior(PeerPosterior):
         for kf in self._filters:
             kf.x, kf.P, kf.H = np.zeros((STATES, 1)), error_covariance(error_stds), SPEED
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         for kf, f in zip(self._filters, self.f, strict=True):
             kf.x = np.array([start.speed, f * start.target, 0.0, *(np.array(start.decay_e) * kf.x[3:, 0])])[:, None]
             kf.P = started(kf.P, start)
@@ -162,7 +162,7 @@ class FilterpyPosterior(PeerPosterior):
         for kf in self._filters:
             kf.update(speed, R=r)
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         del interval
         moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
         self.f = self.f + moved
@@ -196,7 +196,7 @@ class ParticlesPosterior(PeerPosterior):
         stds = np.array([0.0, 0.0, 0.0, *error_stds])
         self._x = stds[:, None] * self._rng.standard_normal((STATES, self.N))
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         e = np.array(start.decay_e)[:, None] * self._x[3:]
         x = np.vstack([np.full(self.N, start.speed), start.target * self.f, np.zeros(self.N), e])
         stds = np.sqrt(np.array([*start.variances, *start.q_e]))
@@ -213,7 +213,7 @@ class ParticlesPosterior(PeerPosterior):
     def follow(self, speed: float, r: float) -> None:
         self._weigh(speed, r)
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         del interval
         moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
         self.f = self.f + moved
@@ -336,9 +336,9 @@ class TimedPosterior:
         self._posterior.predict(interval)
         self.spent_ns += time.thread_time_ns() - begun
 
-    def learn(self, *arguments: Any) -> bool:
+    def update(self, *arguments: Any) -> bool:
         begun = time.thread_time_ns()
-        fine: bool = self._posterior.learn(*arguments)
+        fine: bool = self._posterior.update(*arguments)
         self.spent_ns += time.thread_time_ns() - begun
         self.learned = True
         return fine

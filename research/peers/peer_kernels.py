@@ -139,17 +139,17 @@ def _speed_model() -> Kernel:
     raw = metro_stream(FIRST_SEED, 'out5').raw
     y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
     items = [(one, force, 1.0, SPEED_SD**2) for one, force in zip(y.tolist(), u.tolist(), strict=True)]
-    return Kernel('AM-VFF-RLS', items, model.learn)
+    return Kernel('AM-VFF-RLS', items, model.update)
 
 
 def _brake_step() -> tuple[Callable[..., object], list[Item]]:
     config = GsmaConfig(particles=_PARTICLES)
     posterior: Any = Gsma(metro_train(), config, np.random.default_rng(1)).posterior
-    posterior.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
+    posterior.reinit_motion(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
 
     def step(seen: float) -> None:
         posterior.predict(_INTERVAL)
-        posterior.learn(_INTERVAL, _INTERVAL.dt, seen, SPEED_SD**2)
+        posterior.update(_INTERVAL, _INTERVAL.dt, seen, SPEED_SD**2)
 
     # Data from the model itself, in white noise.
     rng, v, a = np.random.default_rng(2), 20.0, -0.8

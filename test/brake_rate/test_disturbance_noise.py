@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.brake_runs import metro_train, walk_run
-from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_ros.brake_rate.brake_rate_estimator import Candidate, DisturbanceNoise
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.motion_model import Transition
+from trainid_ros.estimators.settings import GsmaConfig
 
 DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2
 RHO = math.exp(-SPEED * DT / LENGTH)
@@ -80,7 +81,7 @@ def test_each_filter_equals_the_kalman_filter() -> None:
 
 def test_estimators_update_it_between_brakings_and_save_it() -> None:
     run = walk_run(7008, stops=3)
-    first, second = (kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)) for _ in range(2))
+    first, second = (Gsma(metro_train(), GsmaConfig(), np.random.default_rng(1)) for _ in range(2))
     seen = set()
     for sample in run.samples:
         before = first.state.disturbance.variance

@@ -10,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, BrakeStep, MotionModel, TimingStep, Transition
+from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
-CONFIG = KalmanConfig()
+CONFIG = GsmaConfig()
 DT, LAG = 0.2, 0.4
 DECAY = math.exp(-DT / LAG)
 REACH = LAG * (1.0 - DECAY)
@@ -34,7 +35,7 @@ def interval(
     sample: Sample,
     motion: BrakeStep,
     gains: tuple[float, float] = (1.0, 1.0),
-    config: KalmanConfig = CONFIG,
+    config: GsmaConfig = CONFIG,
 ) -> Transition:
     return MotionModel(train_file, config).interval(
         sample,
@@ -89,7 +90,7 @@ def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: 
 
 
 def braked(train_file: TrainFile, samples: list[Sample]) -> BrakeRateEstimator:
-    estimator = kalman(train_file, CONFIG, np.random.default_rng(1))
+    estimator = Gsma(train_file, CONFIG, np.random.default_rng(1))
     for item in samples:
         estimator.step(item)
     assert estimator.state.observable

@@ -59,8 +59,8 @@ def test_without_commands_the_gains_are_zero() -> None:
     step = timing.step(CommandHistory(), 0, STEP_NS, 0.0)
     assert (step.delay_gain, step.lag_gain, step.variance) == (0.0, 0.0, 0.0)
     assert not timing.has_acted
-    assert timing.at_rest(CommandHistory(), STEP_NS)
-    assert not timing.at_rest(COMMANDS, 2 * NS_PER_S)
+    assert timing.is_idle(CommandHistory(), STEP_NS)
+    assert not timing.is_idle(COMMANDS, 2 * NS_PER_S)
 
 
 def test_the_timing_moves_to_its_estimate_and_stays_valid() -> None:

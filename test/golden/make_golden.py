@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the expected outputs: estimates of the three pipelines over two simulated runs, a row every five seconds.
+"""Write the expected outputs: estimates of the default algorithms and V-MILS over two simulated runs, every 5 s.
 
 Usage: python test/golden/make_golden.py [DIRECTORY]; the default is the directory of this script.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,6 +19,7 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Output
 from trainid_ros.setup.pipelines import (
+    RESISTANCE,
     EstimatorSettings,
     brake_rate_pipeline,
     resistance_pipeline,
@@ -45,6 +46,7 @@ def outputs() -> dict[str, Rows]:
     settings = EstimatorSettings()
     pipelines: dict[str, EstimatorPipeline[Any]] = {
         'resistance': resistance_pipeline(train_file, settings),
+        'resistance_vmils': resistance_pipeline(train_file, replace(settings, resistance=RESISTANCE.choose('V-MILS'))),
         'speed_model': speed_model_pipeline(train_file, settings),
         'brake_rate': brake_rate_pipeline(train_file, settings),
     }

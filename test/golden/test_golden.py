@@ -20,7 +20,7 @@ HERE = Path(__file__).parent
 RELATIVE = 1e-6
 # Innovations and errors pass through zero, where a relative tolerance does not work.
 ABSOLUTE = 1e-9
-NAMES = ('resistance', 'speed_model', 'brake_rate')
+NAMES = ('resistance', 'resistance_vmils', 'speed_model', 'brake_rate')
 Rows = list[dict[str, str]]
 
 

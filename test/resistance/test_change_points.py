@@ -8,8 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from test.resistance.reference_vmils import VMils
 from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
@@ -51,6 +54,25 @@ def error(tracker: Tracker, a: float = 1.5) -> float:
     v = np.linspace(3.0, 20.0, 30)
     x, y, z = tracker.estimate.theta
     return float(np.sqrt(np.mean((x + y * v + z * v * v - w(v, a)) ** 2)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.01, 0.3), st.floats(0.5, 5.0), st.floats(0.0, 30.0))
+def test_the_long_memory_is_multi_innovation_least_squares(
+    seed: int, p: int, outliers: float, slow: float, spoiled: float
+) -> None:
+    """Equal to the plain numpy reference in the form of the paper, with outliers of any size and at any share."""
+    rng = np.random.default_rng(seed)
+    tracker = Tracker(PRIOR, replace(PLAN, p=p, outliers=outliers, hypotheses=0, lockout=10_000))
+    reference = VMils(PRIOR.theta, PRIOR.P, p, outliers)
+    for v in rng.uniform(3.0, 20.0, 50).tolist():
+        R = float(rng.uniform(0.1, 1.0))
+        y = float(w(v)) + STD * float(rng.standard_normal()) + (spoiled if rng.random() < outliers else 0.0)
+        weight = tracker.update(phi(v), y, R, slow)
+        assert weight == pytest.approx(reference.update(np.array(phi(v)), y, R, slow), rel=1e-6, abs=1e-12)
+        std = np.sqrt(np.diag(reference.P))
+        assert np.max(np.abs(tracker.estimate.theta - reference.theta) / std) < 1e-6
+        assert np.max(np.abs(tracker.estimate.P - reference.P) / np.outer(std, std)) < 1e-6
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -132,8 +154,8 @@ def test_a_parameter_without_steps_keeps_its_variance_in_a_hypothesis_and_its_va
 def test_widening_adds_variance_up_to_the_limit() -> None:
     tracker = track(3, 300)
     before, most = tracker.estimate, np.array((4.0, 0.01, 1e-4))
-    tracker.widen(np.array((0.5, 0.0, 0.0)), most)
+    tracker.inflate_variance(np.array((0.5, 0.0, 0.0)), most)
     assert tracker.estimate.theta == pytest.approx(before.theta, rel=1e-6)
     assert tracker.estimate.P[0, 0] == pytest.approx(before.P[0, 0] + 0.5, rel=1e-6)
-    tracker.widen(np.array((50.0, 0.0, 0.0)), most)
+    tracker.inflate_variance(np.array((50.0, 0.0, 0.0)), most)
     assert tracker.estimate.P[0, 0] == pytest.approx(4.0, rel=0.01)

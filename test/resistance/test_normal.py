@@ -15,6 +15,7 @@ from trainid_ros.resistance.normal import (
     Normal,
     gate,
     independent,
+    inflated,
     information_in,
     information_of,
     mixed,
@@ -22,7 +23,6 @@ from trainid_ros.resistance.normal import (
     normal_of,
     soft_update,
     weigh,
-    widened,
 )
 
 STD = np.array([0.9, 0.02, 5e-3, 0.03, 0.15, 0.2])
@@ -96,9 +96,9 @@ def test_a_mixture_has_the_moments_of_samples_drawn_from_it() -> None:
 def test_steps_increase_variances_up_to_the_limit_and_keep_correlations() -> None:
     item = some(3)
     steps = np.array([1e-2, 1e-5, 1e-6])
-    assert pytest.approx(np.diag(steps), abs=1e-15) == widened(item, steps).P - item.P
+    assert pytest.approx(np.diag(steps), abs=1e-15) == inflated(item, steps).P - item.P
     most = np.array([1.0, 1e-3, 1e-4])
-    limited = widened(item, 1e9 * steps, most)
+    limited = inflated(item, 1e9 * steps, most)
     assert np.diag(limited.P) == pytest.approx(most)
     assert np.linalg.eigvalsh(limited.P)[0] > 0.0
     assert (limited.theta == item.theta).all()

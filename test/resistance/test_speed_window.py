@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from test.resistance.reference_vmils import observation
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
     WindowResult,
-    WindowTick,
+    WindowSample,
     observe_resistance,
     overlap_factor,
 )
@@ -34,7 +37,7 @@ def window(
     noise: float = 0.0,
     force: bool = True,
     speed: float = 15.0,
-) -> list[WindowTick]:
+) -> list[WindowSample]:
     """Ticks of exact motion under a + b v + c v^2, with irregular steps and changing force."""
     rng = np.random.default_rng(seed)
     v, stamp, ticks = speed, START, []
@@ -47,11 +50,11 @@ def window(
             for _ in range(200):
                 middle = v + 0.5 * dt / 200 * (u - a - b * v - c * v * v) / INERTIA
                 v += dt / 200 * (u - a - b * middle - c * middle * middle) / INERTIA
-        ticks.append(WindowTick(stamp, dt, v + noise * float(rng.standard_normal()), u, u))
+        ticks.append(WindowSample(stamp, dt, v + noise * float(rng.standard_normal()), u, u))
     return ticks
 
 
-def observed(ticks: list[WindowTick]) -> WindowResult:
+def observed(ticks: list[WindowSample]) -> WindowResult:
     result = observe_resistance(ticks, INERTIA, STD)
     assert isinstance(result, WindowResult)
     return result
@@ -73,8 +76,18 @@ def test_the_regressor_includes_resistance_that_grows_with_speed(seed: int) -> N
     assert result.y == pytest.approx(a + b * result.phi[1] + c * result.phi[2], abs=1e-5)
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(8, 60), st.floats(3.0, 40.0), st.floats(0.0, 0.01))
+def test_a_window_is_observed_as_by_the_reference(seed: int, count: int, speed: float, noise: float) -> None:
+    ticks = window(count, a=1.5, b=0.03, c=0.004, seed=seed, speed=speed, noise=noise)
+    dt, v, force = np.array([(item.dt, item.speed, item.known_force) for item in ticks]).T
+    y, phi = observation(dt[1:], v, force[1:], INERTIA)
+    assert observed(ticks).y == pytest.approx(y, rel=1e-9, abs=1e-9)
+    assert observed(ticks).phi == pytest.approx(phi, rel=1e-9, abs=1e-9)
+
+
 def test_constant_speed_has_the_regressor_of_that_speed() -> None:
-    ticks = [WindowTick(START, 0.2, 12.0, 2.0, 2.0)] * 25
+    ticks = [WindowSample(START, 0.2, 12.0, 2.0, 2.0)] * 25
     assert observed(ticks).phi == pytest.approx((1.0, 12.0, 144.0), rel=1e-12)
     assert observed(ticks).y == pytest.approx(2.0, rel=1e-12)
     assert observed(ticks).duration == pytest.approx(4.8)
@@ -87,7 +100,7 @@ def test_three_spikes_in_a_window_change_nothing() -> None:
         ticks = window(25, seed=1)
         for k in rng.choice(25, 3, replace=False).tolist():
             spike = float(rng.choice([-8.0, -1.0, 0.5, 20.0]))
-            ticks[k] = WindowTick(ticks[k].stamp_ns, ticks[k].dt, ticks[k].speed + spike, ticks[k].known_force, 0.0)
+            ticks[k] = WindowSample(ticks[k].stamp_ns, ticks[k].dt, ticks[k].speed + spike, ticks[k].known_force, 0.0)
         result = observed(ticks)
         # The other speeds are exact, so without the spikes the result is exact.
         assert result.y == pytest.approx(clean.y, abs=1e-9), seed
@@ -100,7 +113,7 @@ def test_three_spikes_in_a_window_change_nothing() -> None:
 def test_slip_over_half_of_the_window_is_rejected_with_value_and_limit() -> None:
     ticks = window(25, seed=1)
     slipped = [
-        WindowTick(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0)
+        WindowSample(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0)
         for i, t in enumerate(ticks)
     ]
     result = observe_resistance(slipped, INERTIA, STD)
@@ -132,7 +145,7 @@ def test_the_rate_of_the_traction_is_the_error_per_second_of_delay(late_s: float
 
     def result(known: NDArray[np.float64]) -> WindowResult:
         columns = zip(t.tolist(), v.tolist(), known.tolist(), strict=True)
-        return observed([WindowTick(START + round(x * NS_PER_S), dt, s, u, u) for x, s, u in columns])
+        return observed([WindowSample(START + round(x * NS_PER_S), dt, s, u, u) for x, s, u in columns])
 
     exact, delayed = result(mean_force(t)), result(mean_force(t - late_s))
     # y = w - delta Dw: the reported force comes late, by delta.
@@ -156,7 +169,7 @@ def test_a_curve_resistance_error_changes_y_by_the_weighted_curvature() -> None:
     curve = np.clip(rng.normal(0.0, 1.0, 30).cumsum(), 0.0, 5.0)
     v = 15.0 - np.append(0.0, np.cumsum(0.2 * (2.0 + 0.3 * curve[1:]) / INERTIA))
     ticks = [
-        WindowTick(START + k * NS_PER_S // 5, 0.2, float(v[k]), -0.1 * float(x), 0.0, curve=float(x))
+        WindowSample(START + k * NS_PER_S // 5, 0.2, float(v[k]), -0.1 * float(x), 0.0, curve=float(x))
         for k, x in enumerate(curve)
     ]
     result = observed(ticks)
@@ -182,7 +195,7 @@ def cuts(dts: list[float]) -> list[tuple[int, Cut]]:
     window, found, stamp = SlidingWindow(4.8, 1.2), [], 1_700_000_000 * NS_PER_S
     for i, dt in enumerate(dts):
         stamp += round(dt * NS_PER_S)
-        cut = window.push(WindowTick(stamp, dt, 10.0, 0.0, 0.0))
+        cut = window.push(WindowSample(stamp, dt, 10.0, 0.0, 0.0))
         if cut is not None:
             found.append((i, cut))
     return found
@@ -218,7 +231,7 @@ def test_missing_samples_do_not_change_the_duration() -> None:
 def test_after_clearing_a_new_window_begins() -> None:
     window = SlidingWindow(4.8, 1.2)
     for i in range(24):
-        assert window.push(WindowTick(i * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
+        assert window.push(WindowSample(i * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
     window.clear()
-    assert window.push(WindowTick(24 * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
+    assert window.push(WindowSample(24 * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
     assert (len(window.ticks), window.fresh_s) == (1, 0.2)

@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from test.speed_model.reference_am_vff_rls import AmVffRls
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.state import encode, restore
 from trainid_ros.speed_model.am_vff_rls import (
@@ -50,7 +53,7 @@ def state(m: AuxiliaryModel) -> Array:
 def driven(tuning: Tuning = TUNING) -> AuxiliaryModel:
     m = AuxiliaryModel(THETA, P0, tuning)
     m.start(R)
-    m.anchor(12.0, R)
+    m.reinit_speed(12.0, R)
     rng = np.random.default_rng(5)
     for k in range(40):
         m.coast(20.0 * (k % 7), 1.0)
@@ -94,6 +97,24 @@ def test_correction_equals_that_of_the_kalman_filter() -> None:
     assert np.array_equal(matrix(m), matrix(m).T)
 
 
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.2, 3.0), st.floats(-0.1, 0.1))
+def test_updates_equal_those_of_the_reference(seed: int, period: float, change: float) -> None:
+    """Noise, outliers and a change of the speed by ``change`` m/s in each step, which starts forgetting."""
+    rng, m = np.random.default_rng(seed), driven()
+    reference = AmVffRls(state(m), matrix(m), np.array(full(P0)).reshape(4, 4), TUNING)
+    for k in range(60):
+        u, scale = float(rng.uniform(-20.0, 60.0)), period * float(rng.uniform(0.5, 1.5))
+        outlier = 5.0 if rng.random() < 0.05 else 0.0
+        y = m.speed() + (change if k > 20 else 0.0) + 0.02 * float(rng.standard_normal()) + outlier
+        found, lam = m.update(y, u, scale, R), reference.update(y, u, scale, R)
+        assert found.forgetting == pytest.approx(lam, rel=1e-9)
+        assert m.mean_error == pytest.approx(reference.m, rel=1e-6, abs=1e-9)
+        std = np.sqrt(np.diag(reference.P))
+        assert np.max(np.abs(state(m) - reference.z) / std) < 1e-6
+        assert relative(matrix(m), reference.P) < 1e-6
+
+
 def given_b1(P: Array) -> Array:
     """Return the covariance of a1, a2, d0 given b1, shape (3, 3)."""
     rest = [1, 2, 4]
@@ -131,13 +152,13 @@ def test_the_prior_of_the_davis_parameters_given_the_mass_is_diagonal() -> None:
 def test_an_anchor_keeps_theta_and_a_stop_widens_only_b1() -> None:
     m = driven()
     z, P = state(m), matrix(m)
-    m.anchor(3.0, R)
+    m.reinit_speed(3.0, R)
     assert m.speed() == 3.0
     assert np.array_equal(state(m)[1:], z[1:])
     assert np.array_equal(matrix(m)[1:, 1:], P[1:, 1:])
     assert matrix(m)[0].tolist() == matrix(m)[:, 0].tolist() == [R, 0.0, 0.0, 0.0, 0.0]
     before = matrix(m)
-    m.widen_load(0.5)
+    m.inflate_load_variance(0.5)
     wider = matrix(m) - before
     assert wider[3, 3] == pytest.approx(0.5e-8, rel=1e-6)
     assert np.count_nonzero(wider) == 1
@@ -146,7 +167,7 @@ def test_an_anchor_keeps_theta_and_a_stop_widens_only_b1() -> None:
 def test_force_uncertainty_widens_only_x() -> None:
     m = driven()
     z, P = state(m), matrix(m)
-    m.widen_speed(1e-4)
+    m.inflate_speed_variance(1e-4)
     wider = matrix(m) - P
     assert wider[0, 0] == pytest.approx(1e-4, rel=1e-9)
     assert np.count_nonzero(wider) == 1
@@ -157,7 +178,7 @@ def test_a_saved_model_continues_to_the_bit() -> None:
     m, other = driven(), AuxiliaryModel(THETA, P0, TUNING)
     restore(other, encode(m))
     for model in (m, other):
-        model.learn(14.0, 5.0, 1.0, R)
+        model.update(14.0, 5.0, 1.0, R)
     assert encode(other) == encode(m)
 
 

@@ -47,7 +47,7 @@ def test_changes_of_the_force_reveal_its_delay() -> None:
         late.sensitivity = 0.0
         assert late.predict(0.9) == pytest.approx(0.81 * late.variance)
         error = 0.9 * (0.2 - late.delay) + 0.03 * float(rng.standard_normal())
-        late.learn(error, 0.03**2 + late.sensitivity**2 * late.variance, 0.03**2)
+        late.update(error, 0.03**2 + late.sensitivity**2 * late.variance, 0.03**2)
     assert late.delay == pytest.approx(0.2, abs=0.02)
     assert math.sqrt(late.variance) < 0.01
 
@@ -72,7 +72,7 @@ def test_the_curve_error_is_estimated_as_by_a_kalman_filter() -> None:
     tuning = Tuning(0.0, 0.0, 0.0, 1.0, math.inf, 1.0, 1.0, 4.0, 0.0)
     model, curve = AuxiliaryModel((0.0, 1.0, 1e-3, 0.0), (0.0,) * 7 + (1.0, 0.0, 0.0), tuning), CurveError(0.0, 0.04)
     model.start(1e-2)
-    model.anchor(10.0, 1e-2)
+    model.reinit_speed(10.0, 1e-2)
     P, R, change = np.diag([1e-2, 0.04]), 4e-4, -0.05
     F = np.array([[1.0, change], [0.0, 1.0]])
     curve.predict(model, change, 0.0, 1.0)
@@ -80,7 +80,7 @@ def test_the_curve_error_is_estimated_as_by_a_kalman_filter() -> None:
     assert (model.P[0], curve.x) == pytest.approx((P[0, 0], P[0, 1]))
     S, error = P[0, 0] + R, 0.03
     model.correct(error, R)
-    curve.learn(model, error, S, R)
+    curve.update(model, error, S, R)
     K = P[:, 0] / S
     expected = P - np.outer(K, P[0])
     assert (curve.error, curve.x, curve.variance) == pytest.approx((K[1] * error, expected[0, 1], expected[1, 1]))

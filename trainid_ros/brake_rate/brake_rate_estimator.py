@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of the unmodelled acceleration b, estimated while the train runs with its brake released.
-
-Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
-While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
-of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
-large while there is little data.
-
-Common part of all brake rate estimators: which samples update f, and the motion model of the train.
+"""Common part of all brake rate estimators: which samples update f, and the size of the unmodelled acceleration b.
 
 Based on Zheng et al. 2015, section 2, with these corrections:
 
@@ -16,6 +9,11 @@ Based on Zheng et al. 2015, section 2, with these corrections:
 * Errors of the train file are states too: dead time and lag, running resistance, traction, and a brake rate that
   changes with speed and with the brake level.
 * Standstill and traction never update f. While no brake acts, its variance grows by exactly q per second.
+
+Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
+While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
+of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
+large while there is little data.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import (
     BLEND_SHAPE,
-    LEAST_RATE,
+    MIN_RATE,
     BrakeStep,
     MotionModel,
     Posterior,
@@ -175,15 +173,15 @@ def _candidates() -> tuple[Candidate, ...]:
 _SETTLING: Final = 6.0
 _POSITION_GAIN: Final = 0.1
 # Standard deviation of the brake acceleration at a restart of the train state [m/s^2].
-_ANCHOR_BRAKE_STD: Final = 0.05
+_REINIT_BRAKE_STD: Final = 0.05
 _HISTORY_S: Final = 60.0
 # The disturbance is estimated while braking is below this [m/s^2] and the traction error below this share of its std.
 _RELEASED: Final = 1e-3
 _SLACK: Final = 0.5
 # Memory of the squared innovations in samples, limit of each of them, and limit of the resulting factor.
 _MEMORY: Final = 100.0
-_MOST: Final = 9.0
-_MOST_EXCESS: Final = 10.0
+_MAX_SQUARE: Final = 9.0
+_MAX_EXCESS: Final = 10.0
 # A valid rate is below its limit by at least this many standard deviations.
 _CLEAR: Final = 3.0
 LARGEST_RATE: Final = 3.0
@@ -191,7 +189,7 @@ LARGEST_RATE: Final = 3.0
 
 
 @dataclass
-class DriveState:
+class EstimatorState:
     """State other than the posterior."""
 
     noise: SpeedNoise  # Noise of the measured speed
@@ -231,9 +229,9 @@ class BrakeRateEstimator:
         self._settling_ns = round((brake.delay + _SETTLING * brake.time_constant) * NS_PER_S)
         self._start = Start(0.0, 0.0, (0.0, 0.0, 0.0))
         # Settings that each sample needs.
-        self._least_speed, self._least_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
+        self._min_speed, self._min_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
         self._q, self._scale_std, self._valid_std = config.drift**2, config.scale_std, config.valid_std
-        self._white, self._most_slack = config.acceleration_noise**2, (_SLACK * config.disturbance_std) ** 2
+        self._white, self._max_slack = config.acceleration_noise**2, (_SLACK * config.disturbance_std) ** 2
         self._largest = LARGEST_RATE * brake.rate
         self.reset()
 
@@ -245,7 +243,7 @@ class BrakeRateEstimator:
         disturbance = DisturbanceNoise.declared(self._model.disturbance_std)
         delay_std, lag_std = self._model.timing_stds
         timing = Timing(brake.delay, brake.time_constant, delay_std, lag_std)
-        self.state = DriveState(noise, disturbance, CommandHistory(), timing)
+        self.state = EstimatorState(noise, disturbance, CommandHistory(), timing)
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
     def save(self) -> str:
@@ -270,10 +268,10 @@ class BrakeRateEstimator:
         result = self._process(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             state.disturbance.pause()
-        self._judge()
+        self._check_validity()
         return result
 
-    def _judge(self) -> None:
+    def _check_validity(self) -> None:
         """Decide whether the rate is valid, with a hysteresis of factor two; a rate at its limit may exceed it."""
         state, std = self.state, self._std()
         limit = self._valid_std * (2.0 if state.converged else 1.0)
@@ -282,12 +280,12 @@ class BrakeRateEstimator:
     def idle(self, seconds: float) -> None:
         """Let the drift of the rate go on over a time without samples [s]."""
         self.state.unbraked_s += seconds
-        self._judge()
+        self._check_validity()
 
     def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
         state, posterior = self.state, self.posterior
         if (rejection := self._unknown(sample)) is not None:
-            self._anchor(sample, elapsed)
+            self._reinit_motion(sample, elapsed)
             return rejection
         if (rejection := self._model.known.reject(sample)) is not None:
             posterior.predict(self._interval(sample, motion, timing))
@@ -297,17 +295,17 @@ class BrakeRateEstimator:
         posterior.predict(interval)
         if (rejection := self._gate(sample)) is not None:
             if state.rejected_in_a_row >= self.config.readmit_after:  # then accept the speed
-                self._anchor(sample, 0.0)
+                self._reinit_motion(sample, 0.0)
             return rejection
         braking = max(abs(state.filtered_target), abs(motion.start_target))
-        if braking < self._least_braking or self._released(sample) or _is_pulling(sample):
+        if braking < self._min_braking or self._released(sample) or _is_pulling(sample):
             posterior.follow(sample.speed, state.noise.variance)
             self._learn_disturbance(sample, interval, braking)
-            return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._least_braking)
-        if not posterior.learn(interval, state.unbraked_s, sample.speed, self._noise_variance()):
+            return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._min_braking)
+        if not posterior.update(interval, state.unbraked_s, sample.speed, self._noise_variance()):
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
-        ratio = min(state.innovation * state.innovation / state.innovation_variance, _MOST)
-        state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MOST_EXCESS)
+        ratio = min(state.innovation * state.innovation / state.innovation_variance, _MAX_SQUARE)
+        state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MAX_EXCESS)
         share = self._model.share(sample, abs(state.filtered_target))
         state.rate, state.rate_variance = posterior.total_rate(share)
         # The model has the width of a changeover, but not its exact shape.
@@ -320,8 +318,8 @@ class BrakeRateEstimator:
         """Return a rejection if the motion since the last sample, or the state of the brake, is not known."""
         if math.isnan(sample.dt):
             return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
-        if not sample.speed >= self._least_speed:
-            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self._least_speed)
+        if not sample.speed >= self._min_speed:
+            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self._min_speed)
         if not is_finite(sample.brake_command):
             return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         if self.state.certain_ns > sample.stamp_ns:
@@ -349,16 +347,16 @@ class BrakeRateEstimator:
             state.certain_ns = now_ns + self._settling_ns
         state.unbraked_s += seconds(now_ns - start_ns)
         # At standstill the measured speed is zero without noise.
-        state.noise.add(sample.speed, sample.dt if sample.speed >= self._least_speed else math.nan)
+        state.noise.add(sample.speed, sample.dt if sample.speed >= self._min_speed else math.nan)
         state.observable = False
         return motion, sensitivity
 
     def _move_timing(self, now_ns: int) -> None:
         """Apply the estimated errors of dead time and lag while the brake is released."""
         timing = self.state.timing
-        if not timing.has_acted or not timing.at_rest(self.state.commands, now_ns):
+        if not timing.has_acted or not timing.is_idle(self.state.commands, now_ns):
             return
-        e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, LEAST_RATE)
+        e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, MIN_RATE)
         delay, lag = timing.delay, timing.lag
         timing.move((e[0] / f, e[1] / f), (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f), self._brake)
         applied = (f * (timing.delay - delay), f * (timing.lag - lag))
@@ -387,21 +385,21 @@ class BrakeRateEstimator:
     def _learn_disturbance(self, sample: Sample, interval: Transition, braking: float) -> None:
         """Update the size of b if no other uncertain force acts; ``braking`` is the brake acceleration [m/s^2]."""
         state = self.state
-        if braking > _RELEASED or interval.q_v / interval.dt - self._white > self._most_slack:
+        if braking > _RELEASED or interval.q_v / interval.dt - self._white > self._max_slack:
             state.disturbance.pause()
             return
         e, gain_e = self.posterior.errors, interval.gain_e
         known = interval.known + (gain_e[2] * e[2] + gain_e[3] * e[3] + gain_e[4] * e[4])
         state.disturbance.add(interval, known, sample.speed, state.noise.variance)
 
-    def _anchor(self, sample: Sample, elapsed: float) -> None:
+    def _reinit_motion(self, sample: Sample, elapsed: float) -> None:
         """Restart the train state from the measured speed after ``elapsed`` [s]; f is unchanged."""
         state, start = self.state, self._start
         state.gain = self._model.gain(sample)
         start.speed, start.target = sample.speed, state.gain * state.filtered_target
-        start.variances = (state.noise.variance, _ANCHOR_BRAKE_STD * _ANCHOR_BRAKE_STD, state.disturbance.variance)
+        start.variances = (state.noise.variance, _REINIT_BRAKE_STD * _REINIT_BRAKE_STD, state.disturbance.variance)
         self._model.forget(elapsed, 0.0, start.decay_e, start.q_e)
-        self.posterior.anchor(start)
+        self.posterior.reinit_motion(start)
         state.position = sample.position
         state.rejected_in_a_row = 0
 

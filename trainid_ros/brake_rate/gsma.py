@@ -1,21 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of x = [v, a, b, e], one for all particles.
+"""GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
 
-f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f: one
-Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) use one for each particle).
+After Zheng et al. 2015, section 3.5. (n) is an equation of the paper; [n] marks the same step in the code, here and in
+:mod:`m_algorithm`. f is the brake rate, x = [v, a, b, e] the motion of the train and the errors of the train file, see
+:mod:`motion_model`. State: particles (f_i, x_i) in strata m (quiet, jumping) with the weights W_m, means mu_m and
+variances s_m^2 of f; one covariance P of x given f for all particles.
 
-Markov chain of a brake rate with two states: slow drift (quiet) and a rare, short, fast change (jumping).
+    [1]  f_i = quantiles of the prior, W = stationary weights of the Markov chain T, P = variances of the errors e
+    for each sample with the speed y, measured with variance r, dt after the last one:
+    [2]      x_i = Phi x_i + gamma f_i + known input                                                (14)
+    [3]      P = Phi P Phi' + Q                                                                     (14)
+    [4]      S = P_vv + r                                                                           (16)
+    [5]      K = P e_v / S                                                                          (20)
+    [6]      P = P - K e_v' P                                                                       (21)
+    [7]      if the brake does not act: x_i = x_i + K (y - v_i), with f unchanged; next sample      (21)
+    [8]      after a pause without braking: scale f about its mean, which adds the variance drift^2 pause
+    [9]      f_i = mu_m + sqrt(1 - kappa^2) (f_i - mu_m), and x_i along its regression on f
+    [10]     h_m = sqrt(3 (q_m dt + kappa^2 s_m^2)); group of i: f_ig = f_i + h_m {-1, 0, 1}_g         section 3.5
+    [11]     w_ig = W_m / N_m {1/6, 4/6, 1/6}_g N(y; v_ig, S), or 0 unless 0 <= f_ig <= f_max         (17)
+    [12]     w_ig = w_ig / sum of all w                                                             (18)
+    [13]     W_m, mu_m, s_m^2 = moments of f_ig with the weights w_ig T_{stratum of i, m}
+    [14]     choose N_m survivors by systematic resampling in the order of f, with the weights of [13]
+    [15]     shift and scale the f of the survivors to mu_m and s_m^2
+    [16]     x_ig = x_ig + K (y - v_ig)                                                             (21)
+    [17]     x of the survivors: shifted to the mean and the regression on f before [14]
+    [18]     f = sum of W_m mu_m                                                                    (19)
+    [19]     x = sum of w_ig x_ig                                                                   (22)
 
-A jump since the last braking can be detected only when the response of the brake to its command is steady: before
-that, an error of dead time or lag has the same effect. So time in the chain is scaled by the steadiness of the
-response, and the probability of a jump while no brake acted is kept until then.
+The same in plain numpy is ``test/brake_rate/reference_gsma.py``. The differences from the paper are explained in
+:mod:`m_algorithm`. Two more:
 
-GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
+* f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f. One
+  Riccati equation suffices; (14), (16), (20) and (21) of the paper have one for each particle.
+* A jump since the last braking can be detected only when the response of the brake to its command is steady. Before
+  that, an error of dead time or lag has the same effect. Time in the chain T is therefore scaled by the steadiness, and
+  the probability of a jump while no brake acted is kept until then.
 
-A step and its differences from Zheng et al. 2015 are in :mod:`m_algorithm`, the particles in :mod:`group_cloud`, the
-motion model and the selection of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one
-for a jumping brake rate, it detects a jump within seconds; without jumps it is the exact filter except for sampling
-noise.
+Without jumps this is the exact filter, except for sampling noise.
 """
 
 from __future__ import annotations
@@ -57,7 +78,7 @@ class Covariance:
     def __init__(self) -> None:
         self.P, self.K = vec[float]([0.0] * (STATES * STATES)), vec[float]([0.0] * STATES)
         # Row v of Phi, and the diagonal of the others.
-        self._gains, self._left = vec[float]([1.0] * STATES), vec[float]([1.0] * STATES)
+        self._gains, self._decay = vec[float]([1.0] * STATES), vec[float]([1.0] * STATES)
 
     def reset(self, stds: Errors) -> None:
         """Set uncertainty in the errors only."""
@@ -66,7 +87,7 @@ class Covariance:
         for j, std in enumerate(stds):
             self.P[(_E + j) * (STATES + 1)] = std * std
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
         P, decay_e, n = self.P, start.decay_e, STATES
         for k in range(_E * n):
@@ -81,19 +102,20 @@ class Covariance:
 
     def predict(self, step: Transition) -> None:
         """Predict over an interval, P = Phi P Phi' + Q, eq. (14); only v takes from other states."""
-        P, gains, left, n = self.P, self._gains, self._left, STATES
-        gains[1], gains[2], left[1], left[2] = step.reach, step.dt, step.decay, step.rho
+        # [3] P = Phi P Phi' + Q, eq. (14)
+        P, gains, decay, n = self.P, self._gains, self._decay, STATES
+        gains[1], gains[2], decay[1], decay[2] = step.reach, step.dt, step.decay, step.rho
         for j in range(ERRORS):
-            gains[_E + j], left[_E + j] = step.gain_e[j], step.decay_e[j]
+            gains[_E + j], decay[_E + j] = step.gain_e[j], step.decay_e[j]
         variance = 0.0
         for j in range(n):
             with_v = 0.0
             for i in range(n):
                 with_v += gains[i] * P[i * n + j]
             variance += gains[j] * with_v
-            P[j] = left[j] * with_v
+            P[j] = decay[j] * with_v
             for i in range(1, n):
-                P[i * n + j] *= left[i] * left[j]
+                P[i * n + j] *= decay[i] * decay[j]
         for j in range(1, n):
             P[j * n] = P[j]
         P[0] = variance + step.q_v
@@ -116,10 +138,12 @@ class Covariance:
             The variance of the innovation, eq. (16) [(m/s)^2].
         """
         P, K, n = self.P, self.K, STATES
+        # [4] Eq. (16).
         S = P[0] + r
+        # [5] Eq. (20).
         for i in range(n):
             K[i] = P[i] / S
-        # From below, because the first row is that of before.
+        # [6] Eq. (21), from below because the first row is that of before.
         for i in range(n - 1, -1, -1):
             for j in range(i + 1):
                 P[i * n + j] -= K[i] * P[j]
@@ -150,9 +174,9 @@ def drifts(config: JumpConfig) -> tuple[float, float]:
 
 
 _JUMPING_SHARE: Final = 1.0 / 3.0
-_LEAST_PARTICLES: Final = 3
+_MIN_PARTICLES: Final = 3
 _ROUNDING: Final = 1e-6
-LEAST_PAUSE: Final = 1e-6
+MIN_PAUSE_S: Final = 1e-6
 """Shorter times without braking are rounding [s]."""
 
 
@@ -166,7 +190,7 @@ class GsmaPosterior:
         self._largest = LARGEST_RATE * expected
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
-        jumping = max(_LEAST_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
+        jumping = max(_MIN_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
         self._sizes = [config.particles - jumping, jumping] if jumping else [config.particles]
         # Variance of f in each stratum [1/s].
         self._q = drifts(config)
@@ -234,7 +258,7 @@ class GsmaPosterior:
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Reset to the prior: particles at its quantiles, strata at the stationary weights of the Markov chain."""
-        # The normal distribution of the standard library, because importing that of SciPy is slow.
+        # [1] The normal distribution of the standard library, because importing that of SciPy is slow.
         prior = NormalDist(rate, std)
         f = [max(0.0, prior.inv_cdf((i + 0.5) / n)) for n in self._sizes for i in range(n)]
         starts, ends = transition(self._config, 1.0)
@@ -244,10 +268,10 @@ class GsmaPosterior:
         self._effective = float(len(f))
         self._rng.bit_generator.state = json.loads(self._random0)
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
-        self.cloud.anchor(start)
-        self._covariance.anchor(start)
+        self.cloud.reinit_motion(start)
+        self._covariance.reinit_motion(start)
 
     def recentre(self, shift: Errors) -> None:
         """Express the errors relative to a new origin, ``shift`` away from the old."""
@@ -264,17 +288,19 @@ class GsmaPosterior:
 
     def follow(self, speed: float, r: float) -> None:
         """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
+        # [7] Eq. (21), with f unchanged.
         self._covariance.correct(r)
         self.cloud.follow(speed, self._covariance.K)
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]: one step of GSMA, eqs. (14)-(22)."""
         mean, variance = self.predicted()
         if not is_finite(speed - mean + variance):
             return False
         dt, steadiness, pause = interval.dt, interval.steadiness, elapsed - interval.dt
-        if pause > LEAST_PAUSE:
-            self.cloud.widen(interval, self._drift * self._drift * pause)
+        # [8]
+        if pause > MIN_PAUSE_S:
+            self.cloud.inflate_variance(interval, self._drift * self._drift * pause)
         quiet, jumping = self._q
         self._walk[0] = quiet * dt
         if len(self._sizes) > 1:
@@ -284,7 +310,7 @@ class GsmaPosterior:
             self._chain[0], self._chain[1], self._chain[2], self._chain[3] = 1.0 - starts, starts, ends, 1.0 - ends
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()
-        self._effective = self._algorithm.learn(
+        self._effective = self._algorithm.update(
             interval, self._walk, speed, self._covariance.K, S, self._largest, self._chain, uniforms
         )
         return True

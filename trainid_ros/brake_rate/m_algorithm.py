@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particles of a brake rate f and of the train's motion x, in strata of a Markov chain: their motion and their moments.
+"""The particles of GSMA: their motion and moments, and one step of the group stochastic M-algorithm.
 
-Between two prunings all particles move by the same linear map, x = A [1, f, x0] with the states x0 of the last pruning.
-So a step without pruning changes A, and of the particles only their speeds, whose spread is needed.
-
-One step of the group stochastic M-algorithm: particles branch into groups, are weighed by a speed and are pruned.
-
-Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+The steps [n] are those at the head of :mod:`gsma`. Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with
+these corrections:
 
 * The group of a particle is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
   h = sqrt(3 q dt): every value has its group (the paper omits one), values are not bound to a grid, and the
@@ -19,6 +15,9 @@ Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these correctio
   sqrt(3 (q dt + kappa^2 s^2)), which preserves its mean and its variance s^2 + q dt and keeps its values distinct. x
   moves with f according to its regression on f. After pruning, the particles are shifted and scaled to the mean and
   variance before pruning. In a stratum with a Gaussian posterior no sampling noise is left in either.
+
+Between two prunings all particles move by the same linear map, x = A [1, f, x0], with the states x0 at the last
+pruning. So a step without pruning changes only A and the speeds, whose spread is needed.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ class GroupCloud:
         self.v = zeros(N)
         # The next states, and one row of them.
         self._next, self._row = zeros(n * N), zeros(N)
-        self.stand_still()
+        self.reset_transform()
 
     def start(self, f: list[float], weight: list[float]) -> None:
         """Start at rest from rates f [1], shape (N,), with the weights of the strata, shape (M,)."""
@@ -104,10 +103,10 @@ class GroupCloud:
             self.weight[m], self.mean[m], self.variance[m] = weight[int(m)], total, square
             for j in range(STATES):
                 self.slope[j * self.M + m] = 0.0
-        self.stand_still()
+        self.reset_transform()
         self.average()
 
-    def stand_still(self) -> None:
+    def reset_transform(self) -> None:
         """Set A to the identity, x = x0."""
         for k in range(STATES * WIDTH):
             self.A[k] = 0.0
@@ -117,6 +116,7 @@ class GroupCloud:
     def average(self) -> None:
         """Set mean and variance of f from those of the strata."""
         rate = spread = 0.0
+        # [18] Eq. (19).
         for m in range(self.M):
             rate += self.weight[m] * self.mean[m]
         for m in range(self.M):
@@ -126,7 +126,7 @@ class GroupCloud:
 
     # Motion of all particles alike.
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a = f target and b; the errors decay by ``decay_e``."""
         A = self.A
         for k in range(_E * WIDTH):
@@ -144,6 +144,7 @@ class GroupCloud:
 
     def predict(self, step: Transition) -> None:
         """Predict over an interval with constant f, eq. (14)."""
+        # [2] Eq. (14).
         A, a, b = self.A, WIDTH, 2 * WIDTH
         gain_e, decay_e = step.gain_e, step.decay_e
         for k in range(WIDTH):
@@ -155,17 +156,18 @@ class GroupCloud:
         A[0] += step.known
         A[1] += step.gain_v
         A[a + 1] += step.gain_a
-        self._each(A, 0, self.v, 0)
+        self._eval_row(A, 0, self.v, 0)
 
     def follow(self, speed: float, K: vec[float]) -> None:
         """Update x with a measured speed that carries no information on f, by the gain K, shape (n,), eq. (21)."""
         A = self.A
         for k in range(WIDTH):
+            # [7] Eq. (21).
             nu = (speed if k == 0 else 0.0) - A[k]
             for j in range(STATES):
                 A[j * WIDTH + k] += K[j] * nu
 
-    def _each(self, row: vec[float], at: i64, out: vec[float], to: i64) -> None:
+    def _eval_row(self, row: vec[float], at: i64, out: vec[float], to: i64) -> None:
         """Write row [1, f, x0] of each particle; the row begins at ``at``, the output, shape (N,), at ``to``."""
         f, x, N = self.f, self.x, self.N
         known, gain = row[at], row[at + 1]
@@ -177,25 +179,25 @@ class GroupCloud:
                 for i in range(N):
                     out[to + i] += share * x[j * N + i]
 
-    def separate(self) -> None:
+    def flush_if_coupled(self) -> None:
         """Let each state except v depend on its own x0 only: settle if A mixes them, as a measured speed does."""
         for j in range(1, STATES):
             for k in range(STATES):
                 if k != j and self.A[j * WIDTH + 2 + k] != 0.0:
-                    self._settle()
+                    self._apply_transform()
                     return
 
-    def _settle(self) -> None:
+    def _apply_transform(self) -> None:
         """Move the particles by A, which then is the identity."""
         M = self.M
         means, slopes = zeros(STATES), zeros(int(STATES * M))
         for j in range(STATES):
-            self._each(self.A, j * WIDTH, self._next, j * self.N)
+            self._eval_row(self.A, j * WIDTH, self._next, j * self.N)
             means[j] = self.expected(j)
             for m in range(M):
                 slopes[j * M + m] = self.slope_of(j, m)
         self.x, self._next, self.x_mean, self.slope = self._next, self.x, means, slopes
-        self.stand_still()
+        self.reset_transform()
 
     def slope_of(self, j: i64, m: i64) -> float:
         """Return the regression of the j-th state on f in a stratum."""
@@ -222,7 +224,7 @@ class GroupCloud:
 
     def spread(self, j: i64) -> float:
         """Return the variance of the j-th state over the particles."""
-        self._each(self.A, j * WIDTH, self._row, 0)
+        self._eval_row(self.A, j * WIDTH, self._row, 0)
         return self._spread(self._row, self.expected(j))
 
     def total(self, share: vec[float]) -> tuple[float, float]:
@@ -234,7 +236,7 @@ class GroupCloud:
                 for k in range(WIDTH):
                     row[k] += share[j] * self.A[(_E + j) * WIDTH + k]
         mean = self._expected(row, 0)
-        self._each(row, 0, self._row, 0)
+        self._eval_row(row, 0, self._row, 0)
         return mean, self._spread(self._row, mean)
 
     def _spread(self, values: vec[float], mean: float) -> float:
@@ -251,12 +253,13 @@ class GroupCloud:
 
     # Drift.
 
-    def widen(self, step: Transition, variance: float) -> None:
+    def inflate_variance(self, step: Transition, variance: float) -> None:
         """Add to the variance of f [1] the drift before the predicted step, by spreading the values."""
         total, rate, N, M = self.rate_variance, self.rate, self.N, self.M
         if total <= 0.0:
             return
-        self._settle()
+        self._apply_transform()
+        # [8]
         ratio = math.sqrt(1.0 + variance / total)
         for i in range(N):
             wider = (ratio - 1.0) * (self.f[i] - rate)
@@ -279,10 +282,10 @@ _LOG_MIDDLE: Final = math.log(4.0 / 6.0)
 _KAPPA: Final = 0.2
 _SHRUNK: Final = math.sqrt(1.0 - 0.2 * 0.2) - 1.0
 # Limit of the factor that scales survivors to the variance before pruning.
-_MOST_SPREAD: Final = 2.0
+_MAX_SPREAD_FACTOR: Final = 2.0
 _TINY: Final = 1e-300
 # Lower limit of the variance: if one child has all the weight, the spread within its group is still unknown.
-_LEAST_VARIANCE: Final = 1e-10
+_MIN_VARIANCE: Final = 1e-10
 
 
 class MAlgorithm:
@@ -312,11 +315,11 @@ class MAlgorithm:
         # Of each stratum: step, and slopes of the predicted states over f and within the groups, shape (n, M).
         self._h, self._slopes, self._c, self._c_v = zeros(M), zeros(n * M), zeros(n * M), zeros(M)
         # Sums over its children of w, w f, w f^2, w off, w f off, w x and w x f.
-        self._ones, self._firsts, self._squares, self._offs, self._products = (zeros(M) for _ in range(5))
-        self._states, self._state_products, self._share = zeros(M), zeros(M), zeros(M)
+        self._sum_w, self._sum_wf, self._sum_wff, self._sum_woff, self._sum_wfoff = (zeros(M) for _ in range(5))
+        self._sum_wx, self._sum_wxf, self._share = zeros(M), zeros(M), zeros(M)
         self._next_weight, self._next_mean, self._next_variance = zeros(M), zeros(M), zeros(M)
 
-    def learn(
+    def update(
         self,
         step: Transition,
         walk: vec[float],
@@ -343,7 +346,7 @@ class MAlgorithm:
             The effective number of children [1].
         """
         cloud = self._cloud
-        cloud.separate()
+        cloud.flush_if_coupled()
         self._branch(step, walk, speed)
         effective = self._weigh(1.0 / math.sqrt(S), largest)
         self._sum_rates(chain)
@@ -353,9 +356,9 @@ class MAlgorithm:
             self._match(m)
         for j in range(STATES):
             self._correct(j, K[j])
-            self._inherit(j, chain)
+            self._copy_to_survivors(j, chain)
         cloud.x, self._next, cloud.f, self._next_f = self._next, cloud.x, self._next_f, cloud.f
-        cloud.stand_still()
+        cloud.reset_transform()
         self._take_moments()
         return effective
 
@@ -366,6 +369,7 @@ class MAlgorithm:
         for m in range(M):
             kernel = _KAPPA * _KAPPA * cloud.variance[m]
             both = max(walk[m] + kernel, _TINY)
+            # [10]
             self._h[m] = math.sqrt(3.0 * both)
             # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
             for j in range(STATES):
@@ -376,6 +380,7 @@ class MAlgorithm:
             self._c_v[m] = self._c[_V * M + m]
             mean, slope = cloud.mean[m], self._slopes[_V * M + m]
             for i in range(self._edges[m], self._edges[m + 1]):
+                # [9]
                 off = _SHRUNK * (f[i] - mean)
                 moved[i] = off
                 base[i] = f[i] + off
@@ -395,6 +400,7 @@ class MAlgorithm:
                 off, log_prior = float(g - 1) * self._h[m], prior + (_LOG_MIDDLE if g == 1 else _LOG_OUTER)
                 ahead, child = off * self._c[_V * self.M + m], g * N
                 for i in range(low, high):
+                    # [11] Eq. (17).
                     rate, z = base[i] + off, W * (nu[i] - ahead)
                     log_weight = log_prior - 0.5 * (z * z) if 0.0 <= rate <= largest else -math.inf
                     rates[child + i], w[child + i] = rate, log_weight
@@ -406,6 +412,7 @@ class MAlgorithm:
             w[k] = weight
             total += weight
             squares += weight * weight
+        # [12] Eq. (18).
         for k in range(3 * N):
             w[k] /= total
         return total * total / squares
@@ -429,17 +436,18 @@ class MAlgorithm:
                 squares += f * first + product
                 offs += off
                 products += product
-            self._ones[m], self._firsts[m], self._squares[m] = ones, firsts, squares
-            self._offs[m], self._products[m] = offs, products
+            self._sum_w[m], self._sum_wf[m], self._sum_wff[m] = ones, firsts, squares
+            self._sum_woff[m], self._sum_wfoff[m] = offs, products
         for m in range(M):
-            weight = max(self._into(self._ones, chain, m), _TINY)
-            mean = self._into(self._firsts, chain, m) / weight
-            square = self._into(self._squares, chain, m) / weight
+            # [13]
+            weight = max(self._mix_into(self._sum_w, chain, m), _TINY)
+            mean = self._mix_into(self._sum_wf, chain, m) / weight
+            square = self._mix_into(self._sum_wff, chain, m) / weight
             self._next_weight[m], self._next_mean[m] = weight, mean
-            self._next_variance[m] = max(square - mean * mean, _LEAST_VARIANCE)
+            self._next_variance[m] = max(square - mean * mean, _MIN_VARIANCE)
 
-    def _into(self, sums: vec[float], chain: vec[float], m: i64) -> float:
-        """Return what the chain carries of sums over each stratum, shape (M,), into the m-th."""
+    def _mix_into(self, sums: vec[float], chain: vec[float], m: i64) -> float:
+        """Return the sums of the strata, shape (M,), mixed by the transition matrix into the m-th."""
         total = 0.0
         for source in range(self.M):
             total += sums[source] * chain[source * self.M + m]
@@ -494,6 +502,7 @@ class MAlgorithm:
         size = float(high - low)
         for source in range(M):
             share[source] = chain[source * M + m] / self._next_weight[m]
+        # [14]
         place: i64 = 0
         child = order[0]
         total = w[child] * share[of[child]]
@@ -515,7 +524,8 @@ class MAlgorithm:
         average /= size
         for k in range(low, high):
             spread += (f[k] - average) * (f[k] - average)
-        factor = min(math.sqrt(self._next_variance[m] / max(spread / size, _TINY)), _MOST_SPREAD)
+        # [15]
+        factor = min(math.sqrt(self._next_variance[m] / max(spread / size, _TINY)), _MAX_SPREAD_FACTOR)
         mean = self._cloud.rate + self._next_mean[m]
         for k in range(low, high):
             matched = mean + factor * (f[k] - average)
@@ -528,34 +538,36 @@ class MAlgorithm:
         f, x, N, M = cloud.f, cloud.x, self.N, self.M
         at = j * N
         # The speeds have been predicted; of another state only its own share and f are in A.
-        known, gain, left = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
+        known, gain, decay = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
         if j == _V:
-            x, at, known, gain, left = cloud.v, 0, 0.0, 0.0, 1.0
+            x, at, known, gain, decay = cloud.v, 0, 0.0, 0.0, 1.0
         for m in range(M):
             slope = self._slopes[j * M + m]
             c[j * M + m] -= K * self._c_v[m]
             states = products = 0.0
             for i in range(self._edges[m], self._edges[m + 1]):
-                state = known + gain * f[i] + left * x[at + i] + slope * moved[i] + K * nu[i]
+                # [16] Eq. (21).
+                state = known + gain * f[i] + decay * x[at + i] + slope * moved[i] + K * nu[i]
                 row[i] = state
                 states += state * w0[i]
                 products += state * wf[i]
-            self._states[m] = states + c[j * M + m] * self._offs[m]
-            self._state_products[m] = products + c[j * M + m] * self._products[m]
+            self._sum_wx[m] = states + c[j * M + m] * self._sum_woff[m]
+            self._sum_wxf[m] = products + c[j * M + m] * self._sum_wfoff[m]
 
-    def _inherit(self, j: i64, chain: vec[float]) -> None:
+    def _copy_to_survivors(self, j: i64, chain: vec[float]) -> None:
         """Take a state over to the survivors, and match its mean and its regression on f before pruning."""
         row, parent, off, shift, of, c = self._row, self._parent, self._off, self._shift, self._of, self._c
         N, M, after, average = self.N, self.M, self._next, 0.0
         for m in range(M):
             low, high, weight = self._edges[m], self._edges[m + 1], self._next_weight[m]
-            mean = self._into(self._states, chain, m) / weight
-            product = self._into(self._state_products, chain, m) / weight
+            mean = self._mix_into(self._sum_wx, chain, m) / weight
+            product = self._mix_into(self._sum_wxf, chain, m) / weight
             slope = (product - mean * self._next_mean[m]) / self._next_variance[m]
             self._cloud.slope[j * M + m] = slope
             total = 0.0
             for k in range(low, high):
                 i = parent[k]
+                # [17]
                 state = row[i] + off[k] * c[j * M + of[i]] + slope * shift[k]
                 after[j * N + k] = state
                 total += state
@@ -574,6 +586,7 @@ class MAlgorithm:
             cloud.weight[m] = self._next_weight[m] / total
             cloud.mean[m] = cloud.rate + self._next_mean[m]
             cloud.variance[m] = self._next_variance[m]
+        # [19] Eq. (22).
         for j in range(STATES):
             cloud.x_mean[j] /= total
         cloud.average()

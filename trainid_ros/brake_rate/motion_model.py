@@ -1,24 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of the posterior of a brake rate estimator: Gaussian, mixture or particles.
-
-Sensitivity of the brake response to dead time T and lag tau, which may be wrong in a train file.
-
-The integral of the lagged target y over a sample, s(T, tau), is computed for T +- h and tau +- h. Its differences give
-the gains of speed by the errors of dead time and lag, for f = 1, by statistical linearisation:
-
-    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
-
-and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
-Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
-
-Exact response of the brake over one sample, linear in the brake rate.
-
-The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in
-the argument) and the command u is piecewise constant, so over any interval
-
-    a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
-
-Motion model of the train over one sample, with the effect of each error of the train file.
+"""Motion model of the train over one sample, linear in the brake rate f and in the errors of the train file.
 
 With the brake's lagged target y, its integral s over the sample and k = g / (1000 (1 + gamma)), the inverse of the
 specific inertia,
@@ -31,6 +12,21 @@ where r is the brake rate by the table and the effects of the train file, and th
 
 p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which electric and friction brakes change over,
 0 at rest and at twice that speed. The last error is that of the brake at its level, because valves act in steps.
+
+The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in the argument).
+The command u is piecewise constant, so over any interval the response is exact:
+
+    a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
+
+Dead time T and lag tau may be wrong in a train file. The integral s(T, tau) is computed for T +- h and tau +- h. Its
+differences give the gains of speed by their errors, for f = 1, by statistical linearisation:
+
+    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
+
+and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
+Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
+
+:class:`Posterior` is what an estimator needs of the posterior of f and x: Gaussian, mixture or particles.
 """
 
 from __future__ import annotations
@@ -170,7 +166,7 @@ class Posterior(Protocol):
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Reset to the prior: mean and std of f [1], and standard deviations of the errors, whose mean is zero."""
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b; f is unchanged."""
 
     def recentre(self, shift: Errors) -> None:
@@ -185,7 +181,7 @@ class Posterior(Protocol):
     def follow(self, speed: float, r: float) -> None:
         """Update all states except f with a measured speed [m/s] of variance r [(m/s)^2]."""
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update all states and f, which drifted over ``elapsed`` [s], with a measured speed; after :meth:`predict`.
 
         Args:
@@ -200,11 +196,11 @@ class Posterior(Protocol):
 
 
 # Smallest step of a difference quotient; below it rounding dominates [s].
-_LEAST_SPREAD: Final = 0.02
+_MIN_SPREAD: Final = 0.02
 # A smaller target has no effect [m/s^2].
 _NOTHING: Final = 1e-4
 # A time constant stays above this share of that of the train file [1].
-_LEAST_LAG: Final = 0.25
+_MIN_LAG: Final = 0.25
 
 
 class TimingStep:
@@ -228,7 +224,7 @@ class Timing:
     faster: float = 0.0  # The same with tau - h
     has_acted: bool = False  # Whether the brake has acted since the last update
 
-    def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
+    def is_idle(self, commands: CommandHistory, stamp_ns: int) -> bool:
         """Return whether no command acts, acted recently, or is still pending for any possible dead time."""
         if commands.value(stamp_ns) != 0.0 or min(self.later, self.sooner, self.slower, self.faster) < -_NOTHING:
             return False
@@ -242,24 +238,24 @@ class Timing:
     def move(self, errors: tuple[float, float], stds: tuple[float, float], brake: Brake) -> None:
         """Correct by estimated errors of T and tau with standard deviations [s], while the brake is released."""
         self.delay = max(0.0, self.delay + errors[0])
-        self.lag = max(_LEAST_LAG * brake.time_constant, self.lag + errors[1])
+        self.lag = max(_MIN_LAG * brake.time_constant, self.lag + errors[1])
         self.delay_std, self.lag_std = _spread(stds[0], self.delay_std), _spread(stds[1], self.lag_std)
         self.release()
         self.has_acted = False
 
     def step(self, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float) -> TimingStep:
         """Propagate the targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
-        if self.at_rest(commands, end_ns):
+        if self.is_idle(commands, end_ns):
             self.release()
             return TimingStep(0.0, 0.0, 0.0)
         T, tau, h, k = self.delay, self.lag, self.delay_std, self.lag_std
-        shorter, less = max(0.0, T - h), max(_LEAST_LAG * tau, tau - k)
+        shorter, less = max(0.0, T - h), max(_MIN_LAG * tau, tau - k)
         self.later, later = _response(commands, start_ns, end_ns, self.later, T + h, tau)
         self.sooner, sooner = _response(commands, start_ns, end_ns, self.sooner, shorter, tau)
         self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + k)
         self.faster, faster = _response(commands, start_ns, end_ns, self.faster, T, less)
-        delay_gain = (later - sooner) / max(T + h - shorter, _LEAST_SPREAD)
-        lag_gain = (slower - faster) / max(tau + k - less, _LEAST_SPREAD)
+        delay_gain = (later - sooner) / max(T + h - shorter, _MIN_SPREAD)
+        lag_gain = (slower - faster) / max(tau + k - less, _MIN_SPREAD)
         by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
         self.has_acted = True
         return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
@@ -273,7 +269,7 @@ def _response(
 
 
 def _spread(std: float, before: float) -> float:
-    return min(max(std, _LEAST_SPREAD), before) if before > 0.0 else 0.0
+    return min(max(std, _MIN_SPREAD), before) if before > 0.0 else 0.0
 
 
 class BrakeStep:
@@ -312,7 +308,7 @@ def brake_step(
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
 
 
-LEAST_RATE: Final = 0.05
+MIN_RATE: Final = 0.05
 """Lower limit of a brake rate that is used as a divisor."""
 BLEND_SHAPE: Final = 0.7
 """Error of the shape of the changeover between brakes, as a share of its size."""
@@ -344,7 +340,7 @@ class MotionModel:
         self.max_speed, self._timing_std = train_file.train.max_speed, train_file.brake.timing_std
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
-        self._force_error, self._least = config.force_error, config.min_braking
+        self._force_error, self._min_braking = config.force_error, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
@@ -374,7 +370,7 @@ class MotionModel:
 
     def gain(self, sample: Sample) -> float:
         """Return the brake rate by the table and the effects of the train file for f = 1 [1]."""
-        return max(self.known.brake_share(sample) * self.brake.shape_at(sample.speed), LEAST_RATE)
+        return max(self.known.brake_share(sample) * self.brake.shape_at(sample.speed), MIN_RATE)
 
     def traction(self, sample: Sample, nominal: float, *, released: bool) -> float:
         """Return the acceleration by traction [m/s^2].
@@ -451,7 +447,7 @@ class MotionModel:
         change = abs(motion.end_target - motion.start_target)
         if change == 0.0:
             return 1.0
-        slow = dt * max(abs(motion.end_target), self._least) * _CHANGING
+        slow = dt * max(abs(motion.end_target), self._min_braking) * _CHANGING
         return math.exp(-change / slow) if slow > 0.0 else 0.0
 
     def _slope(self, speed: float) -> float:

@@ -3,7 +3,7 @@
 
 A class declares its state in a class attribute::
 
-    STATE: ClassVar[State] = declare('count', definite('P'), several('ticks', Tick))
+    STATE: ClassVar[State] = declare('count', definite('P'), several('ticks', AdmittedSample))
 
 Such an object is restored in place, so that what refers to it still does; its present values state the type, and the
 size of vectors and arrays. The state of another dataclass is all its fields; it is made anew. A part with ``save`` and

@@ -8,7 +8,8 @@ and accumulates the log Bayes factor of its predictions against those of the lon
 mixture of all, weighted by their probability. Once the long memory has negligible probability, the most likely
 hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
 
-The long memory is that of :mod:`multi_innovation`, for n parameters: with information I = [P^-1 | P^-1 theta],
+The long memory is multi-innovation least squares, [9] and [10] at the head of :mod:`vmils`, for n parameters: with
+information I = [P^-1 | P^-1 theta],
 
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
@@ -32,6 +33,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.normal import (
     Array,
     Normal,
+    inflated,
     information_in,
     information_of,
     mixed,
@@ -39,7 +41,6 @@ from trainid_ros.resistance.normal import (
     normal_of,
     soft_update,
     weigh,
-    widened,
 )
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
 
@@ -147,27 +148,32 @@ class Tracker:
         self._count += 1
         self._rows.append((*phi, y, R, slow))
         expected, variance = long.predict(phi)
+        # [7], [8] V-MILS: a bad observation is weighted down instead of left out of t_s.
         weight, score = weigh(y - expected, variance + R, R, plan.outliers)
+        # [9] MILS: the latest p of phi and y, that is Phi(p, t) and Y(p, t).
         self._parts.append(information_in(phi, y, plan.p * slow * R, weight))
         if len(self._parts) > plan.p:
             del self._parts[0]
+        # [10] MILS: theta(t), L(t), P(t), in information form.
         information = self._memory[:]
         for part in self._parts:
             for k in range(len(part)):
                 information[k] += part[k]
         self._set_memory(information)
+        # [11], [12]
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
+        # [13]
         if self._mean_weight < _LOCKED_OUT:
             self._restart_from_latest()
         self._mix()
         return weight
 
-    def widen(self, variances: Array, limits: Array) -> None:
-        """Add the variances of random steps of the parameters, see :func:`normal.widened`."""
-        self._set_memory(information_of(widened(self._long, variances, limits)))
+    def inflate_variance(self, variances: Array, limits: Array) -> None:
+        """Add the variances of random steps of the parameters, see :func:`normal.inflated`."""
+        self._set_memory(information_of(inflated(self._long, variances, limits)))
         self._hypotheses = [
-            RunLengthHypothesis(widened(item.normal, variances, limits), item.evidence, item.age)
+            RunLengthHypothesis(inflated(item.normal, variances, limits), item.evidence, item.age)
             for item in self._hypotheses
         ]
         self._mix()
@@ -179,7 +185,7 @@ class Tracker:
         if len(self._hypotheses) >= self.plan.hypotheses:
             evidence = [item.evidence for item in self._hypotheses]
             del self._hypotheses[evidence.index(min(evidence))]
-        self._hypotheses.append(RunLengthHypothesis(widened(self._long, self._steps)))
+        self._hypotheses.append(RunLengthHypothesis(inflated(self._long, self._steps)))
 
     def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
@@ -221,6 +227,7 @@ class Tracker:
 
     def _mix(self) -> None:
         """Update the mixture, weighted by probability."""
+        # [14]
         normals, odds = [self._long], [1.0]
         for item in self._hypotheses:
             if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_REPLACED:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion without braking as arrays: pieces of a drive, each with its own initial speed, and the noise of its speeds.
+"""Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
-Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
-
-The model is that of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
+A :class:`Trajectory` is motion without braking: pieces of a drive, each with its own initial speed. The model is that
+of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
 ``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
 stage of constant acceleration, and the mean known force u. The fit minimises, over a, b, c *and all speeds*,
 
@@ -258,7 +257,7 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
         step = work.advance()
         iterations += 1
         if learning:
-            learning = iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
+            learning = iterations <= _LEARNING_STEPS and work.update_noise() > _SETTLED
             if not learning:
                 work.allow_for_parameters()
                 step = math.inf
@@ -372,7 +371,7 @@ class _Iteration:
         force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
         return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
 
-    def learn(self) -> float:
+    def update_noise(self) -> float:
         """Update noise and weights from the residuals; return their largest change."""
         config, before = self._config, (self._density, self._weights)
         if config.learn_noise:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error model of the known forces: scale and delay of the traction, and error of the curve resistance.
+"""Posterior of the Davis parameters: errors of the known forces, drift, the published estimate, and its validity.
 
 With T the reported specific traction [N/kN] and R the curve radius, the true forces are modelled as
 
@@ -7,13 +7,11 @@ With T the reported specific traction [N/kN] and R the curve radius, the true fo
 
 Force gain and mass share one scale kappa: only their ratio is observable in the motion.
 
-Posterior of the Davis parameters in plain floats: drift, prediction, and the published estimate.
-
 A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
 covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
 since arrays of three cost more than the arithmetic.
 
-Test whether a resistance is fit to use: known well enough over the observed speeds, with hysteresis.
+An estimate is valid while w is accurate over the driven speeds, with hysteresis.
 """
 
 from __future__ import annotations
@@ -204,21 +202,21 @@ _HYSTERESIS: Final = 1.5
 
 
 def representative_speeds(slowest: float, fastest: float) -> tuple[float, float, float]:
-    """Return the speeds at which :func:`is_fit` needs the variance of the resistance [m/s]."""
+    """Return the speeds at which :func:`is_accurate` needs the variance of the resistance [m/s]."""
     return slowest, 0.5 * (slowest + fastest), fastest
 
 
-def is_fit(variances: tuple[float, float, float], valid_std: float, *, was_fit: bool) -> bool:
+def is_accurate(variances: tuple[float, float, float], valid_std: float, *, was_accurate: bool) -> bool:
     """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
 
     Args:
         variances: Variance of the resistance at the :func:`representative_speeds` [(N/kN)^2].
         valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
-        was_fit: Whether it was fit so far.
+        was_accurate: Whether it was fit so far.
     """
     at_slowest, between, at_fastest = variances
     rms = math.sqrt((at_slowest + between + at_fastest) / 3.0)
-    return rms < valid_std * (_HYSTERESIS if was_fit else 1.0)
+    return rms < valid_std * (_HYSTERESIS if was_accurate else 1.0)
 
 
 @dataclass(slots=True)
@@ -250,8 +248,8 @@ class DrivenSpeeds:
         self.m4 += share * (square * square - self.m4)
 
 
-def is_fit_where_driven(
-    posterior: DavisPosterior, driven: DrivenSpeeds, valid_std: float, valid_share: float, *, was_fit: bool
+def is_accurate_over_driven_speeds(
+    posterior: DavisPosterior, driven: DrivenSpeeds, valid_std: float, valid_share: float, *, was_accurate: bool
 ) -> bool:
     """Return whether the standard deviation of w, in root mean square over the driven speeds, is small enough.
 
@@ -262,7 +260,7 @@ def is_fit_where_driven(
         driven: Moments of the driven speeds.
         valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
         valid_share: Largest standard deviation as a share of the resistance [1]; both limits add in squares.
-        was_fit: Whether it was fit so far.
+        was_accurate: Whether it was fit so far.
     """
     if not driven.count:
         return False
@@ -272,10 +270,10 @@ def is_fit_where_driven(
     variance = A + 2.0 * B * m1 + (2.0 * C + D) * m2 + 2.0 * E * m3 + F * m4
     square = a * a + 2.0 * a * b * m1 + (2.0 * a * c + b * b) * m2 + 2.0 * b * c * m3 + c * c * m4
     limit = valid_std * valid_std + valid_share * valid_share * square
-    return variance < limit * (_HYSTERESIS * _HYSTERESIS if was_fit else 1.0)
+    return variance < limit * (_HYSTERESIS * _HYSTERESIS if was_accurate else 1.0)
 
 
-def is_fit_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
+def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
     """Return whether the standard deviation of w at one speed [m/s] is small enough; limits as for driven speeds."""
     w, variance = predict(posterior, speed, speed * speed)
     return variance < valid_std * valid_std + valid_share * valid_share * w * w

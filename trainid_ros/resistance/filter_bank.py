@@ -1,12 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """filter-bank: Davis parameters with realistic uncertainty of mass, force, map and wheel diameter.
 
-A bank of extended Kalman filters on raw speed, see :mod:`hypotheses` and :mod:`speed_states`. For real trains the
-force errors are states: a scale kappa on the specific force, since mass and force gain are known only to a few per
-cent, and a delay delta, since forces are reported late. Both are observable in normal operation: kappa by driving
-with different tractive efforts, delta while the traction ramps.
+A bank of extended Kalman filters on raw speed. It is not from one of the three papers. It combines Bayesian
+change-point detection (Adams and MacKay 2007) with a multiple-model estimator of the noise sizes (Blom and Bar-Shalom
+1988). (1) is the motion at the head of :mod:`speed_states`; [n] marks the same step in the code: here, in
+:mod:`hypotheses` and in :mod:`speed_states`. A hypothesis i has a filter (x_i, P_i) with x = [v, a, b, c, g, e, kappa,
+delta, kappa_R], a weight W_i, an age, and sizes of gusts g and map errors e.
 
-The filters run two steps (0.4 s or two samples) late, since a delayed force needs the following force reports.
+    [1]  hypotheses = {stated prior, wide prior of small weight} x all sizes
+    at each departure with the measured speed y of variance R:
+    [2]      v = y, g = e = 0; after a stop P_kappa += change of load; after ten minutes P_a, P_c += possible step
+    for each sample with y and R, two samples late since a delayed force needs the following reports:
+    [3]      T(t + delta) by a cubic through four reports; variance of v by the noise of the force
+    [4]      x_i = solution of (1) over dt with the speed in the middle; g and e decay
+    [5]      P_i = F P_i F' + Q
+    [6]      nu, S = innovation of the mixture of all predictions and its variance: for outliers and diagnostics
+    [7]      S_i = P_vv + R,  nu_i = y - v_i
+    [8]      L_i = (1 - eps) N(nu_i; 0, S_i) + eps / 2 m/s;  w_i = first term / L_i
+    [9]      K = P_i e_v / (P_vv + R / w_i);  x_i = x_i + K nu_i;  P_i = P_i - K e_v' P_i
+    [10]     W_i = W_i L_i,  age_i = age_i + dt
+    every 10 s, from the hypothesis of the largest weight:
+    [11]     branch: P_aa += step, W = W p(step); the same for c; and one with other sizes of gusts or map errors
+    [12]     prune to the maximum number; young ones have a bonus
+    estimate:
+    [13]     mean = sum of W_i x_i over hypotheses of the minimum age
+    [14]     covariance = that of the mixture, in which young hypotheses count more: a step may just have happened
+    [15]     covariance = inflation covariance + error of the wheel diameter
+
+The same in plain numpy is ``test/resistance/reference_filter_bank.py``. For real trains the force errors are states: a
+scale kappa on the specific force, since mass and force gain are known only to a few per cent, and a delay delta, since
+forces are reported late. Both are observable in normal operation: kappa by driving with different tractive efforts,
+delta while the traction ramps.
 """
 
 from __future__ import annotations
@@ -28,17 +52,28 @@ from trainid_ros.resistance.davis_posterior import (
     DrivenSpeeds,
     drift_growth,
     force_errors,
+    is_accurate_at,
+    is_accurate_over_driven_speeds,
     is_delay_at_end,
-    is_fit_at,
-    is_fit_where_driven,
     resistance_estimate,
     scale_step,
 )
 from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covariance, usual_deviations
-from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, Mixture
+from trainid_ros.resistance.hypotheses import N_PUBLISHED, Array, Bank, BankPlan, Mixture
 from trainid_ros.resistance.normal import Inflation
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
+from trainid_ros.resistance.speed_states import (
+    DELTA,
+    KAPPA,
+    KAPPA_R,
+    STATES,
+    A,
+    AdmittedSample,
+    B,
+    C,
+    Interval,
+    ProcessNoise,
+)
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import STANDING
 
@@ -70,8 +105,8 @@ _IDLE_S: Final = 600.0
 _SUSPECTED: Final = 2.0
 # Number of accepted samples between two tests whether the estimate is fit to use, a second at 5 Hz; and the time since
 # the last sample from which on each is tested [ns].
-_JUDGED_EVERY: Final = 5
-_JUDGED_AFTER_NS: Final = 210_000_000
+_VALIDITY_CHECK_INTERVAL: Final = 5
+_VALIDITY_CHECK_AFTER_NS: Final = 210_000_000
 # Standard deviation of the relative error of the wheel diameter, which is up to about half a per cent.
 _WHEEL_STD: Final = 0.003
 # Share of a added to the std of its steps; minimum std of a step of c [N/kN per (m/s)^2].
@@ -97,8 +132,9 @@ class FilterBank:
     """
 
     STATE: ClassVar[State] = declare(
-        'bank', '_tachometer', '_inflation', several('_ticks', Tick), '_driven', '_running', '_stopped', '_stride',
-        '_rejected_s', '_admission', '_advanced_ns', '_innovation', '_innovation_variance', '_test_ratio', '_converged',
+        'bank', '_tachometer', '_inflation', several('_admitted', AdmittedSample), '_driven', '_running', '_stopped',
+        '_stride', '_rejected_s', '_admission', '_advanced_ns', '_innovation', '_innovation_variance', '_test_ratio',
+        '_converged',
     )  # fmt: skip
 
     def __init__(self, train_file: TrainFile, config: FilterBankConfig, plan: BankPlan | None = None) -> None:
@@ -114,7 +150,7 @@ class FilterBank:
     def _clear(self) -> None:
         self._tachometer = SpeedNoise.declared(self.config.speed_std, robust=True)
         self._inflation = Inflation()
-        self._ticks: list[Tick] = []
+        self._admitted: list[AdmittedSample] = []
         self._stride = 1
         # Of the newest sample, for drives that are foreseen; not saved.
         self._sampled_s, self._weighed = _SPACING_S, False
@@ -141,20 +177,20 @@ class FilterBank:
             self._interrupt(sample)
             return rejection
         self._tachometer.add(sample.speed, sample.dt)
-        self._ticks.append(self._tick(sample))
-        if len(self._ticks) == 1 and self._converged:  # the speed may be far from where the last drive ended
-            self._judge()
-        if len(self._ticks) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
+        self._admitted.append(self._admit(sample))
+        if len(self._admitted) == 1 and self._converged:  # the speed may be far from where the last drive ended
+            self._check_validity()
+        if len(self._admitted) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
             self._stride = max(1, min(round(_SPACING_S / sample.dt), _MAX_STRIDE))
-        while len(self._ticks) > (_STEPS_AHEAD + 1) * self._stride + 1:
-            del self._ticks[0]
-        if len(self._ticks) > _STEPS_AHEAD * self._stride:
+        while len(self._admitted) > (_STEPS_AHEAD + 1) * self._stride + 1:
+            del self._admitted[0]
+        if len(self._admitted) > _STEPS_AHEAD * self._stride:
             return self._advance()
         return None
 
-    def _tick(self, sample: Sample) -> Tick:
+    def _admit(self, sample: Sample) -> AdmittedSample:
         self._sampled_s, self._weighed = sample.dt, sample.weighed
-        return Tick(
+        return AdmittedSample(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
             speed=sample.speed,
@@ -168,7 +204,7 @@ class FilterBank:
 
     def _interrupt(self, sample: Sample) -> None:
         """End the drive, so that the next admitted sample starts a new one."""
-        self._ticks.clear()
+        self._admitted.clear()
         self._running = False
         # NaN marks a gap: speed is zero without noise at rest, and has jerks under hard braking.
         self._tachometer.add(sample.speed, math.nan)
@@ -177,30 +213,31 @@ class FilterBank:
     def _advance(self) -> Rejection | None:
         """Move the filters over the newest interval with enough later force reports."""
         self._published, stride = None, self._stride
-        tick, next_, last = self._ticks[-1 - 2 * stride], self._ticks[-1 - stride], self._ticks[-1]
+        sample, next_, last = self._admitted[-1 - 2 * stride], self._admitted[-1 - stride], self._admitted[-1]
         if not self._running:
-            self._depart(tick)
+            self._depart(sample)
             return None
-        before = self._ticks[max(-1 - 3 * stride, -len(self._ticks))]
-        traction = (before.traction, tick.traction, next_.traction, last.traction)
+        before = self._admitted[max(-1 - 3 * stride, -len(self._admitted))]
+        traction = (before.traction, sample.traction, next_.traction, last.traction)
         interval = Interval(
-            dt=tick.dt,
+            dt=sample.dt,
             traction=traction,
-            track=tick.track,
-            curve=tick.curve,
-            speed=tick.speed,
-            speed_variance=tick.variance,
-            spacing=stride * tick.dt,
-            force_interval=tick.force_interval,
+            track=sample.track,
+            curve=sample.curve,
+            speed=sample.speed,
+            speed_variance=sample.variance,
+            spacing=stride * sample.dt,
+            force_interval=sample.force_interval,
         )
+        # [3]-[12]
         innovation = self.bank.advance(interval)
         if not is_finite(innovation.variance):
             self.bank.reset()
             # The estimate is lost, so it is not fit to use, and the driven speeds are cleared.
             self._driven, self._inflation = DrivenSpeeds(), Inflation()
             self._running = self._converged = False
-            return Rejection(tick.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
-        return self._account(tick, innovation)
+            return Rejection(sample.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
+        return self._account(sample, innovation)
 
     def idle(self, seconds: float) -> None:
         """Add the variance of possible steps in a time without samples [s]; after a long one nothing is fit to use."""
@@ -208,63 +245,67 @@ class FilterBank:
         self._published = None
         self._converged = self._converged and seconds <= _IDLE_S
 
-    def _depart(self, tick: Tick) -> None:
+    def _depart(self, sample: AdmittedSample) -> None:
         """Restart the speed; after a stop the load may have changed, after a long idle time also a and c."""
-        idle_s = seconds(tick.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
+        idle_s = seconds(sample.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
         if idle_s > _IDLE_S:
             self.idle(idle_s)
+        # [2]
         if self._stopped:
-            self.bank.widen_force_scale(scale_step(self._train, weighed=tick.weighed) ** 2)
+            self.bank.inflate_force_scale_variance(scale_step(self._train, weighed=sample.weighed) ** 2)
             self._stopped = False
-        self.bank.restart(tick.speed, tick.variance)
-        self._running, self._rejected_s, self._advanced_ns = True, 0.0, tick.stamp_ns
+        self.bank.restart(sample.speed, sample.variance)
+        self._running, self._rejected_s, self._advanced_ns = True, 0.0, sample.stamp_ns
         if self._converged:
-            self._judge()
+            self._check_validity()
 
-    def _account(self, tick: Tick, innovation: Innovation) -> Rejection | None:
+    def _account(self, sample: AdmittedSample, innovation: Innovation) -> Rejection | None:
         """Record the innovation as a resistance [N/kN]; return the rejection of an outlier."""
         nu, S = innovation.value, innovation.variance
-        per_speed = self.bank.plan.noise.inertia / tick.dt
+        per_speed = self.bank.plan.noise.inertia / sample.dt
         self._innovation, self._innovation_variance = -per_speed * nu, per_speed * per_speed * S
         self._test_ratio = nu * nu / (_GATE * _GATE * S)
-        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0, tick.dt)
+        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0, sample.dt)
         if self._test_ratio > 1.0:
-            self._rejected_s += tick.dt
-            self._running = self._rejected_s < _RESTART_AFTER_S - 0.5 * tick.dt
-            return Rejection(tick.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
-        since_ns, self._rejected_s, self._advanced_ns = tick.stamp_ns - self._advanced_ns, 0.0, tick.stamp_ns
-        self._driven.add(tick.speed)
-        if self._driven.count % _JUDGED_EVERY == 0 or since_ns > _JUDGED_AFTER_NS:
-            self._judge()
+            self._rejected_s += sample.dt
+            self._running = self._rejected_s < _RESTART_AFTER_S - 0.5 * sample.dt
+            return Rejection(sample.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
+        since_ns, self._rejected_s, self._advanced_ns = sample.stamp_ns - self._advanced_ns, 0.0, sample.stamp_ns
+        self._driven.add(sample.speed)
+        if self._driven.count % _VALIDITY_CHECK_INTERVAL == 0 or since_ns > _VALIDITY_CHECK_AFTER_NS:
+            self._check_validity()
         return None
 
-    def _judge(self) -> None:
+    def _check_validity(self) -> None:
         """Decide whether w is fit to use: at the driven speeds, and at the present one even if a step just happened."""
-        config, speed = self.config, self._ticks[-1].speed
+        config, speed = self.config, self._admitted[-1].speed
         now = self._inflated(self.bank.mixture(), self._inflation.factor)
         # A delay outside the range that can be estimated biases the other states.
         self._converged = (
             not is_delay_at_end(now.mean[_DELAY])
-            and is_fit_where_driven(
-                now.davis, self._driven, config.valid_std, config.valid_share, was_fit=self._converged
+            and is_accurate_over_driven_speeds(
+                now.davis, self._driven, config.valid_std, config.valid_share, was_accurate=self._converged
             )
-            and is_fit_at(speed, self._current().davis, _SUSPECTED * config.valid_std, _SUSPECTED * config.valid_share)
+            and is_accurate_at(
+                speed, self._current().davis, _SUSPECTED * config.valid_std, _SUSPECTED * config.valid_share
+            )
         )
 
     def _current(self) -> Mixture:
         """Return what is published: it covers steps that may just have happened."""
         if self._published is None:
+            # [13]-[15]
             self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight), self._inflation.factor)
         return self._published
 
     def _inflated(self, now: Mixture, factor: float) -> Mixture:
         """Return a mixture whose covariance is inflated for unmodelled errors and wheel diameter errors."""
         a, c, kappa = now.mean[0], now.mean[2], now.mean[3]
-        # A relative wheel diameter error r changes a by r a, c by -r c, and the force scale 1 + kappa by a share r.
+        # [15] A relative wheel diameter error r adds r a to a, -r c to c and a share r to the force scale 1 + kappa.
         wheel = vec[float]([_WHEEL_STD * x for x in (a, 0.0, -c, 1.0 + kappa, 0.0)])
         covariance = vec[float]()
-        for i in range(PUBLISHED):
-            for j in range(i, PUBLISHED):
+        for i in range(N_PUBLISHED):
+            for j in range(i, N_PUBLISHED):
                 covariance = append(covariance, factor * now.covariance[len(covariance)] + wheel[i] * wheel[j])
         return Mixture(now.mean, covariance)
 

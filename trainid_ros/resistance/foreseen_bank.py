@@ -49,10 +49,10 @@ def foreseen_mixtures(
     bank, (speed_variance, scale_variance) = Bank(now.plan), variances
     restore(bank, encode(now))
     for row in deviations.tolist():
-        bank.widen_force_scale(scale_variance)
+        bank.inflate_force_scale_variance(scale_variance)
         bank.restart(run.steps[first - 1].speed, speed_variance)
         for step, deviation in zip(run.steps[first:], row[first:], strict=True):
-            if not bank.foresee(_planned(step, speed_variance), deviation, slowest):
+            if not bank.simulate_step(_planned(step, speed_variance), deviation, slowest):
                 break
         yield bank.mixture(bank.plan.young_weight)
 

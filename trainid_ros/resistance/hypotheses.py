@@ -45,7 +45,7 @@ from trainid_ros.resistance.speed_states import (
 
 Array = NDArray[np.float64]
 
-PUBLISHED: Final[i64] = 5
+N_PUBLISHED: Final[i64] = 5
 """Number of states whose mixture is published: a, b, c, kappa, delta."""
 _INITIAL_AGE_S: Final = 1e9
 # Log weight relative to the best hypothesis below which one is pruned.
@@ -152,6 +152,7 @@ class Bank:
     def reset(self) -> None:
         """Return to the stated and the wide prior, each with all disturbance sizes."""
         plan = self.plan
+        # [1]
         self.hypotheses = [
             self._new(plan.mean, np.diag(variance), math.log(weight), _INITIAL_AGE_S, size)
             for variance, weight in self._priors()
@@ -174,6 +175,7 @@ class Bank:
     def restart(self, speed: float, variance: float) -> None:
         """Restart all hypotheses from one measured speed [m/s] and its variance [(m/s)^2]; keep the parameters."""
         for item in self.hypotheses:
+            # [2]
             item.filter.restart(speed, variance)
 
     def idle(self, seconds: float) -> None:
@@ -181,16 +183,16 @@ class Bank:
         plan = self.plan
         probability = min(1.0, plan.hazard * seconds)
         for state, variance in zip((A, C), plan.step_variances, strict=True):
-            self.widen(state, probability * variance, float(plan.variance[state]))
+            self.inflate_variance(state, probability * variance, float(plan.variance[state]))
 
-    def widen_force_scale(self, variance: float) -> None:
+    def inflate_force_scale_variance(self, variance: float) -> None:
         """Add a variance to the force scale, as for a change of load; limited to the prior variance plus this step."""
-        self.widen(KAPPA, variance, float(self.plan.variance[KAPPA]) + variance)
+        self.inflate_variance(KAPPA, variance, float(self.plan.variance[KAPPA]) + variance)
 
-    def widen(self, state: int, variance: float, limit: float) -> None:
+    def inflate_variance(self, state: int, variance: float, limit: float) -> None:
         """Add to the variance of a state in all hypotheses, up to a limit."""
         for item in self.hypotheses:
-            item.filter.widen(state, variance, limit)
+            item.filter.inflate_variance(state, variance, limit)
 
     def advance(self, interval: Interval) -> Innovation:
         """Predict and correct all hypotheses, update their weights, and branch when due.
@@ -198,14 +200,17 @@ class Bank:
         Where a number is no longer finite the innovation is not either, and nothing is corrected.
         """
         plan = self.plan
+        # [3]-[5]
         over = SpeedTransition(interval, plan.noise, self._drift)
         for item in self.hypotheses:
             item.filter.predict(over)
+        # [6]
         innovation = self._innovation(interval)
         if not is_finite(innovation.variance):
             return innovation
         best, most = self.hypotheses[0], -math.inf
         for item in self.hypotheses:
+            # [7]-[10]
             log_density, weight = item.filter.correct(interval.speed, interval.speed_variance, plan.noise.outliers)
             item.log_weight += log_density
             item.age += interval.dt
@@ -214,11 +219,12 @@ class Bank:
         for item in self.hypotheses:
             item.log_weight -= most
         self.since_s += interval.dt
+        # [11], [12]
         if self.since_s >= plan.branch_interval:
             self._branch(best)
         return innovation
 
-    def foresee(self, interval: Interval, deviation: float, slowest: float) -> bool:
+    def simulate_step(self, interval: Interval, deviation: float, slowest: float) -> bool:
         """Advance as if the speed of an interval was what the likeliest hypothesis predicts, plus a deviation.
 
         Args:
@@ -264,6 +270,7 @@ class Bank:
             young_weight: Factor on the weights of young hypotheses in the covariance.
         """
         plain = self._mature_weights()
+        # [13]
         mean, weights, first = vec[float](), _normalised(plain), self.hypotheses[0].filter.x
         for i in self._states:
             # Relative to one of them, so that identical hypotheses give exactly their common value.
@@ -272,6 +279,7 @@ class Bank:
                 apart += weights[n] * (self.hypotheses[n].filter.x[i] - first[i])
             mean = append(mean, first[i] + apart)
         if young_weight == 1.0:
+            # [14]
             return Mixture(mean, self._covariance(mean, weights))
         return Mixture(mean, self._covariance(mean, self._cautious_weights(plain, young_weight)))
 
@@ -306,11 +314,11 @@ class Bank:
         covariance, entries, apart = vec[float]([0.0] * len(self._entries)), self._entries, vec[float](mean)
         for n in range(len(weights)):
             weight, x, P = weights[n], self.hypotheses[n].filter.x, self.hypotheses[n].filter.P
-            for i in range(PUBLISHED):
+            for i in range(N_PUBLISHED):
                 apart[i] = x[self._states[i]] - mean[i]
             k: i64 = 0
-            for i in range(PUBLISHED):
-                for j in range(i, PUBLISHED):
+            for i in range(N_PUBLISHED):
+                for j in range(i, N_PUBLISHED):
                     covariance[k] += weight * (P[entries[k]] + apart[i] * apart[j])
                     k += 1
         return covariance
@@ -320,11 +328,13 @@ class Bank:
         plan, now = self.plan, self.hypotheses
         self.since_s = 0.0
         self.branchings += 1
+        # [11]
         for state, variance in zip((A, C), plan.step_variances, strict=True):
             now.append(self._child(best, plan.log_step, 0.0, best.size))
-            now[-1].filter.widen(state, variance, math.inf)
+            now[-1].filter.inflate_variance(state, variance, math.inf)
         if others := self._absent_sizes(best):
             now.append(self._child(best, math.log(_OTHER_SIZES), best.age, others[self.branchings % len(others)]))
+        # [12]
         score = [item.log_weight + (_YOUNG_BONUS if item.age < plan.min_age else 0.0) for item in now]
         score[now.index(best)] = math.inf  # kept even if many young ones have the bonus
         order = sorted(range(len(now)), key=score.__getitem__, reverse=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normal distributions of n parameters theta and their update by observations y = phi' theta + noise.
+"""Normal distributions of n parameters theta, their update by y = phi' theta + noise, and the long-run variance.
 
 There are two forms: mean and covariance P; and the information [P^-1 | P^-1 theta], shape (n, n + 1), in which
 independent observations add.
@@ -7,8 +7,6 @@ independent observations add.
 An observation is good with probability 1 - eps; otherwise it is uniformly distributed over a width of
 ``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate cannot
 recover from a wrong estimate; this one scores how well an estimate predicts, outliers included.
-
-Long-run variance of innovations, from squared sums over batches.
 
 The noise of neighbouring observations is correlated (gusts, map errors, overlapping windows). Sums of innovations over
 batches longer than the correlation time include that: if the predicted variances are correct, the expected squared
@@ -119,7 +117,7 @@ def _times(P: vec[float], x: vec[float]) -> vec[float]:
     return product
 
 
-def widened(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
+def inflated(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
     """Return the distribution after independent random steps of the parameters.
 
     Args:
@@ -153,7 +151,7 @@ def soft_update(
     weight, log_likelihood = weigh(nu, variance + R, R, eps)
     if weight < _MIN_WEIGHT:
         return item, weight, log_likelihood
-    # theta += K nu, P -= g g' / (phi' P phi + slow R / weight): the weight divides the noise variance
+    # [11] Eqs. (9)-(11): theta += K nu, P -= g g' / (phi' P phi + slow R / weight); the weight divides the variance
     gain = 1.0 / (variance + slow * R / weight)
     theta, P = item.mean[:], item.covariance[:]
     k: i64 = 0

@@ -14,8 +14,8 @@ With the reported specific traction T, the gradient plus all known extra resista
 
     (1)  m dv/dt = (1 + kappa) T(t + delta) - i - 600/R kappa_R - a - b v - c v^2 - g - e,   m = 1000 (1 + gamma)/g0
 
-Only v depends on other states: row v of the Jacobian F is full, the other rows have only their diagonal. And only v is
-measured: H = e_v'.
+The steps [n] are those at the head of :mod:`filter_bank`. Only v depends on other states: row v of the Jacobian F is
+full, the other rows have only their diagonal. And only v is measured: H = e_v'.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def entry(i: i64, j: i64) -> i64:
 
 
 @dataclass(slots=True)
-class Tick:
+class AdmittedSample:
     """One admitted sample."""
 
     stamp_ns: int  # Time stamp [ns]
@@ -138,8 +138,9 @@ class SpeedTransition:
         self._k3 = (last - before) / 6.0 + 0.5 * (now - next_)
         self._k2 = 0.5 * (before + next_) - now
         self._k1 = next_ - now - self._k2 - self._k3
+        # [3]
         change = now - before
-        jitter = (noise.skew * noise.skew + _unseen_change(interval)) * change * change
+        jitter = (noise.skew * noise.skew + _force_timing_variance(interval)) * change * change
         self.speed_noise = (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
 
     def traction(self, delay: float) -> tuple[float, float]:
@@ -152,7 +153,7 @@ class SpeedTransition:
         return T, (self._k1 + u * (2.0 * self._k2 + u * 3.0 * self._k3)) / self._spacing
 
 
-def _unseen_change(interval: Interval) -> float:
+def _force_timing_variance(interval: Interval) -> float:
     """Return the variance of the time at which the force changed between two slow reports, per spacing [s^2].
 
     A step at any time within a report interval D has the variance D^2 / 12 about its middle. Interpolation spreads it
@@ -198,7 +199,7 @@ class SpeedFilter:
         """Predict to the end of an interval."""
         self._move(over)
         P, f, fP, decay = self.P, self._f, self._row, over.decay
-        # P = F P F' + Q, where F is the decay but for its row f of v.
+        # [5] P = F P F' + Q, where F is the decay but for its row f of v.
         for i in range(STATES):
             fP[i] = 0.0
         k: i64 = 0
@@ -227,7 +228,7 @@ class SpeedFilter:
         x, f, h = self.x, self._f, over.h
         v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]
         T, slope = over.traction(x[DELTA])
-        # (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
+        # [4] (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
         pull = scale * T - over.track - over.curve * x[KAPPA_R] - x[A] - x[GUST] - x[MAP]
         vm = v + 0.5 * h * (pull - v * (b + c * v))
         x[V] = v + h * (pull - vm * (b + c * vm))
@@ -248,11 +249,13 @@ class SpeedFilter:
             Logarithm of the density of the measurement [(m/s)^-1], and its weight [1], 1 = no outlier.
         """
         x, P, column = self.x, self.P, self._row
+        # [7]
         S, nu = P[V] + R, speed - x[V]
+        # [8]
         good = (1.0 - outliers) / (_ROOT_2_PI * math.sqrt(S)) * math.exp(-0.5 * min(nu * nu / S, _MAX_NIS))
         density = good + outliers / _OUTLIER_RANGE
         weight = good / density
-        # K = P e_v / (P_vv + R / w);  x += K nu;  P -= K e_v' P
+        # [9] K = P e_v / (P_vv + R / w);  x += K nu;  P -= K e_v' P
         gain = 1.0 / (P[V] + R / max(weight, _MIN_WEIGHT))
         for j in range(STATES):
             column[j] = P[j]
@@ -276,7 +279,7 @@ class SpeedFilter:
                 P[entry(i, j)] = 0.0
         P[V], P[_GUST_GUST], P[_MAP_MAP] = variance, self.gust_var, self.map_var
 
-    def widen(self, state: i64, variance: float, limit: float) -> None:
+    def inflate_variance(self, state: i64, variance: float, limit: float) -> None:
         """Add to the variance of a state up to a limit; one already above it stays unchanged."""
         k = entry(state, state)
         self.P[k] = max(self.P[k], min(self.P[k] + variance, limit))

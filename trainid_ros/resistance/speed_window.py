@@ -33,7 +33,7 @@ _MIN_SAMPLES: Final = 8
 
 
 @dataclass(slots=True)
-class WindowTick:
+class WindowSample:
     """One sample of a window."""
 
     stamp_ns: int  # Time stamp of the speed [ns]
@@ -67,7 +67,7 @@ class WindowResult:
 class Cut:
     """Samples of a window, and the time from one window to the next [s]."""
 
-    ticks: list[WindowTick]
+    ticks: list[WindowSample]
     hop: float
 
     @property
@@ -83,7 +83,7 @@ class SlidingWindow:
     At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
     """
 
-    STATE: ClassVar[State] = declare(several('ticks', WindowTick), 'fresh_s')
+    STATE: ClassVar[State] = declare(several('ticks', WindowSample), 'fresh_s')
 
     def __init__(self, length: float, hop: float) -> None:
         self._length, self._hop = length, hop
@@ -91,10 +91,10 @@ class SlidingWindow:
 
     def clear(self) -> None:
         """Remove all samples."""
-        self.ticks: list[WindowTick] = []
+        self.ticks: list[WindowSample] = []
         self.fresh_s = 0.0
 
-    def push(self, tick: WindowTick) -> Cut | None:
+    def push(self, tick: WindowSample) -> Cut | None:
         """Add one sample; return a window if the sample completes one that is due."""
         ticks = self.ticks
         ticks.append(tick)
@@ -106,6 +106,7 @@ class SlidingWindow:
             del ticks[0]
         span = self._span(0)
         hop = self._hop * max(1.0, span / self._length) if len(ticks) == _MIN_SAMPLES else self._hop
+        # [2] The segments of Fig. 2, in time instead of speed.
         if span < self._length - half or self.fresh_s < hop - half:
             return None
         self.fresh_s = 0.0
@@ -115,7 +116,7 @@ class SlidingWindow:
         return seconds(self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns)
 
 
-def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float) -> WindowResult | Rejection:
+def observe_resistance(ticks: list[WindowSample], inertia: float, speed_std: float) -> WindowResult | Rejection:
     """Fit one window.
 
     Args:
@@ -143,7 +144,7 @@ def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float
     return _result(ticks, times, rest, weights, speeds, inertia, speed_std)
 
 
-def _unforced(ticks: list[WindowTick], inertia: float) -> tuple[vec[float], vec[float]]:
+def _unforced(ticks: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
     """Return the times since the first tick, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
     times, rest = vec[float](), vec[float]()
@@ -152,6 +153,7 @@ def _unforced(ticks: list[WindowTick], inertia: float) -> tuple[vec[float], vec[
             time += ticks[k].dt
             pushed += ticks[k].known_force * ticks[k].dt
         times = append(times, time)
+        # [3] v - v_u, whose slope replaces eq. (6).
         rest = append(rest, ticks[k].speed - pushed / inertia)
     return times, rest
 
@@ -183,7 +185,7 @@ def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> 
 
 
 def _result(
-    ticks: list[WindowTick],
+    ticks: list[WindowSample],
     times: vec[float],
     rest: vec[float],
     weights: vec[float],
@@ -207,6 +209,7 @@ def _result(
         size += abs(tick.traction)
         slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
+        # [4] Eqs. (3)-(5).
         y=-inertia * dot(weights, rest),
         phi=(phi0, phi1, phi2),
         noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),
@@ -220,7 +223,7 @@ def _result(
     )
 
 
-def _traction_rate(ticks: list[WindowTick], weights: vec[float]) -> float:
+def _traction_rate(ticks: list[WindowSample], weights: vec[float]) -> float:
     """Return sum w_k T(t_k), the slope of the traction; T at a stamp is the mean of the two adjacent intervals.
 
     A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the

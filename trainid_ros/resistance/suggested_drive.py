@@ -37,7 +37,7 @@ _NEARLY: Final = 1.05
 # A force scale known to this needs no drive [1].
 _SCALE_STD: Final = 0.01
 # A smaller force scale is not possible [1].
-_LEAST_SCALE: Final = 0.1
+_MIN_SCALE: Final = 0.1
 # w must be known up to the top speed, checked at these shares of it.
 _SHARES: Final = (0.25, 0.5, 0.75, 1.0)
 _NUMBERS: Final = {1: 'once', 2: 'twice'}
@@ -155,7 +155,7 @@ def suggested_drive(
         return None
     config = estimator.config
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
-    scale = now.force_scale if now.force_scale > _LEAST_SCALE else 1.0  # it may be NaN
+    scale = now.force_scale if now.force_scale > _MIN_SCALE else 1.0  # it may be NaN
     runs = planned_runs(train_file, Davis(now.a, now.b, now.c), scale)
     return best_drive(quantities, now, runs, estimator.foreseen)
 

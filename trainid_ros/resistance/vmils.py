@@ -1,19 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """V-MILS: Davis parameters by interval-varying multi-innovation least squares, robust and with step detection.
 
-theta = [a, b, c, kappa, delta, kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces,
-see :mod:`force_errors`. After Liu et al. 2018 (sections 3 and 4.2), with these corrections:
+After Liu et al. 2018. (n) is an equation of the paper, whose multi-innovation equations have no numbers: "MILS" are
+those of section 3, "V-MILS" those of section 4.2. [n] marks the same step in the code: here and in
+:mod:`window_learner`, :mod:`speed_window`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
+kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
 
-* y includes rotating mass, gradient and traction instead of eq. (5), see :mod:`speed_window`;
-* regularisation is a Gaussian prior (P(0), theta(0)), which equals ridge regression (7) at every step,
-  instead of (12)-(16), whose penalty grows with time;
+    [1]  theta = theta(0), P = P(0): the regularisation                                   (7): lambda I = P(0)^-1
+    for each sample without braking:
+    [2]      add it to a window of 5 s; every hop seconds the window is fitted            Fig. 2: segments
+    [3]      slope of v - v_u by least squares, v_u = speed by the known force alone      (6)
+    [4]      y = -m slope,  m = 1000 (1 + gamma) / g                                      (3), (4), (5)
+    [5]      phi = [1, v, v^2, -Tw, -Dw, (600/R)w], averaged over the window              (2)
+    [6]      R = variance of y; slow R = that of the mean of many y, whose noise is correlated
+    [7]      e = y - phi' theta, S = phi' P phi + R                                       (9), (16)
+    [8]      w = probability that y is good, given e: t_s, weighted instead of chosen     V-MILS: t_s
+    [9]      Phi = [phi(t), ..., phi(t-p+1)], Y = [y(t), ..., y(t-p+1)]                   V-MILS: Phi(p, t_s), Y(p, t_s)
+    [10]     P^-1 = P^-1 + Phi D Phi',  P^-1 theta = P^-1 theta + Phi D Y,                V-MILS: L, P, theta
+             D = diag(w / (p slow R)): the printed L = P Phi (D^-1 + Phi' P Phi)^-1 in information form
+    [11]     hypotheses: "a, b, c stepped k observations ago", each updated by (9)-(11)
+    [12]     one that is 1000 times as likely replaces the long memory of [10]
+    [13]     if most y contradict the long memory: restart from a robust fit of the latest
+    [14]     estimate = mixture of long memory and hypotheses
+    [15]     learn the variance of disturbances, slow, and the inflation of P from e
+    [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c
+    [17] publish: P = inflation P + (model error)^2 theta theta'
+
+The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vmils.py``. Differences from the paper:
+
+* y includes rotating mass, gradient and traction instead of (5), which has g = 10 and coasting on straight track;
+* the regularisation is a Gaussian prior, which equals ridge regression (7) at every step, instead of (12)-(16), whose
+  penalty grows with time;
 * the p innovations of a step have p times their noise variance, so that all uses of an observation together have its
-  weight exactly once and P is a covariance, see :mod:`multi_innovation`;
-* "interval-varying": only good observations enter the p of a step. A soft gate weights them;
+  weight exactly once and P is a covariance;
+* "interval-varying": good observations enter the p of a step. A soft gate weights them instead of choosing;
 * traction is not exact: its scale and delay are estimated too, and so is the curve resistance;
-* the correlation of the noise is learned, see :mod:`long_run_variance`, and so is the speed noise;
-* steps of a, b, c are detected and followed, see :mod:`change_points`;
-* the published covariance is P times the factor of :mod:`long_run_variance`, plus a share of w for wheel errors.
+* the correlation of the noise is learned, see :mod:`normal`, and so is the speed noise;
+* steps of a, b, c are detected and followed, see :mod:`change_points`.
 """
 
 from __future__ import annotations
@@ -36,13 +59,13 @@ from trainid_ros.resistance.davis_posterior import (
     drift_rates,
     drifted,
     force_errors,
-    is_fit_where_driven,
+    is_accurate_over_driven_speeds,
     resistance_estimate,
     scale_step,
 )
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.speed_window import WindowTick
+from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
 from trainid_ros.stream.known_force import KnownForce
 
@@ -74,7 +97,7 @@ class VMils:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
 
     STATE: ClassVar[State] = declare(
-        'learner', '_stamp_ns', '_drifted_ns', '_judged_ns', '_admission', '_standing', '_converged'
+        'learner', '_stamp_ns', '_drifted_ns', '_validity_checked_ns', '_admission', '_standing', '_converged'
     )
 
     def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
@@ -94,7 +117,7 @@ class VMils:
         self._clear()
 
     def _clear(self) -> None:
-        self._stamp_ns = self._drifted_ns = self._judged_ns = self._admission.braked_ns = 0
+        self._stamp_ns = self._drifted_ns = self._validity_checked_ns = self._admission.braked_ns = 0
         self._converged = False
         # The prior already includes the change of load at the first stop.
         self._standing = True
@@ -123,16 +146,16 @@ class VMils:
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
         self._stamp_ns = sample.stamp_ns
-        self._widen_at_stops(sample)
+        self._inflate_at_stops(sample)
         if (rejection := self._admission.reject(sample)) is not None:
             self.learner.interrupt(sample.speed)
-            self._judge(updated=False)
+            self._check_validity(updated=False)
             return rejection
         self._drift()
         self._sampled_s = sample.dt
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
-        tick = WindowTick(
+        tick = WindowSample(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
             speed=sample.speed,
@@ -140,26 +163,28 @@ class VMils:
             traction=traction,
             curve=CURVE_RADIUS * sample.curvature,
         )
+        # [2]-[15]
         rejection = self.learner.push(tick)
-        self._judge(updated=self.learner.driven.count != before)
+        self._check_validity(updated=self.learner.driven.count != before)
         return rejection
 
-    def _widen_at_stops(self, sample: Sample) -> None:
+    def _inflate_at_stops(self, sample: Sample) -> None:
         """Add the variance of a step of kappa at each standstill, where the passenger load changes."""
         if self._standing:
             self._standing = sample.speed < self.config.min_speed
         elif sample.speed < _STANDING:
             self._standing = True
+            # [16]
             step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
             variances = np.zeros(len(self.learner.tracker.prior.theta))
             variances[_KAPPA] = step
-            self.learner.tracker.widen(variances, self._limits())
+            self.learner.tracker.inflate_variance(variances, self._limits())
 
     def idle(self, seconds: float) -> None:
         """Let the drift of a, b, c go on over a time without samples [s]."""
         if self._stamp_ns:
             self._stamp_ns += round(seconds * NS_PER_S)
-            self._judge(updated=True)
+            self._check_validity(updated=True)
 
     def _limits(self) -> Array:
         """Return the upper limits of the variances of theta: the prior ones, plus one step of kappa."""
@@ -173,10 +198,11 @@ class VMils:
         if self._drifted_ns == 0 or elapsed_s < 0.0:
             self._drifted_ns = self._stamp_ns
         elif elapsed_s >= _DRIFT_LUMP_S:
+            # [16]
             limits = self._limits()
             variances = np.zeros(len(limits))
             variances[:3] = np.array(self._rates) * elapsed_s
-            self.learner.tracker.widen(variances, limits)
+            self.learner.tracker.inflate_variance(variances, limits)
             self._drifted_ns = self._stamp_ns
 
     def _published(self) -> DavisPosterior:
@@ -200,23 +226,24 @@ class VMils:
 
     def _inflated(self, now: DavisPosterior, factor: float) -> DavisPosterior:
         a, b, c, *P = now
+        # [17]
         e2 = self.config.model_error**2
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
         return (a, b, c, *(factor * x + e2 * square for x, square in zip(P, squares, strict=True)))
 
-    def _judge(self, *, updated: bool) -> None:
+    def _check_validity(self, *, updated: bool) -> None:
         """Decide whether w is fit to use: after a new observation, and at intervals without one."""
         learner = self.learner
-        waited_s = seconds(self._stamp_ns - self._judged_ns)
+        waited_s = seconds(self._stamp_ns - self._validity_checked_ns)
         if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
-        self._judged_ns = self._stamp_ns
-        self._converged = is_fit_where_driven(
+        self._validity_checked_ns = self._stamp_ns
+        self._converged = is_accurate_over_driven_speeds(
             self._published(),
             learner.driven,
             self.config.valid_std,
             self.config.valid_share,
-            was_fit=self._converged,
+            was_accurate=self._converged,
         )
 
     @property
@@ -246,12 +273,12 @@ class VMils:
             published = self._inflated(self._davis(P), factor)
             yield self._estimate(published, factor * P.diagonal(), run.steps[-1].speed)
 
-    def _planned(self, run: Run) -> list[WindowTick]:
+    def _planned(self, run: Run) -> list[WindowSample]:
         """Return the part of a run from which is learned."""
         scale = 1.0 + float(self.learner.tracker.estimate.theta[_KAPPA])
         first = run.first_learned(self._known.settling, self.config.min_speed)
         return [
-            WindowTick(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
+            WindowSample(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
             for k, step in enumerate(run.steps)
             if k >= first and step.speed >= self.config.min_speed
         ]
@@ -280,6 +307,7 @@ def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: V
     variances = prior_variances(davis, config)
     share = config.step_share**2
     a, b, c = (share * variance for variance in variances)
+    # [1] The regularisation of eq. (7) as a Gaussian prior.
     prior = independent((*davis, 0.0, 0.0, 0.0), (*variances, *errors.variances))
     return Tracker(prior, change_point_config(config, (a, b, c, 0.0, 0.0, 0.0)))
 

@@ -29,7 +29,7 @@ from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
     WindowResult,
-    WindowTick,
+    WindowSample,
     observe_resistance,
     overlap_factor,
 )
@@ -117,9 +117,10 @@ class WindowLearner:
         self._windows.clear()
         self._tachometer.add(speed, math.nan)
 
-    def push(self, tick: WindowTick) -> Rejection | None:
+    def push(self, tick: WindowSample) -> Rejection | None:
         """Add a tick; every ``hop`` seconds make an observation. Return the rejection, if any."""
         self._tachometer.add(tick.speed, tick.dt)
+        # [2]
         cut = self._windows.push(tick)
         if cut is None:
             return None
@@ -128,7 +129,7 @@ class WindowLearner:
             return observed
         return self._learn(observed, cut)
 
-    def foreseen_information(self, ticks: Sequence[WindowTick], sampled_s: float) -> Array:
+    def foreseen_information(self, ticks: Sequence[WindowSample], sampled_s: float) -> Array:
         """Return the information that planned motion would give on theta, shape (n, n).
 
         Args:
@@ -152,14 +153,18 @@ class WindowLearner:
 
     def _learn(self, observed: WindowResult, cut: Cut) -> Rejection | None:
         tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.ticks[-1].stamp_ns
+        # [6]
         noise, slow = self._noise_of(observed, cut)
         expected, variance = tracker.estimate.predict(phi)
+        # [7] Eqs. (9), (16).
         nu, S = observed.y - expected, variance + noise
         if not is_finite(nu * nu / S):
             return Rejection(stamp_ns, Reason.NUMERICAL, nu, math.nan)
+        # [8]-[14]
         weight = tracker.update(phi, observed.y, noise, slow)
         self.innovation, self.innovation_variance = nu, S
         self.test_ratio = nu * nu / (self._gate**2 * S)
+        # [15]
         if tracker.change_probability < _UNCERTAIN:
             self._learn_disturbance(nu, S)
         self._slow.add(weight * nu, variance, slow * noise, (_MIN_SLOW, _MAX_SLOW))
@@ -191,5 +196,6 @@ class WindowLearner:
 
 def _regressor(observed: WindowResult) -> vec[float]:
     """Return phi = [1, v, s, -Tw, -Dw, (600/R)w] of theta = [a, b, c, kappa, delta, kappa_curve], 6 numbers."""
+    # [5] Eq. (2).
     _, v, s = observed.phi
     return vec[float]([1.0, v, s, -observed.traction, -observed.traction_rate, observed.curve])

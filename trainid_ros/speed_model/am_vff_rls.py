@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the speed model, their physical meaning and their prior.
+"""AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
 
-Yuan et al. 2017, eq. (2): x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0, by forward Euler of (1):
+After Yuan et al. 2017. (n) is an equation of the paper; [n] marks the same step in the code. State: z = [x_a, theta]
+with the auxiliary output x_a [m/s] and theta = [a1, a2, b1, d0], their covariance P, and the running mean m of the
+errors. A sample has the measured speed y of variance R, the specific force u, and s sample periods since the last one.
 
-    a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
+    [1]  theta = theta(0), P = P(0) from the train file; x_a = y
+    for each sample of a train that moves without braking:
+    [2]      phi = s [x_a^2, x_a, u, 1]                                                   (4), with x_a for y
+    [3]      f = 1 + s (2 a1 x_a + a2 - 1)                                                derivative of (2) by x_a
+    [4]      P = F P F' + Q,  F = [[f, phi'], [0, I]]: the true gradient of x_a by theta
+    [5]      x_a = x_a + phi' (theta - [0, 1, 0, 0])                                      (2), (7)
+    [6]      eps = y - x_a                                                                (7)
+    [7]      S = P_xx + R; if |eps| > max(gate sqrt(S), floor): next sample
+    [8]      m = m + share (eps / sqrt(S) - m), with the error limited to three standard deviations
+    [9]      chi2 = m^2 (2 - share) / share
+    [10]     lambda = 1 if chi2 <= threshold, else max(1 - (chi2 - threshold) / sigma, low)   (6)
+    [11]     if lambda < 1, for r = [a1, a2, d0] given b1:
+                 P_r^-1 = lambda P_r^-1 + (1 - lambda) P_r(0)^-1                          (7): P / lambda
+    [12]     K = P e / (P_xx + R),  e = [1, 0, 0, 0, 0]                                   (7)
+    [13]     z = z + K eps                                                                (7)
+    [14]     P = P - K e' P                                                               (7)
+    [15] at each stop: P_b1b1 = P_b1b1 + variance of a change of load
+    [16] after standstill, braking or outliers in a row: x_a = y, uncorrelated with theta
 
-with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
-gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
-only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
-kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
+The same in plain numpy is ``test/speed_model/reference_am_vff_rls.py``. The differences from (7) as printed:
 
-Interface of an algorithm for the speed model, as used by the estimator.
-
-AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
-
-Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, with these corrections:
-
+* (7) uses eps with theta(n), which is not known yet; [6] uses theta(n-1).
 * The gain uses the true gradient of the auxiliary output, and the measurement corrects that output together with
   theta. As printed, (7) uses phi(n) as the gradient of x_a(n) with respect to theta. This neglects that x_a(n-1)
   depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4; propagating
@@ -27,14 +38,22 @@ Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, wit
   running mean stays small; after a change they have the same sign.
 * Only the resistance is forgotten, not the mass, and forgetting ends at the prior in every direction.
 * P has the units of the parameters and is a consistent covariance: the speed noise, the strength of gusts and map
-  errors and the delay of the reported force are estimated (``nuisance_parameters``), and slow changes of the weather
+  errors and the delay of the reported force are estimated (:mod:`nuisance_parameters`), and slow changes of the weather
   are modelled as a drift of d0.
 * Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient,
   and the error of mass and force affects traction only.
-* A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts, and b1
-  gains variance at each stop for a change of load.
+* A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts.
 
 With lambda = 1 and a drift of d0 this is the extended Kalman filter.
+
+Theta follows from forward Euler of (1), x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0 (2):
+
+    a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
+
+with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
+gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
+only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
+kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
 """
 
 from __future__ import annotations
@@ -57,7 +76,7 @@ Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, fl
 """Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
 
 # Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
-_LEAST_MASS_STD: Final = 1e-4
+_MIN_MASS_STD: Final = 1e-4
 
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
@@ -89,7 +108,7 @@ def prior(
     a, b, c = prior_variances(davis, config)
     scale = (SAMPLE_PERIOD * k) ** 2
     return to_speed_model(davis, k), (
-        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _LEAST_MASS_STD) ** 2, 0.0, scale * a
+        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _MIN_MASS_STD) ** 2, 0.0, scale * a
     )  # fmt: skip
 
 
@@ -151,19 +170,19 @@ class Method(Protocol):
     def covariance(self, variance: float) -> Symmetric:
         """Return the covariance of theta; ``variance`` is that of measured speed [(m/s)^2]."""
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with y [m/s] of a variance [(m/s)^2] after the force u [N/kN] over ``scale`` sample periods [1]."""
 
     def coast(self, u: float, scale: float) -> None:
         """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
 
-    def anchor(self, y: float, variance: float) -> None:
+    def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x from a measured speed y [m/s] with a variance [(m/s)^2]; theta is unchanged."""
 
     def shift(self, change: float) -> None:
         """Add to x the change of speed by gradient and other known resistance over a step [m/s]."""
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
 
 
@@ -176,7 +195,7 @@ _D0: Final = 4
 _SIZE: Final = 5
 _RESISTANCE: Final = (_A1, _A2, _D0)
 # Limit of one error in the running mean, in standard deviations.
-_MOST: Final = 3.0
+_MAX_ERROR: Final = 3.0
 _TINY: Final = 1e-300
 
 
@@ -215,11 +234,12 @@ class AuxiliaryModel:
         # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
         self._gradient = vec[float]([0.0] * _SIZE)
         # P and a vector while it is multiplied by the inverse.
-        self._left, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
+        self._remainder, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
         self.mean_error = 0.0
 
     def start(self, variance: float) -> None:
         """Go to the prior; ``variance`` is that of x [(m/s)^2]."""
+        # [1]
         self._set((0.0, *self._theta0), (variance, 0.0, 0.0, 0.0, 0.0), self._P0)
         self.mean_error = 0.0
 
@@ -271,7 +291,7 @@ class AuxiliaryModel:
     def squared_norm(self, x: float, a1: float, a2: float, b1: float, d0: float) -> float:
         """Return c' P^-1 c for the covariances c of x, a1, a2, b1, d0 with another quantity: what they say of it."""
         n: i64 = _SIZE
-        left, rest, total = self._left, self._rest, 0.0
+        left, rest, total = self._remainder, self._rest, 0.0
         rest[_X], rest[_A1], rest[_A2], rest[_B1], rest[_D0] = x, a1, a2, b1, d0
         for k in range(n * n):
             left[k] = self.P[k]
@@ -286,7 +306,7 @@ class AuxiliaryModel:
                     left[n * i + j] -= share * left[n * k + j]
         return total
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update by one step of (7) in its computable order.
 
         Args:
@@ -296,23 +316,27 @@ class AuxiliaryModel:
             variance: Variance of y [(m/s)^2].
         """
         tuning = self.tuning
-        # Eq. (7): x_a = phi' theta(n-1), with its covariance.
+        # [2]-[5] Eq. (7): x_a = phi' theta(n-1), with its covariance.
         self.coast(u, scale)
         predicted = self.z[_X]
+        # [6] Eq. (7), with theta(n-1).
         eps = y - predicted
+        # [7]
         s = self.P[0] + variance
         std = math.sqrt(s)
         limit = max(tuning.gate * std, tuning.gate_floor)
         if not -limit <= eps <= limit:
             return Learned(predicted, eps, limit, 1.0, s)
+        # [8]
         mean, lam = running_mean(self.mean_error, eps / std, tuning.share), 1.0
-        # The variance of ``mean`` is share / (2 - share) if the errors are white.
+        # [9] The variance of ``mean`` is share / (2 - share) if the errors are white.
         chi2 = mean * mean * (2.0 - tuning.share) / tuning.share
         if chi2 > tuning.threshold:
+            # [10], [11]
             lam = forgetting_factor(chi2, tuning)
             self.forget(lam)
         self.mean_error = mean
-        # Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
+        # [12]-[14] Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
         self.correct(eps, variance)
         return Learned(predicted, eps, limit, lam, s)
 
@@ -321,12 +345,12 @@ class AuxiliaryModel:
         n: i64 = _SIZE
         z, P, g = self.z, self.P, self._gradient
         x = z[_X]
-        # phi, and before it f.
+        # [2] phi, eq. (4), and [3] before it f.
         g[_A2], g[_B1], g[_D0] = scale * x, scale * u, scale
         g[_A1] = g[_A2] * x
         g[_X] = 1.0 + scale * (2.0 * z[_A1] * x + z[_A2] - 1.0)
         P[24] += self.tuning.drift * scale
-        # var(x): f^2 var(x) + 2 f phi'p + phi'S phi, with p = cov(x, theta) and S = cov(theta)
+        # [4] var(x): f^2 var(x) + 2 f phi'p + phi'S phi, with p = cov(x, theta) and S = cov(theta)
         before = g[_X] * P[0]
         for j in range(1, n):
             before += P[j] * g[j]
@@ -340,7 +364,7 @@ class AuxiliaryModel:
             after += q * g[j]
         self._mirror()
         P[0] = g[_X] * before + after + self.tuning.noise * scale
-        # Eq. (2) for a step of ``scale`` sample periods.
+        # [5] Eq. (2) for a step of ``scale`` sample periods.
         z[_X] = x + z[_A1] * g[_A1] + (z[_A2] - 1.0) * g[_A2] + z[_B1] * g[_B1] + z[_D0] * scale
 
     def correct(self, error: float, variance: float) -> None:
@@ -349,7 +373,7 @@ class AuxiliaryModel:
         z, P = self.z, self.P
         r = 1.0 / (P[0] + variance)
         for i in range(n):
-            # K = P e / (e'P e + variance), e = (1, 0, 0, 0, 0)
+            # [12]-[14] K = P e / (e'P e + variance), z += K eps, P -= K e'P, e = (1, 0, 0, 0, 0)
             K = P[i] * r
             z[i] += K * error
             for j in range(i, n):
@@ -360,9 +384,10 @@ class AuxiliaryModel:
             P[i] *= variance * r
         self._mirror()
 
-    def anchor(self, y: float, variance: float) -> None:
+    def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x from a measured speed y [m/s] with a variance [(m/s)^2], uncorrelated with theta."""
         n: i64 = _SIZE
+        # [16]
         self.z[_X] = y
         self.P[0] = variance
         for i in range(1, n):
@@ -373,7 +398,7 @@ class AuxiliaryModel:
         """Add a change of speed [m/s] to x."""
         self.z[_X] += change
 
-    def widen_speed(self, variance: float) -> None:
+    def inflate_speed_variance(self, variance: float) -> None:
         """Add to the variance of x [(m/s)^2], for forces that are not reported."""
         self.P[0] += variance
 
@@ -388,8 +413,9 @@ class AuxiliaryModel:
         P[4] += covariance[3]
         self._mirror()
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Add a share of the load variance to the variance of b1."""
+        # [15]
         self.P[18] += share * self.tuning.load
 
     def idle(self, scale: float) -> None:
@@ -409,6 +435,7 @@ class AuxiliaryModel:
             factor: lambda in (0, 1].
         """
         n: i64 = _SIZE
+        # [11]
         b1 = [self.P[n * i + _B1] for i in range(n)]
         r, wider, weight = 1.0 / b1[_B1], 1.0 / factor, 1.0 - factor
         given = [[self.P[n * i + j] - b1[i] * b1[j] * r for j in range(n)] for i in range(n)]
@@ -436,7 +463,7 @@ def prior_variances_given_b1(P0: Symmetric) -> tuple[float, float, float]:
 
 def running_mean(mean: float, z: float, share: float) -> float:
     """Return the running mean of errors in standard deviations [1] after one more error z of weight ``share``."""
-    bounded = z if -_MOST < z < _MOST else math.copysign(_MOST, z)
+    bounded = z if -_MAX_ERROR < z < _MAX_ERROR else math.copysign(_MAX_ERROR, z)
     return mean + share * (bounded - mean)
 
 
@@ -444,5 +471,5 @@ def forgetting_factor(chi2: float, tuning: Tuning) -> float:
     """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has mean 1 while the model is correct."""
     if chi2 <= tuning.threshold:
         return 1.0
-    # Eq. (6) with chi2 - threshold instead of the squared error.
+    # [10] Eq. (6) with chi2 - threshold instead of the squared error.
     return max(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low)

@@ -16,9 +16,9 @@ _KEPT: Final = 6
 # Numbers of each: time since the one before, speed, resistance of the track, curvature.
 _FIELDS: Final = 4
 # Smallest standard deviation of the delay [s]: lags and the sampling grid are not a pure delay.
-_LEAST_DELAY_STD: Final = 0.003
+_MIN_DELAY_STD: Final = 0.003
 # One update leaves at least this share of the variance, so that rounding cannot make it negative.
-_LEAST_SHARE: Final = 1e-3
+_MIN_SHARE: Final = 1e-3
 # Longest window of the disturbances, and shortest one that is used [s].
 _LONGEST: Final = 30.0
 _SHORTEST: Final = 8.0
@@ -26,15 +26,15 @@ _SHORTEST: Final = 8.0
 _PRIOR_WINDOWS: Final = 3.0
 _MEMORY: Final = 60.0
 # Limit of a squared window error over its expectation: a step of the resistance is not a gust.
-_MOST_SQUARE: Final = 5.0
+_MAX_SQUARE: Final = 5.0
 # Weight of one window in the running mean, and its limit in standard deviations.
 _SHARE: Final = 0.4
-_MOST_ERROR: Final = 4.0
+_MAX_ERROR: Final = 4.0
 # Map errors extend beyond one window: their power at long periods over that within a window.
 _LONG_TERM: Final = 1.4
 # Limits of the strength, as a standard deviation [m/s per sqrt(s)].
-_LEAST_STD: Final = 0.001
-_MOST_STD: Final = 0.05
+_MIN_STD: Final = 0.001
+_MAX_STD: Final = 0.05
 
 
 class RecentSamples:
@@ -129,7 +129,7 @@ class ForceDelay:
         self.sensitivity += change
         return max(self.sensitivity * self.sensitivity - before * before, 0.0) * self.variance
 
-    def learn(self, error: float, variance: float, noise: float) -> None:
+    def update(self, error: float, variance: float, noise: float) -> None:
         """Update with an innovation of speed.
 
         Args:
@@ -140,7 +140,7 @@ class ForceDelay:
         gain = self.variance * self.sensitivity / variance
         remaining = self.variance - gain * self.sensitivity * self.variance
         self.delay += gain * error
-        self.variance = max(remaining, min(self.variance, _LEAST_DELAY_STD * _LEAST_DELAY_STD))
+        self.variance = max(remaining, min(self.variance, _MIN_DELAY_STD * _MIN_DELAY_STD))
         self.sensitivity = self.sensitivity * noise / variance
 
 
@@ -181,7 +181,7 @@ class CurveError:
         slope = 1.0 + scale * (2.0 * a1 * x + a2 - 1.0)
         self.x = slope * self.x + scale * (x * x * self.a1 + x * self.a2 + u * self.b1 + self.d0)
 
-    def learn(self, model: AuxiliaryModel, error: float, variance: float, noise: float) -> None:
+    def update(self, model: AuxiliaryModel, error: float, variance: float, noise: float) -> None:
         """Update after the measurement update of the model.
 
         Args:
@@ -195,7 +195,7 @@ class CurveError:
         share = gain * variance / noise
         P = model.P
         self.error += gain * error
-        self.variance = max(self.variance - gain * self.x, _LEAST_SHARE * self.variance)
+        self.variance = max(self.variance - gain * self.x, _MIN_SHARE * self.variance)
         self.x -= share * P[0]
         self.a1 -= share * P[1]
         self.a2 -= share * P[2]
@@ -275,14 +275,14 @@ class Disturbance:
             return
         own = self.density * elapsed
         expected = own + theta_variance * elapsed * elapsed
-        ratio = min(deviation * deviation / expected, _MOST_SQUARE)
+        ratio = min(deviation * deviation / expected, _MAX_SQUARE)
         # Share of the error variance not due to theta; a window dominated by theta's uncertainty has little weight.
         share = own / expected
         weight = share * share * elapsed / _LONGEST
         self.windows = min(self.windows + weight, _MEMORY)
         density = self.density * (1.0 + (weight / self.windows) * (ratio - 1.0) / share)
-        self.density = min(max(density, _LEAST_STD * _LEAST_STD), _MOST_STD * _MOST_STD)
-        z = min(max(deviation / math.sqrt(expected), -_MOST_ERROR), _MOST_ERROR)
+        self.density = min(max(density, _MIN_STD * _MIN_STD), _MAX_STD * _MAX_STD)
+        z = min(max(deviation / math.sqrt(expected), -_MAX_ERROR), _MAX_ERROR)
         self.mean_error += _SHARE * (z - self.mean_error)
 
     @property

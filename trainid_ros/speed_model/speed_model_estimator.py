@@ -12,7 +12,7 @@ from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, encode, restore
-from trainid_ros.resistance.davis_posterior import CURVE_RADIUS, curve_std, is_fit, representative_speeds
+from trainid_ros.resistance.davis_posterior import CURVE_RADIUS, curve_std, is_accurate, representative_speeds
 from trainid_ros.speed_model.am_vff_rls import (
     AuxiliaryModel,
     Learned,
@@ -41,11 +41,11 @@ _STANDING: Final = 3
 # Largest plausible loss of speed from one sample to the next [m/s].
 _SUDDEN: Final = 1.0
 # A detected change keeps at least the square of this share of the information.
-_LEAST_FACTOR: Final = 0.1
+_MIN_FACTOR: Final = 0.1
 # No stop for passengers is shorter [s].
 _SHORTEST_STOP: Final = 15.0
 # Limit of the change of traction from sample to sample [N/kN]; beyond it is an outlier.
-_MOST_CHANGE: Final = 500.0
+_MAX_CHANGE: Final = 500.0
 
 
 class ModelStep:
@@ -139,7 +139,7 @@ class SpeedModelEstimator:
         if self._auxiliary is not None:
             self._auxiliary.idle(seconds / SAMPLE_PERIOD)
         if seconds > _SHORTEST_STOP:
-            self.method.widen_load(self._load_share())
+            self.method.inflate_load_variance(self._load_share())
         self._update_validity(self.state, self._covariance())
 
     def step(self, sample: Sample) -> Rejection | None:
@@ -153,7 +153,7 @@ class SpeedModelEstimator:
         state, y = self.state, self._recent.speed(self._delay())
         noise, sensitivity, curve_x = state.noise.variance, state.force_delay.sensitivity, state.curve.x
         self._predict(step)
-        learned = self.method.learn(y, step.u, step.scale, noise)
+        learned = self.method.update(y, step.u, step.scale, noise)
         usable = self.method.is_usable()
         if usable and not learned.rejected:
             self._learn(sample, step, learned)
@@ -167,7 +167,7 @@ class SpeedModelEstimator:
             return Rejection(sample.stamp_ns, Reason.OUTLIER, learned.error, learned.limit)
         b1 = self.method.theta()[2]
         self.method.start(noise)
-        self.method.anchor(y, 1.0)
+        self.method.reinit_speed(y, 1.0)
         return Rejection(sample.stamp_ns, Reason.NUMERICAL, b1, 0.0)
 
     def _delay(self) -> float:
@@ -206,7 +206,7 @@ class SpeedModelEstimator:
         model.shift(change)
         acceleration = step.theta[2] / SAMPLE_PERIOD * _bounded(step.traction - state.traction)
         by_delay = state.force_delay.predict(acceleration)
-        model.widen_speed(state.disturbance.long_term_density * step.dt + by_delay)
+        model.inflate_speed_variance(state.disturbance.long_term_density * step.dt + by_delay)
         if self._curve_std > 0.0:
             curved = -self._k * self._recent.curve(delay) * step.dt
             state.curve.predict(model, curved, step.u, step.scale)
@@ -229,7 +229,7 @@ class SpeedModelEstimator:
         correction = model.speed() - learned.predicted
         self._learn_delay(model, learned)
         if self._curve_std > 0.0:
-            state.curve.learn(model, learned.error, learned.variance, noise)
+            state.curve.update(model, learned.error, learned.variance, noise)
             if learned.forgetting < 1.0:
                 state.curve.bound(model)
         density = state.disturbance.density
@@ -246,7 +246,7 @@ class SpeedModelEstimator:
         """
         disturbance, threshold = self.state.disturbance, self._change_threshold
         if disturbance.chi2 > threshold:
-            factor = max(threshold / disturbance.chi2, _LEAST_FACTOR)
+            factor = max(threshold / disturbance.chi2, _MIN_FACTOR)
             model.forget(factor * factor)
             self.state.curve.bound(model)
             disturbance.mean_error, disturbance.density = 0.0, density
@@ -255,7 +255,7 @@ class SpeedModelEstimator:
         """Update the delay of the force; x is moved to the time to which the new delay refers."""
         recent, late = self._recent, self.state.force_delay
         before = late.delay
-        late.learn(learned.error, learned.variance, self.state.noise.variance)
+        late.update(learned.error, learned.variance, self.state.noise.variance)
         moved = recent.speed(late.delay) - recent.speed(before) + late.sensitivity * (late.delay - before)
         model.shift(moved)
 
@@ -265,7 +265,7 @@ class SpeedModelEstimator:
             return
         (v1, v2, v3), k = representative_speeds(*state.speeds_driven()), self._k
         variances = resistance_variance(S, v1, k), resistance_variance(S, v2, k), resistance_variance(S, v3, k)
-        state.fit = is_fit(variances, self._valid_std, was_fit=state.fit)
+        state.fit = is_accurate(variances, self._valid_std, was_accurate=state.fit)
 
     def _covariance(self) -> Symmetric:
         if self._auxiliary is not None:
@@ -281,11 +281,11 @@ class SpeedModelEstimator:
             self._predict(step)
             method.coast(step.u, step.scale)
             if not self.method.is_usable():
-                method.anchor(y, noise)
+                method.reinit_speed(y, noise)
         else:
-            method.anchor(self._recent.speed(self._delay()), noise)
+            method.reinit_speed(self._recent.speed(self._delay()), noise)
         if state.slow_in_a_row == _STANDING:
-            method.widen_load(self._load_share())
+            method.inflate_load_variance(self._load_share())
         self._end_window()
         state.predicted, state.error, state.variance = y, 0.0, 0.0
         if is_finite(step.traction):
@@ -310,7 +310,7 @@ class SpeedModelEstimator:
         state.rejected_in_a_row += 1
         accepted = state.rejected_in_a_row >= self._readmit_after
         if accepted or not usable:
-            self.method.anchor(y, state.noise.variance)
+            self.method.reinit_speed(y, state.noise.variance)
         if accepted:
             self._end_window()
             state.rejected_in_a_row = 0
@@ -352,4 +352,4 @@ class SpeedModelEstimator:
 
 
 def _bounded(change: float) -> float:
-    return min(max(change, -_MOST_CHANGE), _MOST_CHANGE)
+    return min(max(change, -_MAX_CHANGE), _MAX_CHANGE)

@@ -174,9 +174,9 @@ def test_the_published_band_is_wider_than_that_of_the_fitness_test(learned: str,
 
 def test_a_larger_inflation_ratio_widens_the_published_band(learned: str, restored: Any) -> None:
     data = json.loads(learned)
-    data['state']['inflation']['ratio'] = 1.0
+    data['state']['_inflation']['ratio'] = 1.0
     plain = restored(json.dumps(data)).estimate(12.0).resistance_std
-    data['state']['inflation']['ratio'] = 4.0
+    data['state']['_inflation']['ratio'] = 4.0
     wide = restored(json.dumps(data)).estimate(12.0).resistance_std
     # Less than twice, since the wheel diameter error is not inflated.
     assert 1.9 * plain < wide <= 2.0 * plain

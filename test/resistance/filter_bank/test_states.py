@@ -94,7 +94,7 @@ def test_the_filters_run_two_samples_late(sample: Make) -> None:
 def test_the_mean_curvature_is_stored_relative_to_that_at_600_metres(sample: Make) -> None:
     bank = FilterBank(FILE, SMALL)
     bank.step(sample(1, curve_radius=600.0, curvature_mean=1.0 / 300.0))
-    assert bank._ticks[-1].curve == pytest.approx(2.0, rel=1e-12)
+    assert bank._admitted[-1].curve == pytest.approx(2.0, rel=1e-12)
 
 
 def test_a_wheel_diameter_error_adds_to_the_std_of_the_force_scale(sample: Make) -> None:
@@ -133,22 +133,22 @@ def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list
     assert not bank.converged
 
 
-@pytest.mark.parametrize('was_fit', [False, True])
+@pytest.mark.parametrize('was_accurate', [False, True])
 def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_change(
-    learned: str, minutes: list[Sample], was_fit: bool, restored: Any, after: Any
+    learned: str, minutes: list[Sample], was_accurate: bool, restored: Any, after: Any
 ) -> None:
     found = restored(learned, replace(SMALL, young_weight=1.0))
     S, at = np.array(found.estimate(12.0).covariance).reshape(3, 3), found._driven
     M = np.array([[1.0, at.m1, at.m2], [at.m1, at.m2, at.m3], [at.m2, at.m3, at.m4]])
     rms = math.sqrt(float(np.sum(S * M)))
     data = json.loads(learned)
-    data['state']['converged'] = was_fit
+    data['state']['_converged'] = was_accurate
     bank = restored(json.dumps(data), replace(SMALL, valid_std=rms / 1.2, valid_share=0.0, young_weight=1.0))
     item = minutes[-1]
     for _ in range(10):
         item = after([item])
         bank.step(item)
-    assert bank.converged is was_fit
+    assert bank.converged is was_accurate
 
 
 @pytest.mark.parametrize(

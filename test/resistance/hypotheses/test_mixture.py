@@ -148,7 +148,7 @@ def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step(held: Any, 
     with rows.changed(bank) as state:
         state.P[:, KAPPA, KAPPA] = [1e-6, 1e-4, 9e-4, 9.5e-4, 0.01, 0.0]
     others = rows.of(bank).P.copy()
-    bank.widen_force_scale(1e-4)
+    bank.inflate_force_scale_variance(1e-4)
     # The prior has 9e-4.
     assert rows.of(bank).P[:, KAPPA, KAPPA] == pytest.approx([1.01e-4, 2e-4, 1e-3, 1e-3, 0.01, 1e-4], rel=1e-12)
     others[:, KAPPA, KAPPA] = rows.of(bank).P[:, KAPPA, KAPPA]

@@ -261,7 +261,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey, saw_tooth: An
     ]
 
 
-@pytest.mark.parametrize('key', ['tracker', 'tachometer', 'ticks', 'slow', 'inflation'])
+@pytest.mark.parametrize('key', ['tracker', '_tachometer', '_windows', '_slow', 'inflation'])
 def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str, saw_tooth: Any) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):

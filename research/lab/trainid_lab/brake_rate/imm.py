@@ -108,7 +108,7 @@ class ImmPosterior:
         prior = gaussian.prior(rate, std, error_stds)
         self._take(0.0, (prior, prior))
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
         first, second = (gaussian.anchored(m, P, start) for m, P in self.models)
         self._take(self.jumping, (first, second))
@@ -133,7 +133,7 @@ class ImmPosterior:
         quiet = gaussian.update(m0, P0, speed, r, learns=False)
         self._take(self.jumping, (quiet, gaussian.update(m1, P1, speed, r, learns=False)))
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]; then mix for the next step."""
         quiet, pause = self._q[0], elapsed - interval.dt
         likelihoods, updated = [], []

@@ -81,7 +81,7 @@ class KalmanPosterior:
         """Reset to the prior."""
         self.m, self.P = gaussian.prior(rate, std, error_stds)
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
         self.m, self.P = gaussian.anchored(self.m, self.P, start)
 
@@ -101,7 +101,7 @@ class KalmanPosterior:
         """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
         self.m, self.P = gaussian.update(self.m, self.P, speed, r, learns=False)
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]; f drifted over ``elapsed`` [s]."""
         P = gaussian.drift(self.P, interval.gain_v, interval.gain_a, self._q * elapsed)
         m, P = gaussian.update(self.m, P, speed, r, learns=True)

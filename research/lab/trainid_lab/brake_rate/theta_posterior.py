@@ -115,7 +115,7 @@ class ThetaPosterior:
         """Return the initial values of f [1], shape (N,)."""
         raise NotImplementedError
 
-    def anchor(self, start: Start) -> None:
+    def reinit_motion(self, start: Start) -> None:
         """Restart v, a and b."""
         f, decay_e = self.cloud.f, np.array(list(start.decay_e))[:, None]
         x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), decay_e * self.cloud.x[3:]])
@@ -145,7 +145,7 @@ class ThetaPosterior:
         self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
         self.P = fix.P
 
-    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+    def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]; f drifted over ``elapsed`` [s]."""
         fix = speed_correction(self.P, r)
         cloud = self.learned(self._step, fix, np.array([speed]), interval.dt, elapsed)

@@ -27,7 +27,7 @@ from trainid_ros.interface.state import declare, encode, restore
 from trainid_ros.resistance.davis_posterior import (
     drift_rates,
     drifted,
-    is_fit,
+    is_accurate,
     predict,
     representative_speeds,
     resistance_estimate,
@@ -219,7 +219,9 @@ class SpeedEkf:
         """Decide whether w is fit to use."""
         posterior, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
         v1, v2, v3 = (predict(posterior, v, v * v)[1] for v in representative_speeds(*speeds))
-        self._converged = self._accepted > 0 and is_fit((v1, v2, v3), self.config.valid_std, was_fit=self._converged)
+        self._converged = self._accepted > 0 and is_accurate(
+            (v1, v2, v3), self.config.valid_std, was_accurate=self._converged
+        )
 
     @property
     def innovation(self) -> tuple[float, float]:

@@ -26,8 +26,8 @@ from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State, declare, encode, restore, stored
-from trainid_ros.resistance.davis_posterior import is_fit, largest_std, representative_speeds
-from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
+from trainid_ros.resistance.davis_posterior import is_accurate, largest_std, representative_speeds
+from trainid_ros.resistance.speed_window import WindowResult, WindowSample, observe_resistance
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class WindowedState:
     regression: RegressionState
     scale: float
     residuals: Residuals = field(default_factory=Residuals)
-    ticks: tuple[WindowTick, ...] = stored((), kind=WindowTick)
+    ticks: tuple[WindowSample, ...] = stored((), kind=WindowSample)
     braked_ns: int = 0
     innovation: float = 0.0
     innovation_variance: float = 0.0
@@ -128,12 +128,12 @@ class WindowedRegression:
             self.state = replace(self._skipped(), ticks=(), braked_ns=self._admission.braked_ns)
             return rejection
         traction = self._known.traction(sample.force_mean, sample)
-        tick = WindowTick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
+        tick = WindowSample(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
         ticks, piece = cut(self.state.ticks, tick, self._cutter)
         self.state = replace(self.state, ticks=ticks, braked_ns=self._admission.braked_ns)
         return self._observe(piece) if piece else None
 
-    def _observe(self, piece: tuple[WindowTick, ...]) -> Rejection | None:
+    def _observe(self, piece: tuple[WindowSample, ...]) -> Rejection | None:
         # An infinite noise level disables outlier removal: the paper uses all speeds.
         observed = observe_resistance(list(piece), self._known.inertia, math.inf)
         if isinstance(observed, Rejection):
@@ -199,7 +199,7 @@ class WindowedRegression:
             scale * prediction_variance(UD, _regressor(v))
             for v in representative_speeds(state.speed_min, state.speed_max)
         )
-        converged = enough and is_fit((v1, v2, v3), self.config.valid_std, was_fit=state.converged)
+        converged = enough and is_accurate((v1, v2, v3), self.config.valid_std, was_accurate=state.converged)
         self.state = replace(state, converged=converged)
 
     def _scale(self, residuals: Residuals) -> float:

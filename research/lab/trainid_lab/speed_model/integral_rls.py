@@ -152,7 +152,7 @@ class IntegralRls(MethodNumbers):
         """Return the covariance of theta."""
         return self._numbers[5:15]  # type: ignore[return-value]
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
         self._numbers, learned = learn(self._numbers, y, u, scale, variance, self._tuning)
         return learned
@@ -167,7 +167,7 @@ class IntegralRls(MethodNumbers):
         window = _shifted(numbers, phi, self._tuning.window)
         self._numbers = (x, *numbers[1:15], numbers[15] + 1.0, x, *spread, *window)
 
-    def anchor(self, y: float, variance: float) -> None:
+    def reinit_speed(self, y: float, variance: float) -> None:
         """Restart x and the window from a measured speed y [m/s] with a variance [(m/s)^2]."""
         self._numbers = (y, *self._numbers[1:15], 0.0, y, variance, 0.0)
 
@@ -179,7 +179,7 @@ class IntegralRls(MethodNumbers):
             moved[i] += change
         self._numbers = tuple(moved)
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Add a share of the load variance to the variance of b1."""
         numbers = self._numbers
         self._numbers = (*numbers[:12], numbers[12] + share * self._tuning.load, *numbers[13:])

@@ -185,7 +185,7 @@ class Rls(MethodNumbers):
         """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""
         return tuple(variance * p for p in self._numbers[5:])  # type: ignore[return-value]
 
-    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+    def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
         tuning = self._tuning._replace(sigma=self._config.forgetting_scale * variance)
         self._numbers, learned = learn(self._numbers, y, u, scale, math.sqrt(variance), tuning)
@@ -196,7 +196,7 @@ class Rls(MethodNumbers):
         x = self._numbers[0]
         self._set_speed(output(self.theta(), regressor(x, u, scale)) + (1.0 - scale) * x)
 
-    def anchor(self, y: float, variance: float) -> None:  # noqa: ARG002 - x has no variance here
+    def reinit_speed(self, y: float, variance: float) -> None:  # noqa: ARG002 - x has no variance here
         """Restart x from a measured speed y [m/s]."""
         self._set_speed(y)
 
@@ -207,7 +207,7 @@ class Rls(MethodNumbers):
     def _set_speed(self, x: float) -> None:
         self._numbers = (x, *self._numbers[1:])
 
-    def widen_load(self, share: float) -> None:
+    def inflate_load_variance(self, share: float) -> None:
         """Change nothing: the paper has no stops."""
 
 

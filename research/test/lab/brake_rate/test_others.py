@@ -103,7 +103,7 @@ def ambiguous(jumping: float, config: ImmConfig) -> ImmPosterior:
     """Return two models of one train, the quiet one overconfident that its speed is 10 m/s."""
     posterior, errors = ImmPosterior(config), (0.0,) * 8
     posterior.reset(1.0, 0.2, errors)
-    posterior.anchor(Start(10.0, -0.5, (1e-4, 0.0, 0.0)))
+    posterior.reinit_motion(Start(10.0, -0.5, (1e-4, 0.0, 0.0)))
     (m, P), (_, wide) = posterior.models
     state = json.loads(posterior.save())
     wide = wide.copy()
@@ -128,7 +128,7 @@ def test_a_certain_jump_keeps_a_valid_quiet_model(
     interval = Transition(0.2, 0.15, 0.6, -0.02, -0.2, 0.99, -0.01, 1e-6, 0.0, steadiness=steadiness)
     for _ in range(3):
         posterior.predict(interval)
-        assert posterior.learn(interval, elapsed, speed, 1e-4)
+        assert posterior.update(interval, elapsed, speed, 1e-4)
         assert 0.99 < posterior.jumping < 1.0
         assert all(is_covariance(P) for _, P in posterior.models)
     posterior.restore(posterior.save())

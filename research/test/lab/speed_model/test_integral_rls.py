@@ -36,11 +36,11 @@ def model(x: float, u: float) -> float:
 def test_without_noise_the_true_model_is_kept_and_its_variance_shrinks() -> None:
     method = IntegralRls(THETA, P0, TUNING)
     x = 8.0
-    method.anchor(x, 1e-4)
+    method.reinit_speed(x, 1e-4)
     for n in range(200):
         u = 30.0 if n % 50 < 25 else -5.0
         x = model(x, u)
-        learned = method.learn(x, u, 1.0, 1e-4)
+        learned = method.update(x, u, 1.0, 1e-4)
         assert learned.error == pytest.approx(0.0, abs=1e-9)
     assert method.theta() == pytest.approx(THETA, rel=1e-9)
     assert method.covariance(1.0)[7] < 0.2 * P0[7]
@@ -59,13 +59,13 @@ def test_a_regression_uses_the_change_over_the_window() -> None:
 
 def test_a_stop_restarts_the_window_and_widens_b1() -> None:
     method = IntegralRls(THETA, P0, TUNING)
-    method.anchor(8.0, 1e-4)
+    method.reinit_speed(8.0, 1e-4)
     for _ in range(4):
         method.coast(5.0, 1.0)
     numbers = method._numbers
     assert len(numbers) == 19 + 4 * 5
-    method.anchor(0.0, 1e-4)
-    method.widen_load(1.0)
+    method.reinit_speed(0.0, 1e-4)
+    method.inflate_load_variance(1.0)
     stopped = method._numbers
     assert len(stopped) == 19
     assert stopped[12] - numbers[12] == pytest.approx(1e-8)
@@ -95,11 +95,11 @@ def test_the_predicted_variance_matches_the_error(noise: float) -> None:
     for _ in range(50):
         a1, a2, b1, d0 = np.array(THETA) + L @ rng.standard_normal(4)
         method, x = IntegralRls(THETA, few, tuning), 8.0  # type: ignore[arg-type]
-        method.anchor(x + 0.02 * rng.standard_normal(), variance)
+        method.reinit_speed(x + 0.02 * rng.standard_normal(), variance)
         for n in range(150):
             u = 30.0 if n % 60 < 30 else -5.0
             x = a1 * x * x + a2 * x + b1 * u + d0 + math.sqrt(noise) * rng.standard_normal()
-            learned = method.learn(x + 0.02 * rng.standard_normal(), u, 1.0, variance)
+            learned = method.update(x + 0.02 * rng.standard_normal(), u, 1.0, variance)
             (early if n < 20 else late).append(learned.error**2 / learned.variance)
     # From 1000 and 6500 correlated squares; clipping is rare.
     assert np.mean(early) == pytest.approx(1.0, abs=0.2)
@@ -121,14 +121,14 @@ def test_the_estimate_becomes_valid_and_its_variance_matches_the_errors(
 
 def test_an_outlier_is_clipped_and_a_lasting_change_is_followed() -> None:
     method = IntegralRls(THETA, tuple(1e-6 * p for p in P0), TUNING._replace(noise=3e-6))  # type: ignore[arg-type]
-    method.anchor(8.0, 4e-4)
+    method.reinit_speed(8.0, 4e-4)
     for _ in range(50):
-        method.learn(method.speed(), 0.0, 1.0, 4e-4)
+        method.update(method.speed(), 0.0, 1.0, 4e-4)
     numbers = method._numbers
-    std = math.sqrt(method.learn(method.speed(), 0.0, 1.0, 4e-4).variance)
+    std = math.sqrt(method.update(method.speed(), 0.0, 1.0, 4e-4).variance)
     method._numbers = numbers
-    learned = method.learn(method.speed() + 5.0, 0.0, 1.0, 4e-4)
+    learned = method.update(method.speed() + 5.0, 0.0, 1.0, 4e-4)
     assert method.speed() - learned.predicted == pytest.approx(0.3 * 4.0 * std)
     for _ in range(200):
-        method.learn(13.0, 0.0, 1.0, 4e-4)
+        method.update(13.0, 0.0, 1.0, 4e-4)
     assert method.speed() == pytest.approx(13.0, abs=0.1)
