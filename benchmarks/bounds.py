@@ -17,7 +17,7 @@ from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Rejection
-from trainid_ros.resistance.speed_window import (
+from trainid_ros.resistance.window_learner import (
     Cut,
     SlidingWindow,
     WindowResult,

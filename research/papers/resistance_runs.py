@@ -22,9 +22,8 @@ from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import ForceErrors
-from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
-from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:

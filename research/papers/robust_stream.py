@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, robust_fit
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.robust_fit import robust_fit
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.normal import Normal

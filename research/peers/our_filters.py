@@ -17,9 +17,8 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.davis_posterior import ForceErrors
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.speed_window import WindowSample
 from trainid_ros.resistance.vmils import tracker_of, window_plan
-from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.interface.results import Status
+from trainid_ros.setup.findings import brake_findings
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.train.effects import parse_effects

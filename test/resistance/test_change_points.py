@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from test.resistance.reference_vmils import VMils
 from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, robust_fit
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.robust_fit import robust_fit
 
 STD = 0.5
 PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))

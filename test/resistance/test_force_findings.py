@@ -6,7 +6,7 @@ import math
 import pytest
 
 from trainid_ros.interface.results import ResistanceEstimate
-from trainid_ros.resistance.force_findings import force_findings
+from trainid_ros.setup.findings import force_findings
 
 
 def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: float = 0.02) -> ResistanceEstimate:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from test.resistance.reference_vmils import observation
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.resistance.speed_window import (
+from trainid_ros.resistance.window_learner import (
     Cut,
     SlidingWindow,
     WindowResult,

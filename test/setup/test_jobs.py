@@ -15,8 +15,15 @@ from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.setup import jobs
-from trainid_ros.setup.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups
-from trainid_ros.setup.params_file import find_mismatch, read_overrides
+from trainid_ros.setup.jobs import (
+    JOBS,
+    Setup,
+    chosen_algorithms,
+    find_mismatch,
+    mapping_in,
+    node_setups,
+    read_overrides,
+)
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import parse_train_file
 

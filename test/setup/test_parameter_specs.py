@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.errors import InputError, setting_info
+from trainid_ros.setup.jobs import find_mismatch, params_files, read_overrides
 from trainid_ros.setup.parameter_specs import (
     TAKEN,
     ParameterSpec,
@@ -21,7 +22,6 @@ from trainid_ros.setup.parameter_specs import (
     estimator_parameters,
     validate_overrides,
 )
-from trainid_ros.setup.params_file import find_mismatch, params_files, read_overrides
 from trainid_ros.setup.params_template import parameter_file
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings
 from trainid_ros.stream.alignment import AlignmentConfig

@@ -12,7 +12,6 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
-from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineGroup
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of
 from trainid_ros.interface.results import (
@@ -23,6 +22,7 @@ from trainid_ros.interface.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
 )
+from trainid_ros.setup.findings import brake_findings
 from trainid_ros.setup.pipelines import (
     BrakeRatePipeline,
     ResistancePipeline,

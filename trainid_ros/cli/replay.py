@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.opening import load_setups
+from trainid_ros.cli.opening import BagResult, load_setups, run_per_bag
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
-from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
@@ -25,8 +24,8 @@ from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
-from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.setup.findings import force_findings
 from trainid_ros.setup.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file

@@ -47,7 +47,7 @@ from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
-from trainid_ros.resistance.force_findings import force_findings
+from trainid_ros.setup.findings import force_findings
 from trainid_ros.setup.jobs import node_setups
 from trainid_ros.train.train_file import load_train_file
 

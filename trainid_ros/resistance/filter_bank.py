@@ -58,10 +58,9 @@ from trainid_ros.resistance.davis_posterior import (
     resistance_estimate,
     scale_step,
 )
-from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covariance, usual_deviations
 from trainid_ros.resistance.hypotheses import N_PUBLISHED, Array, Bank, BankPlan, Mixture
 from trainid_ros.resistance.normal import Inflation
-from trainid_ros.resistance.planned_drive import STEP_S
+from trainid_ros.resistance.planned_drive import STEP_S, foreseen_mixtures, mean_covariance, usual_deviations
 from trainid_ros.resistance.speed_states import (
     DELTA,
     KAPPA,

@@ -65,8 +65,7 @@ from trainid_ros.resistance.davis_posterior import (
 )
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.planned_drive import STEP_S
-from trainid_ros.resistance.speed_window import WindowSample
-from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
+from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan, WindowSample
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
@@ -25,6 +24,7 @@ from trainid_ros.ros.topics import (
     sort_publishers,
     time_message,
 )
+from trainid_ros.setup.findings import brake_findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

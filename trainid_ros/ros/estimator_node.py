@@ -23,7 +23,6 @@ from trainid_ros.estimators.observability import observe
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, Status
-from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
 from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec, ShownValue
@@ -33,6 +32,7 @@ from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
+from trainid_ros.setup.findings import force_findings
 from trainid_ros.setup.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB
 from trainid_ros.setup.parameter_specs import (
     ALGORITHM,

@@ -28,6 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from trainid_ros.interface.errors import InputError, TrainIdError
+from trainid_ros.setup.jobs import find_mismatch, params_files
 from trainid_ros.setup.parameter_specs import (
     LIVE,
     TAKEN,
@@ -42,7 +43,6 @@ from trainid_ros.setup.parameter_specs import (
     taken_values,
     validate_overrides,
 )
-from trainid_ros.setup.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -27,7 +27,7 @@ from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import is_accurate, largest_std, representative_speeds
-from trainid_ros.resistance.speed_window import WindowResult, WindowSample, observe_resistance
+from trainid_ros.resistance.window_learner import WindowResult, WindowSample, observe_resistance
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:

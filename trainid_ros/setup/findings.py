@@ -1,14 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report a wrong force scale or a delayed force as text for the maintainers of the train file."""
+"""Report what is wrong with the brake of the train file as text for its maintainers.
+
+Report a wrong force scale or a delayed force as text for the maintainers of the train file.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.resistance.davis_posterior import is_delay_at_end
 
 if TYPE_CHECKING:
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import ResistanceEstimate
+
+
+def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
+    """Return a sentence for the dead time or else the rate over speed, if it is wrong; none for other estimates."""
+    if not isinstance(pipeline.estimator, BrakeRateEstimator):
+        return ()
+    warning = pipeline.stream.brake_delay.warning
+    return (warning,) if warning else ()
+
 
 # An error is reported if it differs from zero by this many standard deviations ...
 _SIGNIFICANT: Final = 4.0
