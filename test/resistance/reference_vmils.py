@@ -46,8 +46,8 @@ class VMils:
         w = good / (good + self.eps / (OUTLIER_WIDTH * math.sqrt(R)))  # [8]
         self.latest = [*self.latest, (phi, y, w / (self.p * slow * R))][-self.p :]
         # [9] Phi(p, t_s), Y(p, t_s): bad observations are left out.
-        Phi = np.array([row for row, _, d in self.latest if d > 0.0]).reshape(-1, len(phi)).T
-        Y, D = np.array([(value, d) for _, value, d in self.latest if d > 0.0]).reshape(-1, 2).T
+        Phi = np.array([row for row, _, d in self.latest if d > 1e-12]).reshape(-1, len(phi)).T
+        Y, D = np.array([(value, d) for _, value, d in self.latest if d > 1e-12]).reshape(-1, 2).T
         L = self.P @ Phi @ np.linalg.inv(np.diag(1.0 / D) + Phi.T @ self.P @ Phi)  # [10] with 1/D for I_p
         self.theta = self.theta + L @ (Y - Phi.T @ self.theta)
         self.P = self.P - L @ Phi.T @ self.P
