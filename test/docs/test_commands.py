@@ -172,7 +172,7 @@ def check(text: str) -> None:
         assert all((ROOT / word).exists() for word in words if word.startswith('config/')), text
     elif words[:3] == ['ros2', 'service', 'call']:
         service = words[3].rpartition('/')[2]
-        assert f"('{service}', " in (ROOT / 'trainid_ros/ros/services.py').read_text(encoding='utf-8')
+        assert f"'{service}': self." in (ROOT / 'trainid_ros/ros/estimator_node.py').read_text(encoding='utf-8')
     elif words[0] == '.venv/bin/python' and words[1].startswith('examples/'):
         source = (ROOT / words[1]).read_text(encoding='utf-8')
         assert all(f"'{word}'" in source for word in words[2:] if word.startswith('--')), text

@@ -159,10 +159,8 @@ def test_a_checkpoint_with_a_value_out_of_range_is_named_with_its_file(
     file.write(replace(held, state=json.dumps(state)))
     second = graph.active(train_file, checkpoint_file=str(path))
     assert second.pipeline.samples == 0
-    expected = (
-        f'{path}: checkpoint is invalid: saved EstimatorPipeline.used = 0.5 is not a int; starting from the prior'
-    )
-    assert expected in capfd.readouterr().err
+    problem = 'saved EstimatorPipeline.used = 0.5 must be of type int'
+    assert f'{path}: checkpoint is invalid: {problem}; starting from the prior' in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('name', ['train.yaml', 'notes.json'])
