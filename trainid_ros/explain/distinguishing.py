@@ -31,23 +31,27 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Amplitude over its standard deviation from which two effects are distinguished.
 _CLEAR: Final = 4.0
+"""Amplitude over its standard deviation from which two effects are distinguished [-]."""
 _TIMES: Final = 3
-# Speeds that are held in addition to the usual manoeuvres [m/s], and for how long [s].
 _SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)
+"""Speeds that are held in addition to the usual manoeuvres [m/s]."""
 _SLOW_S: Final = 60.0
-# Prior standard deviations: of a, b, c as found times this, since the other effect would change them too; of the other
-# effect this many of its typical amplitude.
+"""How long they are held [s]."""
 _DAVIS_WIDER: Final = 3.0
+"""Prior std of a, b, c over their std in the fit [-]: the other effect would change them too."""
 _TWIN_SIZE: Final = 10.0
+"""Prior std of the other effect in multiples of its typical amplitude [-]."""
 _MIN_STD: Final = 1e-6
-# Every so many steps of a plan one speed counts; samples per step; correlation length of map errors [m].
+"""Lower bound of a prior std, which keeps its inverse finite [unit of the value]."""
 _EVERY: Final = 5
+"""One speed counts in so many steps of a plan [-]."""
 _SAMPLES: Final = 2.0
+"""Speed samples per step of a plan [-]."""
 _MAP_M: Final = 250.0
-# A long way into the day, when the bearings are warm [m].
+"""Correlation length of map errors [m]."""
 _WARM_M: Final = 1e6
+"""A long way into the day, when the bearings are warm [m]."""
 _NUMBERS: Final = {1: 'once', 2: 'twice'}
 
 
