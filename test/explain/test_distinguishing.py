@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.explain.distinguishing import Known, distinguishing_drive
+from trainid_ros.explain.distinguishing import FitSummary, distinguishing_drive
 from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 DAVIS = Davis(1.5, 0.02, 0.004)
 NOISE = Noise(speed=0.02, gust=0.1, gust_time=5.0, jitter=0.02)
-KNOWN = Known(
+KNOWN = FitSummary(
     TrainFile(Train(200e3), DAVIS), DAVIS, (0.05, 0.01, 0.0003), Hyperparameters(NOISE, Spread(0.02, 0.02, 0.1), 0.0)
 )
 START = {'value': 2.0, 'speed': 3.0}

@@ -1,21 +1,177 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Onset times, and the check that an effect at one place shows in all runs."""
+"""Onset times, and the check that an effect at one place shows in all runs.
+
+Scores of named effects and of generic dependences.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from trainid_ros.explain.dataset import Run
-from trainid_ros.explain.effects import EffectTerm
+from trainid_ros.explain.dataset import Dataset, Run
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, sign
 from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.noise import Noise, Spread
-from trainid_ros.explain.search import is_confirmed_by_other_runs, with_onset
+from trainid_ros.explain.search import (
+    SECTIONS,
+    EffectScorer,
+    _shapes,
+    generic_groups,
+    is_confirmed_by_other_runs,
+    named_families,
+    stretch_sums,
+    with_onset,
+)
+from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 from trainid_ros.train.train_file import TrainFile
+
+
+def test_families_are_columns_of_effects_that_act_in_the_data(dataset: Dataset, train_file: TrainFile) -> None:
+    evaluator = EffectEvaluator(dataset, train_file)
+    families = {family.name: family for family in named_families(evaluator)}
+    assert {'traction_scale', 'resistance_step', 'bearing_warmup'} <= families.keys()
+    # There is no curve and no tunnel, sections are scanned separately, and slip is no resistance.
+    assert not {'curve_resistance', 'tunnel_drag', 'wheel_slip', *SECTIONS} & families.keys()
+    for family in families.values():
+        assert family.resistance.shape == (dataset.dt.size, len(family.shapes))
+        assert np.isfinite(family.resistance).all()
+        assert family.std > 0.0
+    stronger = evaluator.resistance('traction_scale', {'ratio': 1.3})
+    np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
+
+
+def test_non_linear_effect_is_tried_at_several_amplitudes(dataset: Dataset, train_file: TrainFile) -> None:
+    evaluator = EffectEvaluator(dataset, train_file)
+    families = {family.name: family for family in named_families(evaluator)}
+    assert families['traction_scale'].resistance.shape[1] == 1
+    # Shifts of the map in opposite directions lead to different gradients.
+    shifts = families['map_shift'].resistance
+    assert shifts.shape[1] == len(families['map_shift'].shapes) > 1
+    usual = EFFECTS['map_shift'].typical_size
+    np.testing.assert_allclose(-usual * shifts[:, 1], evaluator.resistance('map_shift', {'distance': -usual}))
+
+
+def test_onset_times_leave_enough_driving_before_and_after(dataset: Dataset, train_file: TrainFile) -> None:
+    families = {family.name: family for family in named_families(EffectEvaluator(dataset, train_file))}
+    times = np.array([shape['time'] for shape in families['resistance_step'].shapes])
+    driven = np.cumsum(dataset.dt)
+    assert driven[np.searchsorted(dataset.time, times.min())] > 60.0
+    assert driven[-1] - driven[np.searchsorted(dataset.time, times.max())] > 59.0
+
+
+def user_kind(**parameters: Parameter) -> EffectKind:
+    parameters = {'size': Parameter('N/kN'), **parameters}
+    return EffectKind('ballast', 'new ballast', 'w = size', parameters, 'size', 1.0, lambda *_: 1.0)
+
+
+def test_grids_cover_the_positions_and_times_driven(dataset: Dataset) -> None:
+    place, time = Parameter('m'), Parameter('s')
+    position = dataset.joined('position')
+    starts = np.array([shape['start'] for shape in _shapes(user_kind(start=place), dataset)])
+    assert starts.size == 40
+    assert position.min() < starts.min() < starts.max() < position.max()
+    np.testing.assert_allclose(np.diff(starts), np.ptp(position) / 41.0)
+    times = [shape['since'] for shape in _shapes(user_kind(since=time), dataset)]
+    assert dataset.time[0] < min(times) < max(times) < dataset.time[-1]
+    pairs = _shapes(user_kind(start=place, end=place), dataset)
+    assert 50 < len(pairs) < 200
+    assert all(shape['start'] < shape['end'] for shape in pairs)
+    assert all(s['start'] <= 500.0 for s in _shapes(user_kind(start=Parameter('m', high=500.0)), dataset))
+    lost = replace(dataset, runs=tuple(replace(run, positioned=False) for run in dataset.runs))
+    assert _shapes(user_kind(start=place), lost) == []
+
+
+@pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])
+def test_sign_of_amplitudes(name: str, side: int) -> None:
+    assert sign(EFFECTS[name]) == side
+
+
+def test_groups_are_finite_with_unique_names(dataset: Dataset) -> None:
+    groups = generic_groups(dataset, 100.0)
+    assert len({group.name for group in groups}) == len({group.text for group in groups}) == len(groups)
+    for group in groups:
+        assert group.resistance.shape[0] == dataset.dt.size
+        assert np.isfinite(group.resistance).all()
+    columns = {group.name: group.resistance for group in groups}
+    for name in ('run', 'place', 'time', 'speed'):
+        np.testing.assert_allclose(columns[name].sum(axis=1), 1.0)
+
+
+Found = tuple[Hyperparameters, NDArray[np.float64]]
+
+
+def test_block_sums_equal_products_of_explicit_columns() -> None:
+    rng = np.random.default_rng(4)
+    X, y = rng.standard_normal((30, 7)), rng.standard_normal(30)
+    first, end = np.triu_indices(8, 1)
+    A, b = stretch_sums(X.T @ X, X.T @ y, first, end)
+    stretches = np.stack([X[:, i:j].sum(axis=1) for i, j in zip(first, end, strict=True)], axis=1)
+    np.testing.assert_allclose(A, np.square(stretches).sum(axis=0))
+    np.testing.assert_allclose(b, stretches.T @ y)
+
+
+def test_true_effect_has_the_greatest_evidence(dragged_model: Model, dragged_sizes: Found) -> None:
+    model, (hyper, _) = dragged_model, dragged_sizes
+    named, groups = EffectScorer(model).scores(model, hyper)
+    assert named[0].name == 'local_drag'
+    assert named[0].evidence > 20.0
+    assert named[0].parameters['permille'] == pytest.approx(2.5, abs=1.0)
+    assert named[0].parameters['start'] == pytest.approx(100.0, abs=120.0)
+    assert groups[0].name == 'place'
+    for scores in (named, groups):
+        evidence = [score.evidence for score in scores]
+        assert evidence == sorted(evidence, reverse=True)
+
+
+BALLAST = """
+from trainid_ros.train.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='new_ballast',
+    title='track on new ballast',
+    equation='w = value beyond start',
+    parameters={'start': Parameter('m'), 'value': Parameter('N/kN')},
+    amplitude='value',
+    typical_size=1.0,
+    resistance=lambda p, davis, at: p['value'] if at.position >= p['start'] else 0.0,
+)
+"""
+
+
+def test_user_effect_is_found_at_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: Any, train_file: TrainFile
+) -> None:
+    (tmp_path / 'ballast.py').write_text(BALLAST, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    runs = maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
+    # Positions far above any time of the drive, so that the two cannot be confused.
+    runs = [replace(run, position=run.position + 5000.0) for run in runs]
+    model = Model.of(runs, train_file)
+    hyper, _ = model.evidence().maximise()
+    named, _ = EffectScorer(model).scores(model, hyper)
+    assert named[0].name == 'new_ballast'
+    assert named[0].parameters['start'] == pytest.approx(5480.0, abs=60.0)
+    assert named[0].parameters['value'] == pytest.approx(2.0, abs=0.7)
+
+
+def test_fixed_effects_leave_more_information(dragged_model: Model, dragged_sizes: Found) -> None:
+    """An effect with free parameters absorbs what a similar column would explain."""
+    model, (hyper, _) = dragged_model, dragged_sizes
+    fitted = model.with_terms((EffectTerm('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(hyper)
+    unit = fitted.evaluator.resistance('local_drag', {**fitted.terms[0].parameters, 'permille': 1.0})
+    column = fitted.dataset.column(unit[:, None])
+    (free,) = fitted.informations(hyper, [column])
+    (fixed,) = fitted.informations(hyper, [column], terms=False)
+    assert float(free.A[0, 0]) < 0.2 * float(fixed.A[0, 0])
+
 
 SET_IN = 1000
 """Stages before the resistance rises."""

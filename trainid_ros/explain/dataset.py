@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs: the samples of a bag from one standstill to the next, as arrays.
+"""Data of the workflow: the runs of a bag, and the gap between measured and simulated speed on their grid points.
 
 A run begins when the train moves and ends when it stands. A gap in the data, an emergency brake application or the
-maximum length ends it too; every run has its own initial speed.
-
-Grid points of all runs: measured less predicted speed, averaged over about one second.
+maximum length ends it too; every run has its own initial speed. Measured less simulated speed is averaged over about
+one second around each grid point.
 
 Speeds are compared, not accelerations: with the mean forces of each stage the simulated speed is
 ``v_j = v_0 + sum dt (u - w(v) - ...) / inertia`` (after Xia et al. 2023, (2) and (7)), so every resistance r adds

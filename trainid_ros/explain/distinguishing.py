@@ -31,28 +31,32 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Amplitude over its standard deviation from which two effects are distinguished.
 _CLEAR: Final = 4.0
+"""Amplitude over its standard deviation from which two effects are distinguished [-]."""
 _TIMES: Final = 3
-# Speeds that are held in addition to the usual manoeuvres [m/s], and for how long [s].
 _SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)
+"""Speeds that are held in addition to the usual manoeuvres [m/s]."""
 _SLOW_S: Final = 60.0
-# Prior standard deviations: of a, b, c as found times this, since the other effect would change them too; of the other
-# effect this many of its typical amplitude.
+"""How long they are held [s]."""
 _DAVIS_WIDER: Final = 3.0
+"""Prior std of a, b, c over their std in the fit [-]: the other effect would change them too."""
 _TWIN_SIZE: Final = 10.0
-_LEAST: Final = 1e-6
-# Every so many steps of a plan one speed counts; samples per step; correlation length of map errors [m].
+"""Prior std of the other effect in multiples of its typical amplitude [-]."""
+_MIN_STD: Final = 1e-6
+"""Lower bound of a prior std, which keeps its inverse finite [unit of the value]."""
 _EVERY: Final = 5
+"""One speed counts in so many steps of a plan [-]."""
 _SAMPLES: Final = 2.0
+"""Speed samples per step of a plan [-]."""
 _MAP_M: Final = 250.0
-# A long way into the day, when the bearings are warm [m].
+"""Correlation length of map errors [m]."""
 _WARM_M: Final = 1e6
+"""A long way into the day, when the bearings are warm [m]."""
 _NUMBERS: Final = {1: 'once', 2: 'twice'}
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class FitSummary:
     """What a fit has found: the train file, a, b, c with their standard deviations, noise and nuisances."""
 
     train_file: TrainFile
@@ -61,7 +65,7 @@ class Known:
     hyper: Hyperparameters
 
 
-def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, known: Known) -> str:
+def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, known: FitSummary) -> str:
     """Return the shortest drive that tells an effect from its twin, with the std it promises; '' if none does.
 
     Args:
@@ -132,7 +136,7 @@ def _point(steps: Sequence[Step], k: int) -> TrackPoint:
     )
 
 
-def _information(run: Run, effect: Array, twin: Array, known: Known) -> Array:
+def _information(run: Run, effect: Array, twin: Array, known: FitSummary) -> Array:
     """Return the information of a run on [A, twin, a, b, c, kappa], the initial speed not known, shape (6, 6)."""
     v, traction = (np.array([getattr(step, name) for step in run.steps]) for name in ('speed', 'traction'))
     pulls = np.stack((effect, twin, np.ones_like(v), v, v * v, -traction), axis=1)
@@ -156,10 +160,10 @@ def _integrated(t: Array, std: float, tau: float) -> Array:
     return np.asarray((std * tau) ** 2 * shape)
 
 
-def _std(information: Array, known: Known) -> float:
+def _std(information: Array, known: FitSummary) -> float:
     """Return the standard deviation of A after runs with this information, all else as unknown as a priori."""
-    davis_std = (_DAVIS_WIDER * max(std, _LEAST) for std in known.davis_std)
-    stds = np.array([_TWIN_SIZE, *davis_std, max(known.hyper.spread.payload, _LEAST)])
+    davis_std = (_DAVIS_WIDER * max(std, _MIN_STD) for std in known.davis_std)
+    stds = np.array([_TWIN_SIZE, *davis_std, max(known.hyper.spread.payload, _MIN_STD)])
     prior = np.concatenate(([0.0], stds**-2.0))
     total = information + np.diag(prior)
     left = total[0, 0] - total[0, 1:] @ np.linalg.solve(total[1:, 1:], total[1:, 0])

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the measurements themselves: wheel ratio, slip, and the point of the train that gradients are given for.
+"""The model to compare with the data, and the errors of the measurements that are corrected before the comparison.
 
-The wheel ratio is the integral of measured speed over the known distance between stops: evidence for a wrong wheel
-diameter that is independent of the dynamics.
+The model is that of the train file with some effects added, linearised about their parameters. Three errors of the
+measurements come before it:
 
-Slip and slide are bursts in which the wheel is faster than the train under traction and slower while braking. They are
-not modelled as a resistance. They differ from single outliers in their duration and in having the sign of the force.
-
-The interface specifies gradients that are means under the train. Bags with the value at one point of the train look as
-if the map were shifted, which disturbs the search for effects; so both are compared before the search.
-
-The model of the train file with some effects added, linearised about their parameters, to compare with the data.
+- Wheel ratio: the integral of measured speed over the known distance between stops. It shows a wrong wheel diameter
+  independently of the dynamics.
+- Slip and slide: bursts in which the wheel is faster than the train under traction and slower while braking. They are
+  not modelled as a resistance. They differ from single outliers in their duration and in having the sign of the force.
+- Gradients: the interface specifies means under the train. Bags with the value at one point of the train look as if
+  the map were shifted, which disturbs the search for effects; so both readings are compared before the search.
 """
 
 from __future__ import annotations

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on the selected effects, and its proof: the gap on held-out runs against that of noise alone.
+"""Locate the gap between simulation and data, and prove the verdict on the selected effects with held-out runs.
 
-The base model, the nuisances and the amplitudes of all effects are fitted to the other runs; only the initial speed is
-fitted to the run held out. The set of effects, their positions and the noise level come from all runs, but an effect
-that shows in the held-out run only gets no amplitude from the others and does not reduce the gap there. Products of
-whitened columns are kept by run, so leaving runs out is a subtraction.
+Location: each axis (position, speed, driving mode and so on) is divided into parts, and the mean resistance that the
+model lacks in each part is estimated jointly with all nuisances, by the same whitened regression as the effects; its
+standard deviation thus allows for errors that are correlated in time. What all parts of an axis have in common is
+Davis ``a``, which is fitted anyway, so each part is given as its deviation from the mean of all parts.
 
-Locate the gap between simulation and data: the missing resistance by position, speed, driving mode and so on.
-
-Each axis is divided into parts, and the mean resistance that the model lacks in each part is estimated jointly with all
-nuisances, by the same whitened regression as the effects; its standard deviation thus allows for errors that are
-correlated in time. What all parts of an axis have in common is Davis ``a``, which is fitted anyway, so each part is
-given as its deviation from the mean of all parts.
+Proof: the gap on held-out runs is compared with that of noise alone. The base model, the nuisances and the amplitudes
+of all effects are fitted to the other runs; only the initial speed is fitted to the run held out. The set of effects,
+their positions and the noise level come from all runs, but an effect that shows in the held-out run only gets no
+amplitude from the others and does not reduce the gap there. Products of whitened columns are kept by run, so leaving
+runs out is a subtraction.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Score every effect and every generic dependence by how well it explains the residual of a model.
+"""Select the effects that the data support: scores of all hypotheses, forward selection with exchange, alternatives.
 
 All columns pass through the same whitening and elimination of nuisances, so all hypotheses are compared by one number:
 twice the log Bayes factor against the model without the hypothesis.
@@ -8,8 +8,6 @@ A named effect is a family of columns. It is nearly linear in its amplitude; its
 on a grid, and the Bayes factor is averaged over the grid, which penalises flexible families. A generic dependence is a
 group of columns without a physical name. If such a group explains far more than any effect of the library, no named
 effect fits; the residual after the named effects is described by the group that explains most of it.
-
-Select the effects that the data support: forward selection with exchange, and the alternatives of each effect.
 
 An effect at one place must show in all runs that pass it: a burst of slip or an unreported brake application causes a
 gap at one place too, but in a single run. The onset time of an effect has the posterior over all times, since a

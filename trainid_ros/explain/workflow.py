@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.explain.distinguishing import Known, distinguishing_drive
+from trainid_ros.explain.distinguishing import FitSummary, distinguishing_drive
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.model import Model, find_slip, read_at
 from trainid_ros.explain.noise import DAVIS
@@ -143,7 +143,7 @@ def _found(
     model = outcome.final
     rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     evaluator, dataset = model.evaluator, model.dataset
-    known = Known(train_file, *_davis(model, outcome.hyper), outcome.hyper)
+    known = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
     return [
         _effect(
             term,
@@ -155,7 +155,7 @@ def _found(
     ]
 
 
-def _drive(term: EffectTerm, twin: str, known: Known) -> str:
+def _drive(term: EffectTerm, twin: str, known: FitSummary) -> str:
     """Return the test run that would distinguish an effect from its twin, with a drive that does it if there is one."""
     kind = EFFECTS[term.name]
     text = {item.name: item.drive for item in kind.twins}.get(twin, kind.needs)

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train dynamics: the specific balance, integrated with an exact brake actuator.
+"""The simulated train and its driver.
 
-``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)`` with the reported traction F,
-the lagged and delayed brake target u <= 0, the brake rate f (times its table over speed if there is one) and the
-assumed mass M: all effects act as extra resistance. Speed and position use the midpoint rule, whose error at
-20 ms steps is far below that of any sensor.
+Plant: the specific balance ``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)``,
+with the reported traction F, the lagged and delayed brake target u <= 0, the brake rate f (times its table over speed
+if there is one) and the assumed mass M: all effects act as extra resistance. The brake actuator is integrated exactly.
+Speed and position use the midpoint rule, whose error at 20 ms steps is far below that of any sensor.
 
-ATO model that drives from stop to stop: power, coast, brake to speed limits and stops, dwell.
-
-Braking follows speed-over-distance curves: ``v_ref(d) = sqrt(v_end^2 + 2 b d)``. The regulator uses
-the train state predicted for the time when the brake acts (dead time plus lag), which keeps the loop well
-damped; its feedback stops the train in place with a brake that is weaker or stronger than nominal.
+Driver: an ATO that drives from stop to stop: power, coast, brake to speed limits and stops, dwell. Braking follows
+speed-over-distance curves: ``v_ref(d) = sqrt(v_end^2 + 2 b d)``. The regulator uses the train state predicted for the
+time when the brake acts (dead time plus lag), which keeps the loop well damped; its feedback stops the train in place
+with a brake that is weaker or stronger than nominal.
 """
 
 from __future__ import annotations

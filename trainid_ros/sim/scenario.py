@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensor models: noise, resolution, drift, map errors, stamp errors, lost messages.
+"""Simulate a day on the line: runs, changes of the train during the day, and the records of its sensors.
 
-Simulation of a day on the line: runs, changes of the train during the day, and the resulting records.
+The sensor models add noise, resolution, drift, map errors, stamp errors and lost messages.
 """
 
 from __future__ import annotations

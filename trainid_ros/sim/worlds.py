@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of railway in the simulator: each has a train on its line, a load and a driver.
+"""Types of railway in the simulator, and random errors and omissions of a train file as in field data.
 
-Random errors and omissions of a train file, with magnitudes typical of field data.
-
-From a stated train file and a random generator come the true scenario and the train file that the engineer has:
-the same values, with the standard deviations of mass, force and map. Each unknown draws from its own generator,
-so it has the same values alone and in combination with others.
+Each type has a train on its line, a load and a driver. From a stated train file and a random generator come the true
+scenario and the train file that the engineer has: the same values, with the standard deviations of mass, force and
+map. Each unknown draws from its own generator, so it has the same values alone and in combination with others.
 """
 
 from __future__ import annotations
