@@ -18,7 +18,7 @@ from trainid_ros.interface.results import (
     Status,
 )
 
-MESSAGES = Path(__file__).parents[1] / 'msg_defs' / 'msg'
+MESSAGES = Path(__file__).parents[2] / 'msg_defs' / 'msg'
 ESTIMATES = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 # What drivers add to an estimate; see trainid_ros.interface.results.Output.
 ADDED = {'header', 'status', 'used', 'rejected', 'last_reject_reason', 'last_reject_text'}

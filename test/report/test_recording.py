@@ -26,7 +26,7 @@ from trainid_ros.setup.pipelines import (
 )
 from trainid_ros.train.train_file import load_train_file
 
-BAG = Path(__file__).parents[1] / 'bags' / 'tiny'
+BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
 DRIVEN_S = 160
 START_NS = 1_700_000_000 * NS_PER_S
 ESTIMATE = ResistanceEstimate(
