@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run all or some benchmarks: ``python benchmarks/run.py [--only NAME ...] [--seeds N] [--out FILE]``.
+"""Run all or some benchmarks: ``python benchmarks/run.py [--only NAME ...] [--seeds N] [--budget MINUTES]``.
 
 Each part prints its tables and writes them all to ``results/NAME.md`` beside the Markdown file, which is made anew from
 these files and shows of each part the tables of its claims. Plots are written to ``plots`` beside it.
@@ -12,6 +12,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -43,13 +44,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--only', action='extend', nargs='+', choices=_ALL, metavar='NAME', help=which)
     parser.add_argument('--out', type=Path, metavar='FILE', default=REPOSITORY / 'benchmarks' / 'RESULTS.md')
     parser.add_argument('--seeds', type=int, default=60, metavar='N', help='repetitions of seeded parts (default 60)')
+    budget = 'begin no part after this time, and fail if parts are left (default: no limit)'
+    parser.add_argument('--budget', type=float, default=float('inf'), metavar='MINUTES', help=budget)
     args = parser.parse_args(arguments)
     prepare()
-    for name in _ALL:
-        if args.only is None or name in args.only:
-            _run(name, args.seeds, args.out)
+    left = [name for name in _ALL if args.only is None or name in args.only]
+    revision, end = _revision(), time.monotonic() + 60 * args.budget
+    while left and time.monotonic() < end:
+        if _revision() != revision:
+            print(f'the sources are no longer those of {revision}: stopped', file=sys.stderr)
+            break
+        _run(left.pop(0), args.seeds, args.out)
+    if left:
+        print(f'not measured: {", ".join(left)}', file=sys.stderr)
     print(f'written to {args.out}')
-    return 0
+    return 1 if left else 0
 
 
 def prepare() -> None:

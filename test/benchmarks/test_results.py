@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.run import PAPERS, PARTS, SEEDED
+from benchmarks.run import PAPERS, PARTS, SEEDED, main
 from benchmarks.summary import missing_quotes, revisions, summary
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,3 +39,9 @@ def test_a_figure_that_is_not_in_its_part_is_found() -> None:
     results = '## one\n\n| a | 2.94 |\n\n## two\n\n| b | 7 |\n'
     document = '<!-- quoted from one -->\n2.9 and 7\n\n8, which is not quoted\n'
     assert missing_quotes(document, results) == ['one: 7']
+
+
+def test_a_run_without_time_measures_nothing_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['--only', 'cost', 'rates', '--budget', '0', '--out', str(tmp_path / 'RESULTS.md')]) == 1
+    assert 'not measured: cost, rates' in capsys.readouterr().err
+    assert not (tmp_path / 'RESULTS.md').exists()
