@@ -25,7 +25,7 @@ STOPS = tuple(1400.0 * k for k in range(6))
 # All runs are in one direction, as a wind cannot be absorbed in both.
 LINE = Line(stops=STOPS, gradient=((0.0, 0.0), (1900.0, 12.0), (2400.0, -8.0), (3600.0, 3.0)), gradient_std=0.1)
 FILE = TrainFile(Train(mass=200e3, rotary_mass=0.08), Davis(1.5, 0.02, 0.003), Brake(), LINE)
-# Kinds that need more than a speed, as docs/controller.md names them, with parameters that would be seen.
+# Kinds that need more than a speed, as docs/client_reference.md names them, with parameters that would be seen.
 NOT_OF_A_SPEED = (
     'bearing_warmup:value=3,distance=5000',
     'curve_resistance:coefficient=600',
@@ -170,7 +170,7 @@ def test_an_effect_that_needs_more_than_a_speed_adds_nothing(text: str) -> None:
 
 def test_the_page_names_every_effect() -> None:
     assert {text.partition(':')[0] for text in (*NOT_OF_A_SPEED, *ON_RECORDS, *OF_A_SPEED)} == set(EFFECTS)
-    page = (Path(__file__).parents[2] / 'docs' / 'controller.md').read_text(encoding='utf-8')
+    page = (Path(__file__).parents[2] / 'docs' / 'client_reference.md').read_text(encoding='utf-8')
     assert [name for name in EFFECTS if f'`{name}`' not in page] == []
 
 

@@ -51,11 +51,15 @@ NOT_RUN = {
         ): SECURE,
     },
     'docs/controller.md': {
-        '.venv/bin/trainid run --train day.yaml': LIVE,
-        '.venv/bin/python examples/python/closed_loop.py': LIVE,
         'colcon build --base-paths src/trainid_ros/msg_defs src/trainid_ros/examples/cpp': 'needs a workspace',
     },
-    'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 2': 'takes minutes'},
+    'docs/controller_evidence.md': {
+        '.venv/bin/trainid run --train day.yaml': LIVE,
+        '.venv/bin/python examples/python/closed_loop.py': LIVE,
+    },
+    'docs/faults_evidence.md': {
+        '.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 2': 'takes minutes'
+    },
     'docs/fleet.md': {
         '.venv/bin/trainid fleet report out/day.parquet --out out/report.html --explain 5': 'needs the bags of weeks',
     },

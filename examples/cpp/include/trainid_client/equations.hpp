@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Resistance, force and stopping distance of docs/controller.md, without ROS. SI units, w and gradients in N/kN.
+// Resistance, force and stopping distance of docs/client_reference.md, without ROS. SI units, w and gradients in N/kN.
 #pragma once
 
 #include <algorithm>
