@@ -56,15 +56,15 @@ def test_one_row_per_bag_and_failures_are_rows(depot: Path, capsys: pytest.Captu
 
 
 def test_a_run_goes_on_where_another_was_killed(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = depot.parent / 't.csv.rows.jsonl'
+    rows = depot.parent / 't.csv.rows'
     with subprocess.Popen([sys.executable, '-m', 'trainid_ros.cli.main', *fleet(depot, '--jobs', '1')]) as process:
-        while not (rows.exists() and rows.read_bytes().count(b'\n')):
+        while not any(rows.glob('*.json')):
             assert process.poll() is None
             time.sleep(0.001)
         process.send_signal(signal.SIGKILL)
-    done = rows.read_bytes().count(b'\n')
+    done = len(list(rows.glob('*.json')))
     assert main(fleet(depot, '--json', '--jobs', '1')) == 0
-    assert summary(capsys)['known'] == done < 5
+    assert summary(capsys)['known'] == done < 4
     first = read_table(depot.parent / 't.csv')
     assert main(fleet(depot, '--json', '--jobs', '1', out='whole.csv')) == 0
     assert first == read_table(depot.parent / 'whole.csv')
@@ -135,6 +135,14 @@ def test_a_table_of_others_is_not_replaced(depot: Path, capsys: pytest.CaptureFi
     assert own.read_text(encoding='utf-8') == 'train,depot\n'
 
 
+def test_another_file_is_not_taken_for_rows(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = depot.parent / 't.csv.rows'
+    rows.write_text('hello\n', encoding='utf-8')
+    assert main(fleet(depot)) == 2
+    assert f'{rows}: File exists' in capsys.readouterr().err
+    assert rows.read_text(encoding='utf-8') == 'hello\n'
+
+
 def test_a_table_of_another_plan_is_not_replaced_unasked(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(fleet(depot, '--jobs', '1')) == 0
     table = (depot.parent / 't.csv').read_bytes()
@@ -156,12 +164,12 @@ def test_a_table_of_another_plan_is_not_replaced_unasked(depot: Path, capsys: py
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_says_what_is_done(depot: Path, number: signal.Signals) -> None:
-    rows = depot.parent / 't.csv.rows.jsonl'
+    rows = depot.parent / 't.csv.rows'
     for name in range(40):
         copytree(depot / 'T1/one', depot / f'T1/more_{name}')
     command = [sys.executable, '-m', 'trainid_ros.cli.main', *fleet(depot, '--jobs', '1')]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        while not (rows.exists() and rows.read_bytes().count(b'\n')):
+        while not any(rows.glob('*.json')):
             assert process.poll() is None
             time.sleep(0.001)
         process.send_signal(number)

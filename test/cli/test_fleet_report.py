@@ -17,7 +17,7 @@ from trainid_ros.fleet.table_file import write_table
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from trainid_ros.fleet.run_fleet import Run
+    from trainid_ros.fleet.workflow import Run
 
 
 class Explained(NamedTuple):

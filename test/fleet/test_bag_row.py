@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A row holds what ``trainid replay`` prints; failures are rows too."""
+"""A row holds what ``trainid replay`` prints, and the ratio of distances; failures are rows too."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from trainid_ros.bag.record_table import table_of
 from trainid_ros.cli.main import main
+from trainid_ros.fleet.bag_row import Odometer, bag_row, killed_row
 from trainid_ros.fleet.mixed_model import has_estimate, is_known
 from trainid_ros.fleet.plan import PlannedBag, Setup
-from trainid_ros.fleet.run_fleet import bag_row, killed_row
 from trainid_ros.fleet.table_file import COLUMNS, NAMES
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import Status
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
@@ -83,3 +86,39 @@ def test_failures_are_rows(tmp_path: Path, setup: Setup) -> None:
     assert (row['train'], row['status'], row['error']) == ('T1', None, f'{bag.path}: no such bag')
     assert bag_row(setup, 'r1', replace(bag, error='is empty'), lambda _: None)['error'] == 'is empty'
     assert 'killed' in killed_row('r1', bag)['error']
+
+
+RATIO = 1.02
+
+
+def ride(legs: int, ratio: float, lost: float = 0.0) -> Odometer:
+    """Return an odometer after legs of 1 km, there and back, at 10 m/s measured as ``ratio`` times that."""
+    speed = np.concatenate([np.r_[np.zeros(5), np.full(100, 10.0)] for _ in range(legs)] + [np.zeros(5)])
+    position = np.cumsum(speed) * 1.0
+    folded = 1000.0 - np.abs(position % 2000.0 - 1000.0)
+    rows = [
+        SpeedRecord((k + 1) * NS_PER_S + round(lost * NS_PER_S * (k > 50)), ratio * v, s)
+        for k, (v, s) in enumerate(zip(speed.tolist(), folded.tolist(), strict=True))
+    ]
+    odometer, table = Odometer(), table_of([(record.stamp_ns, record.row()) for record in rows])
+    for first in range(0, len(table), 37):
+        odometer.add(table[first : first + 37])
+    return odometer
+
+
+def test_the_ratio_is_that_of_the_distances() -> None:
+    found = ride(6, RATIO).ratio
+    assert found is not None
+    assert found[0] == pytest.approx(RATIO, abs=1e-9)
+    assert 0.0 < found[1] < 1e-3
+
+
+def test_legs_with_a_gap_do_not_count() -> None:
+    assert ride(1, RATIO, lost=10.0).ratio is None
+    found = ride(2, RATIO, lost=10.0).ratio
+    assert found is not None
+    assert found[0] == pytest.approx(RATIO, abs=1e-9)
+
+
+def test_another_unit_is_not_the_wheels() -> None:
+    assert ride(4, 3.6).ratio is None

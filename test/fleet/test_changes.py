@@ -1,12 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Changes of made-up series, their causes, and departures from the usual level: their days, steps and ends."""
+
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from trainid_ros.fleet.changes import Series, _Segment, find_changes
+from trainid_ros.fleet.changes import (
+    Change,
+    Level,
+    Series,
+    Step,
+    _Segment,
+    causes_of,
+    departures,
+    find_changes,
+    usual_days,
+)
 
 LIMIT = 20_000.0
 DAYS = 30
@@ -98,3 +111,77 @@ def test_false_alarms_are_as_rare_as_stated() -> None:
     runs = 120
     alarms = sum(len(find_changes([series(noise(100 + seed))], 100.0)) for seed in range(runs))
     assert alarms / (runs * DAYS) < 0.01
+
+
+STD = {'w15': 0.02, 'brake_rate': 0.006, 'force_scale': 0.004, 'wheel_ratio': 0.0003}
+
+
+@pytest.mark.parametrize(
+    ('steps', 'effect'),
+    [
+        ({'w15': 0.25}, 'dragging_brake'),
+        ({'w15': -0.25}, 'resistance_step'),
+        ({'brake_rate': -0.1}, 'brake_scale'),
+        ({'wheel_ratio': 0.02, 'force_scale': 0.021, 'brake_rate': 0.017, 'w15': 0.03}, 'wheel_diameter'),
+        ({'force_scale': -0.07, 'brake_rate': -0.068}, 'mass_error'),
+        ({'force_scale': -0.07}, 'traction_scale'),
+        ({'w15': 0.3, 'wheel_ratio': 0.05, 'brake_rate': -0.2}, 'other'),
+    ],
+)
+def test_causes_are_known_by_their_channels(steps: dict[str, float], effect: str) -> None:
+    best = causes_of({name: (steps.get(name, 0.0), std) for name, std in STD.items()})[0]
+    assert best.effect == effect
+    assert best.probability > 0.8
+
+
+def test_without_the_wheel_ratio_weighing_and_wheels_look_alike() -> None:
+    steps = {'w15': (0.0, 0.02), 'brake_rate': (0.02, 0.006), 'force_scale': (0.02, 0.004), 'wheel_ratio': None}
+    assert {cause.effect for cause in causes_of(steps)} >= {'wheel_diameter', 'mass_error'}
+
+
+CHANNEL = Series(np.zeros(DAYS), np.ones(DAYS), 32.0, 2.0, 5.0)
+
+
+def changes(*levels: tuple[int, float]) -> list[Change]:
+    """Return changes from level 0 to others on given days, of one channel."""
+    steps = [(0, 0.0), *levels]
+    return [
+        Change(day, day + 1, 20.0 + day, (Step(Level(before, 0.3), Level(after, 0.3), 20.0),))
+        for (_, before), (day, after) in pairwise(steps)
+    ]
+
+
+def spans(*levels: tuple[int, float]) -> list[tuple[int, int | None, float]]:
+    found = departures([CHANNEL], changes(*levels))
+    return [(d.first, d.end, d.steps[0].size if d.steps[0] else 0.0) for d in found]
+
+
+@pytest.mark.parametrize(
+    ('levels', 'expected'),
+    [
+        ((), []),
+        (((8, 6.0),), [(8, None, 6.0)]),
+        (((8, 6.0), (20, 0.5)), [(8, 20, 6.0)]),
+        (((8, 6.0), (12, 4.5), (20, 0.5)), [(8, 20, 6.0)]),
+        (((8, 6.0), (20, 0.5), (25, 7.0)), [(8, 20, 6.0), (25, None, 7.0)]),
+        (((8, 6.0), (20, -6.0)), [(8, 20, 6.0), (20, None, -6.0)]),
+    ],
+)
+def test_departures_begin_and_end(
+    levels: tuple[tuple[int, float], ...], expected: list[tuple[int, int | None, float]]
+) -> None:
+    assert spans(*levels) == expected
+
+
+def test_a_table_may_begin_with_a_fault() -> None:
+    back = [Change(9, 10, 30.0, (Step(Level(14.0, 0.3), Level(0.5, 0.3), 30.0),))]
+    (found,) = departures([CHANNEL], back)
+    assert (found.first, found.end, found.alarm) == (0, 9, 10)
+    assert found.steps[0] is not None
+    assert found.steps[0].size == 13.5
+    assert usual_days([CHANNEL], back) == (9.0, np.inf)
+
+
+def test_a_level_within_the_fleet_is_the_usual_one() -> None:
+    assert usual_days([CHANNEL], changes((9, 4.0))) == (0.0, 9.0)
+    assert usual_days([CHANNEL], []) == (0.0, np.inf)

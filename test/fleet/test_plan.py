@@ -1,21 +1,131 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes another row of a bag, and what only other labels."""
+"""Labels of bags, bags as found and listed, and what makes another row of a bag."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from shutil import copy, copytree
 
 import pytest
 
-from trainid_ros.fleet.plan import Plan, PlannedBag, make_plan
+from trainid_ros.bag.mcap_file import McapFile
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.fleet.plan import PlannedBag, Setup, day_of, find_bags, label_rule, list_bags, make_plan
+from trainid_ros.interface.errors import InputError
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from trainid_ros.fleet.plan import Setup
-
+PATH = Path('/depot/line7/T042/2026-01-31_rain')
 BAG = PlannedBag('/depot/one', size=1, modified_ns=2, start_s=3.0, messages=4, train='T1', day='2026-01-31')
+
+
+def test_without_a_pattern_the_train_is_the_folder_unless_the_recording_says_it() -> None:
+    rule = label_rule(None)
+    assert rule.labels(PATH, {}) == {'train': 'T042', 'line': '', 'weather': '', 'day': ''}
+    assert rule.labels(PATH, {'train': 'other', 'line': '7', 'driver': 'x'})['train'] == 'other'
+
+
+def test_a_pattern_comes_before_what_the_recording_says() -> None:
+    rule = label_rule(r'line(?P<line>\d+)/(?P<train>\w+)/(?P<day>[-\d]+)_(?P<weather>\w+)')
+    found = rule.labels(PATH, {'train': 'other'})
+    assert found == {'train': 'T042', 'line': '7', 'weather': 'rain', 'day': '2026-01-31'}
+    with pytest.raises(InputError, match=r'/x: --label .* does not fit the path'):
+        rule.labels(Path('/x'), {})
+
+
+def test_a_namespace_is_the_train_unless_the_user_names_it() -> None:
+    rule = label_rule(None, '/train_1')
+    assert rule.labels(PATH, {'line': '7'}) == {'train': 'train_1', 'line': '7', 'weather': '', 'day': ''}
+    assert rule.labels(PATH, {'train': 'T7'})['train'] == 'T7'
+    assert label_rule(r'/(?P<train>T\d+)/', '/train_1').labels(PATH, {'train': 'T7'})['train'] == 'T042'
+    assert label_rule(r'line(?P<line>\d+)', '/train_1').labels(PATH, {})['train'] == 'train_1'
+
+
+def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> None:
+    (tmp_path / 'disk7/T042/bag').mkdir(parents=True)
+    (tmp_path / 'depot').mkdir()
+    link = tmp_path / 'depot/tram_5'
+    link.symlink_to(tmp_path / 'disk7/T042')
+    for pattern, train in ((r'depot/(?P<train>\w+)/', 'tram_5'), (r'disk7/(?P<train>\w+)/', 'T042')):
+        assert label_rule(pattern).labels(link / 'bag', {})['train'] == train
+    assert label_rule(None).labels(link / 'bag', {})['train'] == 'tram_5'
+
+
+@pytest.mark.parametrize(
+    ('pattern', 'problem'),
+    [('(', 'unterminated'), ('(?P<depot>x)', "a group 'depot'"), ('x', 'no named group')],
+)
+def test_a_pattern_that_cannot_be_used_is_an_error(pattern: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        label_rule(pattern)
+
+
+def test_days_have_one_form() -> None:
+    assert day_of('20260131', None, PATH) == day_of('2026_01_31', 0.0, PATH) == '2026-01-31'
+    assert day_of('', 86400.0, PATH) == '1970-01-02'
+    assert day_of('', None, PATH) is None
+    with pytest.raises(InputError, match="label day 'monday' is not a day"):
+        day_of('monday', None, PATH)
+
+
+@pytest.fixture
+def depot(tmp_path: Path, tiny: Path) -> Path:
+    """Return a folder with two bags, one of them a file, and one that is broken."""
+    copytree(tiny, tmp_path / 'depot/T1/first')
+    (tmp_path / 'depot/T2').mkdir()
+    copy(next(tiny.glob('*.mcap')), tmp_path / 'depot/T2/second.mcap')
+    (tmp_path / 'depot/T2/broken.mcap').write_text('no bag', encoding='utf-8')
+    return tmp_path / 'depot'
+
+
+def test_folders_patterns_and_bags_are_found_once(depot: Path) -> None:
+    names = ['T1/first', 'T2/broken.mcap', 'T2/second.mcap']
+    assert find_bags([depot]) == [depot / name for name in names]
+    assert find_bags([depot / 'T*', depot / 'T1/first']) == [depot / name for name in names]
+    for path, problem in ((depot / 'T3', 'no such bag or folder'), (depot / 'T3*', 'holds no bag')):
+        with pytest.raises(InputError, match=problem):
+            find_bags([path])
+
+
+def test_paths_are_absolute(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(depot)
+    assert find_bags([Path('T1')]) == [depot / 'T1/first']
+
+
+def test_linked_folders_are_followed_once(depot: Path) -> None:
+    (depot / 'night').mkdir()
+    (depot / 'night/T1').symlink_to(depot / 'T1')
+    (depot / 'T1/back').symlink_to(depot / 'night')
+    assert find_bags([depot / 'night']) == [depot / 'night/T1/first']
+
+
+def test_bags_are_listed_without_reading_their_messages(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with BagReader(depot / 'T1/first') as reader:
+        span, count = reader.time_range(), reader.message_count
+    assert span is not None
+
+    def scan(_: McapFile) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(McapFile, '_scan', scan)
+    first, broken, second = list_bags(find_bags([depot]), label_rule(None))
+    assert (first.train, first.messages, first.error) == ('T1', count, '')
+    assert first.start_s == second.start_s == pytest.approx(span[0] / 1e9)
+    assert first.size == second.size == (depot / 'T2/second.mcap').stat().st_size
+    assert second.train == 'T2'
+    assert (broken.start_s, broken.messages) == (None, None)
+
+
+def test_custom_data_of_the_recording_are_labels(depot: Path) -> None:
+    metadata = depot / 'T1/first/metadata.yaml'
+    text = metadata.read_text(encoding='utf-8')
+    metadata.write_text(text.replace('custom_data: null', 'custom_data: {train: T9, weather: rain}'), encoding='utf-8')
+    (first,) = list_bags([depot / 'T1/first'], label_rule(None))
+    assert (first.train, first.weather) == ('T9', 'rain')
+
+
+def test_a_bag_that_is_not_there_has_an_error(depot: Path) -> None:
+    (bag,) = list_bags([depot / 'none'], label_rule(None))
+    assert bag.error == f'{depot / "none"}: no such bag'
 
 
 @pytest.mark.parametrize('name', ['g.py', 'my force.py', 'Zugkraft-für-Ü.py', 'a b.c.py'])
@@ -49,5 +159,4 @@ def test_labels_make_no_other_row(setup: Setup) -> None:
 
 
 def key(setup: Setup) -> str:
-    plan: Plan = make_plan(setup, (BAG,))
-    return plan.key(BAG)
+    return make_plan(setup, (BAG,)).key(BAG)

@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
-from trainid_ros.fleet.plan import Setup, bags_in, find_bags, label_rule, list_bags, make_plan, setup_in
-from trainid_ros.fleet.run_fleet import Files, check_setup, known_rows, rows_here, run_plan
+from trainid_ros.fleet.bag_row import check_setup
+from trainid_ros.fleet.plan import (
+    Setup,
+    find_bags,
+    label_rule,
+    list_bags,
+    make_plan,
+    plan_file,
+    read_plan,
+    setup_of,
+)
+from trainid_ros.fleet.run_fleet import known_rows, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
@@ -19,12 +29,13 @@ from trainid_ros.setup.jobs import mapping_in
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
+    from pathlib import Path
 
     from trainid_ros.fleet.plan import Plan
     from trainid_ros.fleet.run_fleet import Rows
     from trainid_ros.fleet.table_file import Row
 
-_NAMED_ERRORS: Final = 3
+_NAMED_ERRORS: Final = 3  # Failures that are printed; all are in the table.
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,19 +45,18 @@ def run(args: argparse.Namespace) -> int:
         InputError: Train file, mapping, labels or bags cannot be used, or the table cannot be written.
     """
     check_table(args.out)
-    files = Files(args.out)
-    if args.out.exists() and not (files.plan.exists() or files.rows.exists()):
+    if args.out.exists() and not (plan_file(args.out).exists() or rows_folder(args.out).exists()):
         raise InputError(f'{args.out}: exists already, and no run of fleet has written it; choose another --out')
     plan = _plan(args)
     if not args.replace:
-        _check_plan(plan, files)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    plan.write(files.plan)
-    known = known_rows(plan, files)
+        _check_plan(plan, args.out)
+    rows_folder(args.out).mkdir(parents=True, exist_ok=True)
+    plan.write(plan_file(args.out))
+    known = known_rows(plan, args.out)
     try:
         with progress('replay', total=len(plan.bags), unit='bags') as advance, _rows(args) as rows:
             advance(len(known))
-            table = run_plan(plan, files, known, rows, advance)
+            table = run_plan(plan, args.out, known, rows, advance)
     except (KeyboardInterrupt, SystemExit):  # Ctrl-C, or SIGTERM
         done = len(read_table(args.out)[0])
         warn(f'stopped: {done} of {pluralise(len(plan.bags), "bag")} are in {args.out}; the same command goes on')
@@ -54,17 +64,19 @@ def run(args: argparse.Namespace) -> int:
     return _report(args, table, len(known))
 
 
-def _check_plan(plan: Plan, files: Files) -> None:
+def _check_plan(plan: Plan, table: Path) -> None:
     """Raise InputError if a table is there whose rows would be lost or made in another way."""
-    if not files.table.exists() or not (bags := bags_in(files.plan)):
+    old = read_plan(table)
+    bags = {bag['path'] for bag in old.get('bags', ())}
+    if not table.exists() or not bags:
         return
     if lost := bags - {bag.path for bag in plan.bags}:
         problem = f'{len(lost)} of its {pluralise(len(bags), "bag")} are not given now, such as {min(lost)}'
-    elif setup_in(files.plan) != plan.setup:
+    elif setup_of(old) != plan.setup:
         problem = 'it was made with another train file, mapping, parameter file, namespace or --max-chunk'
     else:
         return
-    raise InputError(f'{files.table}: is the table of another plan: {problem}; choose another --out, or --replace it')
+    raise InputError(f'{table}: is the table of another plan: {problem}; choose another --out, or --replace it')
 
 
 def _plan(args: argparse.Namespace) -> Plan:
@@ -90,8 +102,6 @@ def _rows(args: argparse.Namespace) -> Iterator[Rows]:
     if args.scheduler is None:
         yield rows_here(args.jobs or processors())
         return
-    from trainid_ros.fleet.run_fleet import rows_on_cluster  # noqa: PLC0415 - optional
-
     with rows_on_cluster(args.scheduler) as rows:
         yield rows
 

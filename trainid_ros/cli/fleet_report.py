@@ -6,9 +6,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.output import check_output, print_json, progress, show
-from trainid_ros.fleet.plan import setup_in, setup_of
-from trainid_ros.fleet.run_fleet import Files, Run
+from trainid_ros.fleet.plan import read_plan, setup_of
 from trainid_ros.fleet.table_file import read_table
+from trainid_ros.fleet.workflow import Run, name_cause
 from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def _read(args: argparse.Namespace) -> list[Run]:
     runs: dict[tuple[str, str, str], Run] = {}
     for path in args.tables:
         rows, about = read_table(path)
-        setup = setup_of(about) or setup_in(Files(path).plan)
+        setup = setup_of(about) or setup_of(read_plan(path))
         namespace = '' if setup is None else setup.namespace.strip('/')
         runs |= {(row['bag'], row['train'], namespace): Run(row, setup) for row in rows}
     return list(runs.values())
@@ -62,8 +62,6 @@ def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[Run]) -> 
     worst = [train for train in view.found if train.main][: args.explain]
     if not worst:
         return {}
-    from trainid_ros.fleet.workflow import name_cause  # noqa: PLC0415
-
     named = {}
     with progress('explain', total=len(worst), unit='trains') as advance:
         for train in worst:

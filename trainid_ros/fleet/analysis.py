@@ -32,6 +32,7 @@ from trainid_ros.fleet.mixed_model import (
     fit,
     has_estimate,
     labels_of,
+    robust_std,
 )
 from trainid_ros.interface.errors import NoAnswerError
 
@@ -44,18 +45,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_LEAST_CELLS: Final = 4
-# Train-days for one false alarm while the model is fitted: what may be a change must not spoil the fit.
-_SCREEN: Final = 50.0
-_MOST_APART: Final = 12
-_ROUGH: Final = 2  # rounds of these fits
-_PASSES: Final = 5
-# What may change from day to day without meaning anything, as a share of a step that matters.
-_SMALLEST: Final = 0.02
-# Usual standard deviation among trains, as a share of a step that matters.
-_LEVEL: Final = 0.25
-# A train that always differed is named beyond so many standard deviations among trains.
-_LEVEL_SIGMAS: Final = 5.0
+_MIN_CELLS: Final = 4  # Of a channel that is compared
+_SCREEN_DAYS: Final = 50.0  # Train-days for one false alarm while the model is fitted: a fault must not spoil the fit.
+_SCREEN_ROUNDS: Final = 2  # Rounds of these fits
+_MAX_APART: Final = 12  # Trains of a fleet in which each is judged by the others alone
+_MAX_PASSES: Final = 5  # Fits, each without the changes that the last one found
+# As shares of a step that matters [1]:
+_DAILY: Final = 0.02  # What may change from day to day without meaning anything
+_LEVEL: Final = 0.25  # Usual standard deviation among trains
+_MIN_LEVEL: Final = 0.01  # Added to that found, which may be zero
+_LEVEL_SIGMAS: Final = 5.0  # A train that always differed is named beyond so many standard deviations among trains.
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +75,8 @@ class ChannelView:
         with np.errstate(invalid='ignore', divide='ignore'):
             value, variance = np.bincount(day, weight * own, days) / total, 1.0 / total
         step_std = self.channel.change * abs(self.fit.mean)
-        std = np.sqrt(variance + (_SMALLEST * step_std) ** 2)
-        return Series(value, std, self.fit.degrees, self.fit.stds['train'] + 0.01 * step_std, step_std)
+        std = np.sqrt(variance + (_DAILY * step_std) ** 2)
+        return Series(value, std, self.fit.degrees, self.fit.stds['train'] + _MIN_LEVEL * step_std, step_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +146,12 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     """
     labels = labels_of(rows)
     cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
-    cells = [(channel, found) for channel, found in cells if found.value.size >= _LEAST_CELLS]
+    cells = [(channel, found) for channel, found in cells if found.value.size >= _MIN_CELLS]
     if not cells:
         usable = sum(has_estimate(row) and not row['contradiction'] for row in rows)
         raise NoAnswerError(
             f'too few days of trains to compare: {len(rows)} rows, {usable} with train, day and estimate and without '
-            f'contradiction; {_LEAST_CELLS} days, those of all trains together, are the least'
+            f'contradiction; {_MIN_CELLS} days, those of all trains together, are the least'
         )
     views, series, changes = _fit_and_test(labels, cells, limit)
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
@@ -170,8 +169,8 @@ def _fit_and_test(
     then without what the last fit found, until the same is found again.
     """
     trains = range(len(labels.trains))
-    usual = _screen(labels, cells, min(limit, _SCREEN))
-    for _ in range(_PASSES):
+    usual = _screen(labels, cells, min(limit, _SCREEN_DAYS))
+    for _ in range(_MAX_PASSES):
         views = _fit(labels, cells, [_among(c, usual) for _, c in cells])
         series = [_series(views, labels, k) for k in trains]
         changes = [find_changes(own, limit) for own in series]
@@ -187,13 +186,13 @@ def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
     A train of a small fleet is judged by the others alone, since it is much of the data.
     """
     trains = range(len(labels.trains))
-    if len(trains) > _MOST_APART:
-        views = _fit(labels, cells, [None] * len(cells), _ROUGH)
+    if len(trains) > _MAX_APART:
+        views = _fit(labels, cells, [None] * len(cells), _SCREEN_ROUNDS)
         series = [_series(views, labels, k) for k in trains]
     else:
         series = []
         for k in trains:
-            views = _fit(labels, cells, [c.train != k for _, c in cells], _ROUGH)
+            views = _fit(labels, cells, [c.train != k for _, c in cells], _SCREEN_ROUNDS)
             series.append(_series(views, labels, k))
     return _usual(series, [find_changes(own, limit) for own in series])
 
@@ -257,8 +256,7 @@ def _level(view: ChannelView, number: int) -> tuple[float, float]:
 def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     """Return by how much a train differs, in robust standard deviations among trains; None if it does not."""
     effects = view.fit.train
-    spread = 1.4826 * float(np.median(np.abs(effects - np.median(effects))))
-    spread = max(spread, view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
+    spread = max(robust_std(effects), view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
     sigmas = float(effects[number] - np.median(effects)) / spread
     # The spread of few trains is not well known: Student's t.
     if abs(sigmas) < stdtrit(max(1, effects.size - 1), ndtr(_LEVEL_SIGMAS)):

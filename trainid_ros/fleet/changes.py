@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a train has changed: sequential test of steps in several channels.
+"""When a train has changed, what the change may be, and on which days it was away from its usual level.
 
 In each channel the values of a train, less what trains have in common, lie around a level: errors are Student's t, the
 level is normal around that of the fleet. At a change the level moves by a normal step. Levels are integrated out on a
@@ -13,16 +13,14 @@ Without a change R(n) - n is a martingale, so an alarm at R >= C comes less ofte
 Statist. 13 (1985) 206): C is the number of train-days for one false alarm. After an alarm the test goes on from the
 step found, so that a repair is a change too.
 
-What a change may be, by the channels that show it: a hint, until ``explain`` has seen the bags.
-
-A cause of size theta changes channel c by theta d_c, as a share of the mean of the fleet. With a normal prior of theta
+What a change may be is told by the channels that show it: a hint, until ``explain`` has seen the bags. A cause of size
+theta changes channel c by theta d_c, as a share of the mean of the fleet. With a normal prior of theta
 and a slack for what the directions leave out, the steps found are normal, and Bayes' rule gives the probability of
 each cause; 'other' changes each channel on its own.
 
-Days on which a train was away from its usual level: from the first change away from it to the change back.
-
-The usual level is that before the first change, unless the train was then far from the others and came near them later:
-a table may begin with a fault. What lies between two changes is a part; parts that lie to the same side of the usual
+A departure from the usual level lasts from the first change away from it to the change back. The usual level is that
+before the first change, unless the train was then far from the others and came near them later: a table may begin with
+a fault. What lies between two changes is a part; parts that lie to the same side of the usual
 level belong to one departure.
 """
 
@@ -38,21 +36,25 @@ from scipy.special import ndtr
 from trainid_ros.fleet.mixed_model import log_t
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
-    from collections.abc import Mapping
 
-_SHARE: Final = 0.5  # q
-# A step is looked for among so many days before the newest, and needs so many days of data after it.
-_WINDOW: Final = 60
-_LEAST_AFTER: Final = 2
-# Points of the grid for one standard deviation of a day, beyond the outermost value, and at most.
-_DENSITY, _MARGIN, _MOST = 6.0, 6.0, 600
-_FAR: Final = 0.01
-_TINY: Final = 1e-300
+OTHER: Final = 'other'
+"""Name of the cause that is none of those known."""
+_SHOWING: Final = 0.5  # q: probability that a step shows in a channel [1]
+_WINDOW: Final = 60  # A step is looked for among so many days before the newest.
+_MIN_AFTER: Final = 2  # Days with data that a step needs after it
+_GRID_DENSITY: Final = 6.0  # Points of the grid of levels for one standard deviation of a day
+_GRID_MARGIN: Final = 6.0  # Of the grid beyond the outermost values, in standard deviations of a day
+_GRID_POINTS: Final = (60, 600)  # Fewest and most points of the grid
+_FAR: Final = 0.01  # Share of trains that are far from the others [1]
+_TINY: Final = 1e-300  # Stands for a density of zero, whose logarithm is needed.
+_MIN_PROBABILITY: Final = 0.05  # Of a cause that is named [1]
+_MAX_USUAL: Final = 5.0  # Beyond so many standard deviations among trains, the first level of a train is a fault.
+_BACK: Final = 0.4  # A train is back when less than this share of the departure is left [1].
 
 
 class Series(NamedTuple):
@@ -107,11 +109,11 @@ class _Segment:
         known = np.isfinite(series.value)
         spread = float(np.median(series.std[known]))
         low, high = float(series.value[known].min()), float(series.value[known].max())
-        room = _MARGIN * spread
-        count = int(min(_MOST, max(60.0, _DENSITY * (high - low + 2.0 * room) / spread)))
+        room = _GRID_MARGIN * spread
+        fewest, most = _GRID_POINTS
+        count = int(min(most, max(fewest, _GRID_DENSITY * (high - low + 2.0 * room) / spread)))
         self.level = np.linspace(low - room, high + room, count)
         kernel = _weights(self.level[:, None] - self.level[None, :], series.step_std)
-        # A few trains are far from the others.
         far = _weights(self.level, math.hypot(level_std, series.step_std))
         self.prior = (1.0 - _FAR) * _weights(self.level, level_std) + _FAR * far
         z2 = ((series.value[:, None] - self.level) / series.std[:, None]) ** 2
@@ -128,7 +130,7 @@ class _Segment:
         top = gained.max(axis=1, keepdims=True)
         after = _log((self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)) + top[:, 0]
         found: Array = self._log_before[ks] + after - self._log_before[n]
-        return np.where(self.known[n] - self.known[ks] >= _LEAST_AFTER, found, 0.0)
+        return np.where(self.known[n] - self.known[ks] >= _MIN_AFTER, found, 0.0)
 
     def step(self, k: int, n: int, evidence: float) -> Step | None:
         """Return the step on day k, seen after n days."""
@@ -164,7 +166,7 @@ def _next_change(channels: Sequence[Series], first: int, limit: float, *, is_fir
         level_std = series.level_std if is_first else math.hypot(series.level_std, series.step_std)
         parts.append(_Segment(rest, level_std) if np.isfinite(rest.value).any() else None)
     count = channels[0].value.size - first
-    for n in range(_LEAST_AFTER + 1, count + 1):
+    for n in range(_MIN_AFTER + 1, count + 1):
         if _log_r(parts, n)[0] >= math.log(limit):
             return _change(parts, first, n, count)
     return None
@@ -177,7 +179,7 @@ def _log_r(parts: Sequence[_Segment | None], n: int) -> tuple[float, Array, list
     joint = np.zeros(n - begin)
     for found in each:
         if found is not None:
-            joint += np.logaddexp(math.log(1.0 - _SHARE), math.log(_SHARE) + found)
+            joint += np.logaddexp(math.log(1.0 - _SHOWING), math.log(_SHOWING) + found)
     return float(np.logaddexp.reduce(joint)), joint, each
 
 
@@ -186,7 +188,7 @@ def _change(parts: Sequence[_Segment | None], first: int, alarm: int, count: int
 
     Later data move its day only among those before the alarm: a change after that is another one.
     """
-    last = alarm - _LEAST_AFTER
+    last = alarm - _MIN_AFTER
     end, evidence, k, each = alarm, -math.inf, 0, tuple[float | None, ...]()
     for n in range(alarm, count + 1):
         begin = max(1, n - _WINDOW)
@@ -255,11 +257,9 @@ _KINDS: Final = (
     _Kind('mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0),
     _Kind('traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0),
 )
-OTHER: Final = 'other'
+# Standard deviation of what 'other' changes, and of what the directions leave out, as shares of the mean [1]
 _OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
-# What the directions leave out, as a share of the mean.
 _SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_ratio': 0.0005}
-_LEAST: Final = 0.05
 
 
 def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, ...]:
@@ -279,10 +279,10 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     p /= p.sum()
     causes = [Cause(kind.effect, kind.title, float(share)) for kind, share in zip(_KINDS, p, strict=False)]
     causes.append(Cause(OTHER, 'no single known cause', float(p[-1])))
-    return tuple(sorted((c for c in causes if c.probability >= _LEAST), key=lambda cause: -cause.probability))
+    return tuple(sorted((c for c in causes if c.probability >= _MIN_PROBABILITY), key=lambda cause: -cause.probability))
 
 
-def _log_evidence(kind: _Kind, names: tuple[str, ...], step: np.ndarray, noise: np.ndarray) -> float:
+def _log_evidence(kind: _Kind, names: tuple[str, ...], step: Array, noise: Array) -> float:
     """Return ln p(steps | cause); a cause of one sign has twice the density on that side and none on the other."""
     d = np.array([kind.direction.get(name, 0.0) for name in names])
     if not d.any():
@@ -294,18 +294,12 @@ def _log_evidence(kind: _Kind, names: tuple[str, ...], step: np.ndarray, noise: 
     weight = np.linalg.solve(noise, d)
     variance = 1.0 / (float(d @ weight) + kind.size**-2)
     z = kind.sign * variance * float(weight @ step) / math.sqrt(2.0 * variance)
-    return log_p + math.log(max(1e-300, math.erfc(-z)))
+    return log_p + math.log(max(_TINY, math.erfc(-z)))
 
 
-def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+def _log_normal(x: Array, covariance: Array) -> float:
     _, log_det = np.linalg.slogdet(covariance)
     return -0.5 * (float(log_det) + float(x @ np.linalg.solve(covariance, x)) + x.size * math.log(2.0 * math.pi))
-
-
-# Distance to the fleet beyond which the first level of a train is a fault, in standard deviations among trains.
-_MIN_DEVIATION: Final = 5.0
-# A train is back when less than this share of the departure is left.
-_BACK: Final = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -384,7 +378,7 @@ def _parts(changes: Sequence[Change]) -> list[_Part]:
 def _usual(channels: Sequence[Series], parts: Sequence[_Part]) -> int:
     """Return the number of the part with the usual level."""
     distances = [_distance_to_fleet(channels, part) for part in parts]
-    return 0 if distances[0] < _MIN_DEVIATION else distances.index(min(distances))
+    return 0 if distances[0] < _MAX_USUAL else distances.index(min(distances))
 
 
 def _distance_to_fleet(channels: Sequence[Series], part: _Part) -> float:

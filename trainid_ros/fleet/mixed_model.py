@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities of the table in which trains are compared.
-
-Linear mixed model of one channel: what trains have in common, and what is each train's own.
+"""Linear mixed model of a channel, a quantity of the table: what trains have in common, and what is each train's own.
 
     y_n = mu + u_train(n) + sum_k b_k(n) + e_n,   u ~ N(0, s_T^2),   b_k ~ N(0, s_k^2),   e_n ~ N(0, v_n)
     v_n = (kappa^2 std_n^2 + s_E^2) / omega_n
@@ -42,7 +40,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
+DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
+"""Degrees of freedom of Student's t among which the data choose."""
+ROUNDS: Final = 4
+"""Rounds after which the weights do not change any more."""
+LEAST_TRAINS: Final = 4
+"""Trains on most days for a day to have an effect: with fewer it would take away what is a train's own."""
+_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of an estimate that is compared
+_LOG_VARIANCES: Final = (-14.0, 4.0)  # Range of the logarithms of variances relative to that of the data
+_LOG_STATED: Final = math.log(0.5**2)  # Prior of ln kappa^2: part of what the estimators state repeats every day
+_PRIOR_STD: Final = 2.0  # Of ln kappa^2 and ln s_T^2: a factor of e either way
+_NORMAL_MAD: Final = 1.4826  # Standard deviation over median absolute deviation of normal values
 
 
 class Channel(NamedTuple):
@@ -106,18 +114,14 @@ def has_estimate(row: Row) -> bool:
 
 def cells_of(rows: Sequence[Row], channel: Channel, labels: Labels) -> Cells:
     """Return the cells of a channel; rows without a finite value are left out."""
-    index = [{name: k for k, name in enumerate(names)} for names in
-             (labels.trains, labels.days, labels.lines, labels.weathers)]  # fmt: skip
+    names = {'train': labels.trains, 'day': labels.days, 'line': labels.lines, 'weather': labels.weathers}
+    index = {column: {name: k for k, name in enumerate(found)} for column, found in names.items()}
     runs: dict[tuple[int, ...], list[tuple[float, float]]] = defaultdict(list)
     for row in rows:
         value, std = row[channel.name], row[f'{channel.name}_std']
         if not is_known(row) or value is None or std is None or not std > 0.0 or not math.isfinite(value + std):
             continue
-        key = tuple(
-            numbers[row[column] or '']
-            for numbers, column in zip(index, ('train', 'day', 'line', 'weather'), strict=True)
-        )
-        runs[key].append((value, std))
+        runs[tuple(numbers[row[column] or ''] for column, numbers in index.items())].append((value, std))
     keys = np.array(sorted(runs), dtype=np.intp).reshape(-1, 4)
     means = [_mean(runs[key]) for key in sorted(runs)]
     value, std = np.array(means).reshape(-1, 2).T
@@ -128,19 +132,6 @@ def _mean(runs: Sequence[tuple[float, float]]) -> tuple[float, float]:
     weights = [1.0 / (std * std) for _, std in runs]
     total = sum(weights)
     return sum(w * value for w, (value, _) in zip(weights, runs, strict=True)) / total, total**-0.5
-
-
-DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
-"""Degrees of freedom of Student's t among which the data choose."""
-ROUNDS: Final = 4
-"""Rounds after which the weights do not change any more."""
-# A day's effect is the mean of its trains; with fewer on most days it would take away what is a train's own.
-LEAST_TRAINS: Final = 4
-# Logarithms of variances relative to that of the data.
-_BOUNDS: Final = (-14.0, 4.0)
-# Priors of ln kappa^2 and ln s_T^2: part of what the estimators state repeats every day; standard deviation.
-_STATED: Final = math.log(0.5**2)
-_PRIOR_STD: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +200,7 @@ class _Problem:
         # Unit of the variances, so that their logarithms are near zero.
         unit = _robust_variance(cells.value[used])
         self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
-        self._usual = np.array([_STATED, math.log(level_std**2 / unit)])
+        self._usual = np.array([_LOG_STATED, math.log(level_std**2 / unit)])
 
     def variances(self, x: Array) -> Array:
         """Return kappa^2, s_E^2, s_T^2 and that of each common effect for their logarithms."""
@@ -298,7 +289,7 @@ def fit(
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
     for _ in range(rounds):
         x = minimize(
-            problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
+            problem.loss, x, method='L-BFGS-B', bounds=[_LOG_VARIANCES] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
         ).x
         solution = problem.solve(x)
         z2 = (cells.value - problem.common(solution) - solution.u[cells.train]) ** 2 / solution.v
@@ -330,8 +321,12 @@ def _stds(effects: Effects) -> tuple[str, ...]:
 
 def _robust_variance(values: Array) -> float:
     """Return the variance of normal values with this median absolute deviation; not zero."""
-    deviation = 1.4826 * float(np.median(np.abs(values - np.median(values))))
-    return max(deviation, 1e-6 * float(np.abs(values).max()), 1e-12) ** 2
+    return max(robust_std(values), 1e-6 * float(np.abs(values).max()), 1e-12) ** 2
+
+
+def robust_std(values: Array) -> float:
+    """Return the standard deviation of normal values with this median absolute deviation."""
+    return _NORMAL_MAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def log_t(z2: Array, degrees: float) -> Array:

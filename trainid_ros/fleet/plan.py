@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train, line, weather and day of a bag: from its path, or from the custom data that was recorded with it.
+"""The plan of a fleet: which bags are replayed, from which train and day each is, and how; a file beside the table.
 
-Write files as a whole: a killed run leaves the old one or the new one, never half of it.
-
-The plan of a fleet: which bags are replayed, and how; a file beside the table.
-
-Find the bags of a fleet and list them by metadata and index; no message is decoded.
+Bags are found in folders and by patterns, and listed from metadata and index: no message is decoded. Train, line,
+weather and day of a bag come from its path or from the custom data that was recorded with it.
 """
 
 from __future__ import annotations
@@ -30,75 +27,12 @@ from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
 LABELS: Final = ('train', 'line', 'weather', 'day')
-DEFAULT_PATTERN: Final = r'(?P<train>[^/]+)/[^/]+$'
-"""Without another and without a namespace, the train has the name of the folder that holds the bag."""
-
-
-@dataclass(frozen=True, slots=True)
-class LabelRule:
-    """How labels are found."""
-
-    # Regular expression that is searched in the absolute path as it is given, or else with links resolved; its named
-    # groups are labels
-    pattern: re.Pattern[str]
-    is_given: bool  # True if the user gave it: then it comes before the custom data, else after
-    # Namespace of the train, without the first slash; '' without one. It is the train unless the user's pattern or the
-    # custom data name another; a folder may be that of several trains.
-    namespace: str
-
-    def labels(self, path: Path, custom: Mapping[str, str]) -> dict[str, str]:
-        """Return the labels of a bag by name, '' where unknown.
-
-        Raises:
-            InputError: The pattern was given, but does not fit the path.
-        """
-        places = (path.absolute(), path.resolve())
-        match = next(filter(None, (self.pattern.search(place.as_posix()) for place in places)), None)
-        if match is None and self.is_given:
-            raise InputError(f"{path}: --label '{self.pattern.pattern}' does not fit the path")
-        found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
-        if self.namespace:
-            custom = {'train': self.namespace, **custom}
-        both = {**custom, **found} if self.is_given else {**found, **custom}
-        return {name: both.get(name, '') for name in LABELS}
-
-
-def label_rule(pattern: str | None, namespace: str = '/') -> LabelRule:
-    """Return the rule of a pattern, or the default without one, for the train in a namespace.
-
-    Raises:
-        InputError: The pattern is no regular expression, or has no group or another one than the labels.
-    """
-    try:
-        compiled = re.compile(pattern or DEFAULT_PATTERN)
-    except re.error as error:
-        raise InputError(f"--label '{pattern}': {error}") from None
-    unknown = sorted(set(compiled.groupindex) - set(LABELS))
-    if unknown or not compiled.groupindex:
-        problem = f'has a group {unknown[0]!r}' if unknown else 'has no named group such as (?P<train>[^/]+)'
-        raise InputError(f"--label '{pattern}': {problem}; the labels are " + ', '.join(LABELS))
-    return LabelRule(compiled, is_given=pattern is not None, namespace=namespace.strip('/'))
-
-
-def day_of(label: str, start_s: float | None, where: Path) -> str | None:
-    """Return a day as YYYY-MM-DD: that of the label, or of the start [s] in UTC; None without either.
-
-    Raises:
-        InputError: The label is no day.
-    """
-    if label:
-        try:
-            return date.fromisoformat(label.replace('_', '-')).isoformat()
-        except ValueError:
-            raise InputError(f'{where}: label day {label!r} is not a day such as 2026-01-31') from None
-    return None if start_s is None else datetime.fromtimestamp(start_s, UTC).date().isoformat()
-
-
-_FORMAT: Final = 1
-_FILES: Final = ('train', 'params', 'mapping')
+"""What is known of a bag besides its messages; columns of the table."""
+# Without a pattern of the user and without a namespace, the train has the name of the folder that holds the bag.
+_DEFAULT_PATTERN: Final = r'(?P<train>[^/]+)/[^/]+$'
+_FORMAT: Final = 1  # Version of the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,11 +79,11 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """Return the contents of the file."""
-        setup = {name: None if value is None else str(value) for name, value in asdict(self.setup).items()}
+        setup = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self.setup).items()}
         return {
             'format': _FORMAT,
             'revision': self.revision,
-            'setup': {**setup, 'max_chunk': self.setup.max_chunk},
+            'setup': setup,
             'sha256': self.hashes,
             'bags': [asdict(bag) for bag in self.bags],
         }
@@ -163,39 +97,35 @@ class Plan:
         write_whole(path, lambda part: part.write_text(json.dumps(self.to_json(), indent=1) + '\n', encoding='utf-8'))
 
 
+def plan_file(table: Path) -> Path:
+    """Return the path of the plan of a table."""
+    return table.with_name(f'{table.name}.plan.json')
+
+
+def read_plan(table: Path) -> dict[str, Any]:
+    """Return the plan of a table as written, empty if there is none."""
+    try:
+        found = json.loads(plan_file(table).read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def setup_of(plan: Mapping[str, Any]) -> Setup | None:
     """Return the setup of a plan as written, None if it holds none."""
     try:
         found = plan['setup']
-        train, params, mapping = (None if found.get(name) is None else Path(found[name]) for name in _FILES)
+        train, params, mapping = (found.get(name) and Path(found[name]) for name in ('train', 'params', 'mapping'))
         return Setup(train or Path(), params, mapping, str(found['namespace']), int(found['max_chunk']))
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
 
-def setup_in(path: Path) -> Setup | None:
-    """Return the setup of a file with a plan, None without one."""
-    try:
-        return setup_of(json.loads(path.read_text(encoding='utf-8')))
-    except (OSError, ValueError):
-        return None
-
-
-def bags_in(path: Path) -> frozenset[str]:
-    """Return the paths of the bags in a file with a plan, none without one."""
-    try:
-        return frozenset(bag['path'] for bag in json.loads(path.read_text(encoding='utf-8'))['bags'])
-    except (OSError, ValueError, KeyError, TypeError):
-        return frozenset()
-
-
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
     """Return the plan of bags; OSError or InputError if a file of the setup cannot be read."""
-    files: dict[str, Path | None] = {name: getattr(setup, name) for name in _FILES}
-    read: dict[str, tuple[Path, ...]] = {name: () if path is None else (path,) for name, path in files.items()}
-    if setup.mapping is not None:
-        read['mapping'] = (setup.mapping, *_functions(setup.mapping))
-    return Plan(setup, {name: _hash_of(paths) for name, paths in read.items()}, revision(), bags)
+    functions = () if setup.mapping is None else _functions(setup.mapping)
+    files = {'train': (setup.train,), 'params': (setup.params,), 'mapping': (setup.mapping, *functions)}
+    return Plan(setup, {name: _hash_of(paths) for name, paths in files.items()}, revision(), bags)
 
 
 def _functions(mapping: Path) -> tuple[Path, ...]:
@@ -206,9 +136,10 @@ def _functions(mapping: Path) -> tuple[Path, ...]:
     return tuple(sorted({function.path for function in functions if function is not None}))
 
 
-def _hash_of(paths: tuple[Path, ...]) -> str:
+def _hash_of(paths: Iterable[Path | None]) -> str:
     """Return the digest of files, '' of none."""
-    return sha256(b'\0'.join(path.read_bytes() for path in paths)).hexdigest() if paths else ''
+    contents = [path.read_bytes() for path in paths if path is not None]
+    return sha256(b'\0'.join(contents)).hexdigest() if contents else ''
 
 
 def revision() -> str:
@@ -218,6 +149,66 @@ def revision() -> str:
     for path in sorted(folder.rglob('*.py')):
         total.update(path.relative_to(folder).as_posix().encode() + b'\0' + path.read_bytes())
     return f'{trainid_ros.__version__}+{total.hexdigest()[:12]}'
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRule:
+    """How labels are found."""
+
+    # Regular expression that is searched in the absolute path as it is given, or else with links resolved; its named
+    # groups are labels
+    pattern: re.Pattern[str]
+    is_given: bool  # True if the user gave it: then it comes before the custom data, else after
+    # Namespace of the train, without the first slash; '' without one. It is the train unless the user's pattern or the
+    # custom data name another; a folder may be that of several trains.
+    namespace: str
+
+    def labels(self, path: Path, custom: Mapping[str, str]) -> dict[str, str]:
+        """Return the labels of a bag by name, '' where unknown.
+
+        Raises:
+            InputError: The pattern was given, but does not fit the path.
+        """
+        places = (path.absolute(), path.resolve())
+        match = next(filter(None, (self.pattern.search(place.as_posix()) for place in places)), None)
+        if match is None and self.is_given:
+            raise InputError(f"{path}: --label '{self.pattern.pattern}' does not fit the path")
+        found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
+        if self.namespace:
+            custom = {'train': self.namespace, **custom}
+        both = {**custom, **found} if self.is_given else {**found, **custom}
+        return {name: both.get(name, '') for name in LABELS}
+
+
+def label_rule(pattern: str | None, namespace: str = '/') -> LabelRule:
+    """Return the rule of a pattern, or the default without one, for the train in a namespace.
+
+    Raises:
+        InputError: The pattern is no regular expression, or has no group or another one than the labels.
+    """
+    try:
+        compiled = re.compile(pattern or _DEFAULT_PATTERN)
+    except re.error as error:
+        raise InputError(f"--label '{pattern}': {error}") from None
+    unknown = sorted(set(compiled.groupindex) - set(LABELS))
+    if unknown or not compiled.groupindex:
+        problem = f'has a group {unknown[0]!r}' if unknown else 'has no named group such as (?P<train>[^/]+)'
+        raise InputError(f"--label '{pattern}': {problem}; the labels are " + ', '.join(LABELS))
+    return LabelRule(compiled, is_given=pattern is not None, namespace=namespace.strip('/'))
+
+
+def day_of(label: str, start_s: float | None, where: Path) -> str | None:
+    """Return a day as YYYY-MM-DD: that of the label, or of the start [s] in UTC; None without either.
+
+    Raises:
+        InputError: The label is no day.
+    """
+    if label:
+        try:
+            return date.fromisoformat(label.replace('_', '-')).isoformat()
+        except ValueError:
+            raise InputError(f'{where}: label day {label!r} is not a day such as 2026-01-31') from None
+    return None if start_s is None else datetime.fromtimestamp(start_s, UTC).date().isoformat()
 
 
 def find_bags(given: Sequence[Path]) -> list[Path]:

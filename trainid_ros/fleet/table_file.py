@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of the table of a fleet: one row per bag.
-
-Tables of a fleet as files: Parquet with units in the metadata of the columns, or CSV.
-
-Rows as they come, one JSON object a line: what a killed run leaves, and the next run goes on from.
-"""
+"""The table of a fleet, one row per bag: its columns, and its file as Parquet, with units, or as CSV."""
 
 from __future__ import annotations
 
 import csv
 import json
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.files import write_whole
@@ -20,8 +15,6 @@ from trainid_ros.interface.results import Reason, Status
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
-    from types import TracebackType
-    from typing import TextIO
 
 Row = dict[str, Any]
 """Values by name of the column; None where a value is not known. Times are in seconds since 1970 (UTC)."""
@@ -97,8 +90,7 @@ def empty_row() -> Row:
     return dict.fromkeys(NAMES)
 
 
-META: Final = b'trainid_fleet'
-_WRITTEN: Final = 'table of trainid fleet'
+_META: Final = b'trainid_fleet'  # Key of the metadata with the plan
 
 
 def check_table(path: Path) -> None:
@@ -133,7 +125,7 @@ def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror})') from None
     except ValueError as error:  # of pyarrow and csv
-        raise InputError(f'{path}: is not a {_WRITTEN} ({" ".join(str(error).split())[:200]})') from None
+        raise InputError(f'{path}: is not a table of trainid fleet ({" ".join(str(error).split())[:200]})') from None
     return [empty_row() | row for row in rows], about
 
 
@@ -179,7 +171,7 @@ def _write_parquet(rows: Sequence[Row], path: Path, about: Mapping[str, Any]) ->
         pa.field(column.name, kinds[column.kind], metadata={'unit': column.unit, 'description': column.text})
         for column in COLUMNS
     ]
-    schema = pa.schema(fields, metadata={META: json.dumps(about).encode()})
+    schema = pa.schema(fields, metadata={_META: json.dumps(about).encode()})
     columns = {column.name: [_stored(column, row[column.name]) for row in rows] for column in COLUMNS}
     parquet.write_table(pa.table(columns, schema=schema), path, compression='zstd')
 
@@ -202,69 +194,4 @@ def _read_parquet(path: Path) -> tuple[list[Row], dict[str, Any]]:
     for row in rows:
         if row.get('start') is not None:
             row['start'] /= 1e6
-    return rows, json.loads((table.schema.metadata or {}).get(META, b'{}'))
-
-
-_START: Final = '["'
-
-
-def read_journal(path: Path) -> dict[str, Row]:
-    """Return the rows by key; lines that a killed run left unfinished are no rows. Empty without a file.
-
-    Raises:
-        InputError: It cannot be read, or is something else.
-    """
-    rows: dict[str, Row] = {}
-    try:
-        text = path.read_text(encoding='utf-8', errors='replace')
-    except FileNotFoundError:
-        return rows
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error})') from None
-    *lines, _ = text.split('\n')
-    for line in lines:
-        try:
-            key, row = json.loads(line)
-            rows[str(key)] = dict(row)
-        except (ValueError, TypeError):
-            continue  # a kill, or a loss of power, may leave anything
-    if lines and not rows and not lines[0].startswith(_START):
-        raise InputError(f'{path}: holds no row of a fleet; remove the file or choose another --out')
-    return rows
-
-
-class Journal:
-    """Appends rows; use as a context manager."""
-
-    def __init__(self, path: Path) -> None:
-        """Name the file."""
-        self._path = path
-        self._file: TextIO | None = None
-
-    def __enter__(self) -> Self:
-        """Open the file; a line that was left unfinished is ended.
-
-        Raises:
-            InputError: It cannot be written.
-        """
-        try:
-            self._file = self._path.open('a', encoding='utf-8')
-            if self._file.tell() and not self._path.read_bytes().endswith(b'\n'):
-                self._file.write('\n')
-        except OSError as error:
-            raise InputError(f'{self._path}: cannot be written ({error.strerror})') from None
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
-
-    def add(self, key: str, row: Row) -> None:
-        """Append a row; it survives the end of this process."""
-        if self._file is not None:
-            json.dump((key, row), self._file, allow_nan=False, ensure_ascii=True)
-            self._file.write('\n')
-            self._file.flush()
+    return rows, json.loads((table.schema.metadata or {}).get(_META, b'{}'))

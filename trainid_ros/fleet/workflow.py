@@ -23,10 +23,18 @@ if TYPE_CHECKING:
 
     from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.fleet.analysis import FleetView, TrainView
-    from trainid_ros.fleet.run_fleet import Run
+    from trainid_ros.fleet.plan import Setup
+    from trainid_ros.fleet.table_file import Row
 
-_MOST_BAGS: Final = 3
-_SIGMAS: Final = 3.0
+_MAX_BAGS: Final = 3  # Of a departure that are explained: effects that hold are in the first ones already
+_MAX_SIGMAS: Final = 3.0  # Difference of two equal effects, in standard deviations
+
+
+class Run(NamedTuple):
+    """A row as read from a table, and how that was made, None if its plan is missing."""
+
+    row: Row
+    setup: Setup | None
 
 
 class Named(NamedTuple):
@@ -73,7 +81,7 @@ def _bags(view: FleetView, train: TrainView, runs: Sequence[Run]) -> tuple[list[
     before = [run for run in own if run.row['day'] < first]
     away = [run for run in own if run.row['day'] >= first and (end is None or run.row['day'] < end)]
     after = [run for run in own if end is not None and run.row['day'] >= end]
-    return before[-1:] or after[:1], away[:_MOST_BAGS]
+    return before[-1:] or after[:1], away[:_MAX_BAGS]
 
 
 def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
@@ -82,7 +90,7 @@ def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
         return False
     values, stds = dict(other.parameters), (dict(one.std), dict(other.std))
     return all(
-        abs(value - values[name]) <= _SIGMAS * math.hypot(*(std.get(name, 0.0) for std in stds))
+        abs(value - values[name]) <= _MAX_SIGMAS * math.hypot(*(std.get(name, 0.0) for std in stds))
         for name, value in one.parameters
     )
 
