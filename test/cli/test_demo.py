@@ -117,7 +117,7 @@ def test_bag_without_train_file_is_reported(tmp_path: Path) -> None:
 
 def test_equal_estimates_have_equal_digests_whatever_holds_their_numbers() -> None:
     live, replayed = Estimates(), Estimates()
-    array: Any = np.zeros(9)
+    array: Any = tuple(np.zeros(9))
     for given, estimate in ((replace(RESISTANCE, covariance=array), RESISTANCE), (BRAKE, replace(BRAKE))):
         assert live.add(5, given, Status.VALID)
         assert replayed.add(5, estimate, Status.VALID)

@@ -13,7 +13,7 @@ import pytest
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.cli.opening import run_per_bag
+from trainid_ros.cli.per_bag import run_per_bag
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 WORK = """
 import os
 import signal
-from trainid_ros.cli.opening import BagResult
+from trainid_ros.cli.per_bag import BagResult
 
 def work(args, bag, advance):
     if bag.name == 'none':

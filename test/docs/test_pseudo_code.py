@@ -19,7 +19,7 @@ ALGORITHMS = (
     ),
     (
         'resistance/vmils',
-        ('resistance/window_learner', 'resistance/speed_window', 'resistance/change_points', 'resistance/normal'),
+        ('resistance/window_learner', 'resistance/change_points', 'resistance/normal'),
         'resistance/reference_vmils',
     ),
     ('speed_model/am_vff_rls', (), 'speed_model/reference_am_vff_rls'),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from trainid_ros.estimators.pipeline import Contradiction
+from trainid_ros.estimators.contradiction import Contradiction
 
 
 def test_the_last_contradiction_counts_and_each_has_a_begin_and_an_end() -> None:

@@ -17,7 +17,6 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.results import Output
 from trainid_ros.interface.text import in_ascii, printable
 from trainid_ros.report import HTML_START
 
@@ -80,6 +79,9 @@ def to_plain(value: Any) -> Any:
 
 
 def _compound_to_plain(value: Any) -> Any:
+    # Imported here because it loads NumPy, which help needs not.
+    from trainid_ros.interface.results import Output  # noqa: PLC0415
+
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
     if isinstance(value, Output):

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.opening import BagResult, load_setups, run_per_bag
+from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
+from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs

@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When the inputs of a replay contradicted each other.
-
-One pipeline for every driver: records in, outputs out.
+"""One pipeline for every driver: records in, outputs out.
 
 Live nodes, bag replay and fleets push the same records into the same pipelines and copy their outputs; no number is
-computed elsewhere.
-
-Several pipelines that take in the same records share the streams that would give the same samples.
+computed elsewhere. Pipelines that take in the same records share the streams that would give the same samples.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +14,7 @@ from typing import Any, ClassVar, Final, Generic
 
 from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record, Row
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
@@ -27,32 +23,6 @@ from trainid_ros.interface.state import State, declare, encode, restore, several
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
-
-
-@dataclass(slots=True)
-class Contradiction:
-    """The last time that inputs contradicted each other, in time covered by the samples."""
-
-    finding: str = ''  # What contradicted what, empty if nothing ever did
-    begin_s: float = math.nan  # When it began [s], NaN if it never did
-    end_s: float = math.nan  # When it ended [s], NaN while it lasts
-
-    def follow(self, finding: str, now_s: float) -> None:
-        """Take in what contradicts what after a sample, '' if nothing does; a new contradiction replaces the last."""
-        lasts = self.finding != '' and math.isnan(self.end_s)
-        if finding and not lasts:
-            self.begin_s, self.end_s = now_s, math.nan
-        elif lasts and not finding:
-            self.end_s = now_s
-        self.finding = finding or self.finding
-
-    @property
-    def text(self) -> str:
-        """What contradicted what, and when."""
-        if math.isnan(self.end_s):
-            return f'inputs contradict each other since {self.begin_s:.1f} s: {self.finding}'
-        return f'inputs contradicted each other from {self.begin_s:.1f} to {self.end_s:.1f} s: {self.finding}'
-
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
 _SNAPSHOT_S: Final = 120.0

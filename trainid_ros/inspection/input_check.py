@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.estimators.pipeline import Contradiction
+from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.interface.records import (
     BRAKE,
     BRAKE_TOPIC,

@@ -93,7 +93,7 @@ class TwoWindowState:
 
     posterior: WindowPosterior
     noise: SpeedNoise
-    rows: tuple[Row, ...] = ()
+    rows: tuple[Row, ...] = stored((), kind=Row)
     motion: PieceState | None = stored(None, kind=PieceState)  # noqa: RUF009 - makes a field
     pieces: int = 0
     row_time: float = 0.0

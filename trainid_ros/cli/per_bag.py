@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that do the same for each of several bags: one that fails does not stop the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
+from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.interface.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    Work = Callable[[argparse.Namespace, Path, Callable[[float], None]], 'BagResult']
+
+
+@dataclass(frozen=True, slots=True)
+class BagResult:
+    """What a command says of one bag."""
+
+    shown: dict[str, Any] | str | None  # JSON object with ``--json``, else text; None if the bag could not be used
+    warnings: tuple[str, ...] = ()  # Faults that do not prevent an answer
+    error: str = ''  # Why there is no answer, '' if there is one
+
+
+def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
+    """Do the work for each of ``args.bags``, ``args.jobs`` at once, print the results and return the exit code.
+
+    Args:
+        args: Arguments of the command, with ``bags``, ``jobs`` and ``json``.
+        work: Function of a module: gets the arguments, a bag, and a function to call with the share done since its last
+            call. InputError and OSError are reported as errors of the bag.
+        text: What is being done.
+    """
+    bags: Sequence[Path] = args.bags
+    name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
+    with progress(f'{text} {name}', total=len(bags)) as advance:
+        results = map_bags(partial(_attempt, work, args), bags, args.jobs or processors(), advance, _killed)
+    for line in dict.fromkeys(line for result in results for line in result.warnings):
+        warn(line)
+    shown = [result.shown for result in results if result.shown is not None]
+    if len(bags) > 1 and args.json:
+        print_json([{'bag': bag, **_object(result)} for bag, result in zip(bags, results, strict=True)])
+    elif shown and args.json:
+        print_json(shown[0])
+    elif shown:
+        show('\n\n'.join(map(str, shown)))
+    for result in results:
+        if result.error:
+            report_error(result.error)
+    return max(map(_exit_code, results))
+
+
+def _attempt(work: Work, args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
+    try:
+        return work(args, bag, advance)
+    except InputError as error:
+        return BagResult(None, error=str(error))
+    except OSError as error:
+        return BagResult(None, error=f'{error.filename or bag}: {error.strerror}')
+
+
+def _killed(bag: Path) -> BagResult:
+    return BagResult(None, error=killed_message(bag))
+
+
+def _object(result: BagResult) -> dict[str, Any]:
+    shown = result.shown if isinstance(result.shown, dict) else {}
+    return {**shown, 'error': result.error} if result.error else shown
+
+
+def _exit_code(result: BagResult) -> int:
+    if not result.error:
+        return 0
+    return EXIT_BAD_INPUT if result.shown is None else EXIT_NO_ANSWER
