@@ -92,6 +92,12 @@ def test_line_without_truth_or_brake_rate() -> None:
     assert 'brake' not in text
 
 
+def test_line_with_a_truth_that_knows_no_brake_rate() -> None:
+    text = line(newest(), replace(TRUTH, brake_rate=()))
+    assert '(truth 1.800) VALID' in text
+    assert 'brake rate 0.910 ± 0.050 HOLDING' in text
+
+
 def test_parameters_make_every_topic_reliable() -> None:
     sections = yaml.safe_load(lossless_parameters())
     assert set(sections) == {'resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'}

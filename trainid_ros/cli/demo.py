@@ -321,7 +321,7 @@ def line(newest: Mapping[type, AnyOutput], truth: Truth | None) -> str:
                 known = '' if at is None else f' (truth {davis(at.resistance, e.speed):.3f})'
             case BrakeRateEstimate():
                 value = f'brake rate {e.brake_rate:.3f} ± {e.brake_rate_std:.3f}'
-                known = '' if at is None else f' (truth {at.brake_rate:.3f})'
+                known = '' if at is None or at.brake_rate is None else f' (truth {at.brake_rate:.3f})'
             case SpeedModelEstimate():
                 value, known = f'mass factor {e.mass_factor:.3f}', ''
         parts.append(f'{value}{known} {output.status.name}, {output.used} used, {output.rejected} rejected')
