@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that never jump: a normal distribution that moves to each new one at a bounded rate.
+"""One estimate of the nodes: whether it may be used now, and its values, which move gradually.
+
+A VALID or HOLDING estimate may be used until the next one is due. When a VALID estimate becomes CONVERGING, its last
+valid values are kept, but their uncertainty is raised at once to that of the train file; they are given up when the
+present estimate refutes them. Otherwise the train file applies: at most ``FALL_BACK_S`` after the reason for it, such
+as a status, silence, or the end of the node.
+
+Values that never jump: a normal distribution that moves to each new one at a bounded rate.
 
 On its way from (m0, P0) to (m, P), with the share g of the way done, d = m - m0 and q = (1 - g)^2,
 
@@ -10,13 +17,6 @@ and then falls gradually. The positive part is taken in units of the train file'
 
 A move that must end within a stated time is one to the train file, which is less certain: the covariance goes straight
 from P0 to P then, so that no bound is beyond both.
-
-One estimate of the nodes: whether it may be used now, and its values, which move gradually.
-
-A VALID or HOLDING estimate may be used until the next one is due. When a VALID estimate becomes CONVERGING, its last
-valid values are kept, but their uncertainty is raised at once to that of the train file; they are given up when the
-present estimate refutes them. Otherwise the train file applies: at most ``FALL_BACK_S`` after the reason for it, such
-as a status, silence, or the end of the node.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of the client: names, units and ranges.
+"""The train as it is today: answers for an autopilot from live estimates, else from the train file.
+
+Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
+
+Arguments of the client: names, units and ranges.
 
 A time that never goes back, from a clock that may, as simulated time does when a bag starts again.
 
 Parameters in the fields of an estimate, which may be a message.
-
-The train as it is today: answers for an autopilot from live estimates, else from the train file.
-
-Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
 """
 
 from __future__ import annotations

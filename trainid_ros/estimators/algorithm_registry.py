@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of every estimator for its drivers.
+"""Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes.
+
+Interface of every estimator for its drivers.
 
 Algorithms of other distributions, found through entry points of the group ``trainid_ros.algorithms``.
 
 The name of an entry point is that of the job (``resistance``, ``speed_model`` or ``brake_rate``), its object a tuple
 of :class:`Algorithm`. Reading the entry points takes 40 ms, so nothing here runs until a name is not built in.
-
-Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.estimators.contradiction import Contradiction
+from trainid_ros.inspection.suggestion import USUAL_ROTARY, Slope, is_near, partial_slope
 from trainid_ros.interface.records import (
     BRAKE,
     BRAKE_TOPIC,
@@ -61,11 +62,7 @@ _FEWEST: Final = 50
 _BLOCK_S: Final = 2.0
 # Time after which a brake that was released does not act [s].
 _RELEASED_S: Final = 4.0
-# Share by which rotating masses raise the inertia of a usual train [1].
-_USUAL_ROTARY: Final = 0.08
 _MIN_BLOCKS: Final = 15
-# Residuals over this time in motion may be alike, as in a gust [s].
-_ALIKE_S: Final = 20.0
 # Multiple of its standard deviation that a slope has at least, share of the variance that the gradient explains at
 # least [1], and least standard deviation of the gradient in its right unit [per mille].
 _SIGMAS: Final = 8.0
@@ -75,8 +72,6 @@ _LEAST_STD: Final = 1.0
 # standard deviations.
 _TOO_SMALL: Final = 5.0
 _BEYOND: Final = 3.0
-# Factor within which a slope is that of a unit, or of a wrong sign [1].
-_NEAR: Final = 1.6
 # Slope of a gradient that is ten times too large [1]. Noise makes slopes small too, but no noise has this standard
 # deviation [per mille].
 _TOO_LARGE: Final = 0.1
@@ -139,15 +134,6 @@ class _Block(NamedTuple):
     square: float  # Of the speed [m^2/s^2]
 
 
-class _Slope(NamedTuple):
-    """How the gradient slows the train."""
-
-    value: float  # Slope k [1]
-    std: float  # Its standard deviation [1]
-    gradient_std: float  # Standard deviation of the gradient that force and speed do not explain [per mille]
-    share: float  # Share of the variance that the gradient then explains [1]
-
-
 class _GradientCheck:
     """What the samples of a drive say about the unit of the gradient."""
 
@@ -188,45 +174,27 @@ class _GradientCheck:
         if len(self._blocks) < _MIN_BLOCKS or (slope := _slope(np.array(self._blocks))) is None:
             return ''
         size = abs(slope.value)
-        if size < _SIGMAS * slope.std or slope.share < _SHARE or size * slope.gradient_std < _LEAST_STD:
+        if size < _SIGMAS * slope.std or slope.share < _SHARE or size * slope.spread < _LEAST_STD:
             return ''
         how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
         sign = ', with the wrong sign' if slope.value < 0.0 else ''
         if size - _BEYOND * slope.std > _TOO_SMALL:
             unit = min(_UNITS, key=lambda name: abs(math.log(size / _UNITS[name])))
-            what = f'like {unit}' if _is_near(size, _UNITS[unit]) else 'too small'
+            what = f'like {unit}' if is_near(size, _UNITS[unit]) else 'too small'
             return f'{GRADIENT_TOPIC.name} looks {what}{sign}: {how}'
-        if _is_near(size, _TOO_LARGE) and slope.gradient_std > _LARGE_STD:
+        if is_near(size, _TOO_LARGE) and slope.spread > _LARGE_STD:
             return f'{GRADIENT_TOPIC.name} looks ten times too large{sign}: {how}'
-        if sign and _is_near(size, 1.0):
+        if sign and is_near(size, 1.0):
             return f'{GRADIENT_TOPIC.name} looks as if it had the wrong sign: the train gains speed uphill'
         return ''
 
 
-def _is_near(size: float, expected: float) -> bool:
-    return abs(math.log(size / expected)) < math.log(_NEAR)
-
-
-def _slope(blocks: NDArray[np.float64]) -> _Slope | None:
-    """Return the slope of blocks as rows; None where the gradient does not change apart from force and speed."""
+def _slope(blocks: NDArray[np.float64]) -> Slope | None:
+    """Return how the gradient slows the train [1], from blocks as rows; None if the other columns explain it."""
     seconds, acceleration, gradient, *others = blocks.T
-    design = np.column_stack([*others, np.ones(len(blocks))])
-    design /= np.maximum(np.abs(design).max(axis=0), 1e-300)
-    both = np.column_stack([acceleration, gradient])
-    y, x = (both - design @ np.linalg.lstsq(design, both, rcond=1e-9)[0]).T
-    square = float(x @ x)
-    if square <= 1e-9 * float(gradient @ gradient):
-        return None
-    slope = float(x @ y) / square
-    rest = y - slope * x
-    # Residuals that are near in time are not independent.
-    groups = np.floor(np.cumsum(seconds) / _ALIKE_S).astype(np.intp)
-    sums = np.bincount(groups, weights=x * rest)
-    std = math.sqrt(float(sums @ sums) * sums.size / max(sums.size - 1, 1)) / square
-    scale = -1000.0 * (1.0 + _USUAL_ROTARY) / G
-    explained = slope * slope * square
-    share = explained / total if (total := explained + float(rest @ rest)) > 0.0 else 0.0
-    return _Slope(scale * slope, abs(scale) * std, math.sqrt(square / len(blocks)), share)
+    slope = partial_slope(acceleration, gradient, others, np.cumsum(seconds))
+    scale = -1000.0 * (1.0 + USUAL_ROTARY) / G
+    return slope and slope._replace(value=scale * slope.value, std=abs(scale) * slope.std)
 
 
 class _Check:

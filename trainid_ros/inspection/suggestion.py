@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The balance of forces in numbers over time: it tells which number is what, and in which unit.
+"""A suggested mapping: what each input may come from, why, and what the reader must decide; and its text.
+
+The balance of forces in numbers over time: it tells which number is what, and in which unit.
 
     (1 + gamma) M dv/dt = F - M g (w(v) + i) / 1000
 
 The slope of the acceleration over a force is 1 / ((1 + gamma) M) in its unit, over a gradient -g / (1 + gamma) / 1000.
-
-A suggested mapping: what each input may come from, why, and what the reader must decide; and its text.
 """
 
 from __future__ import annotations

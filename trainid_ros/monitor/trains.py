@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When messages of one topic arrived.
-
-What the nodes of one train report of themselves and of their inputs on ``/diagnostics``.
-
-What is known of each train, from the messages that arrived and the times at which they did.
+"""What is known of each train, from the messages that arrived and the times at which they did.
 
 Two clocks are used: a steady one [s] for arrivals, and that of the stamps [ns] for ages.
+
+When messages of one topic arrived.
+
+What the nodes of one train report of themselves and of their inputs on ``/diagnostics``.
 """
 
 from __future__ import annotations

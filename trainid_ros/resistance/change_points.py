@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust batch fit of y = phi' theta, insensitive to up to 45 % outliers.
-
-Used to start an estimate from bad data and to restart one that has diverged. Least trimmed squares finds the 55 % of
-the observations that agree best, by concentration steps from many small subsets (Rousseeuw and Van Driessen 2006);
-least squares over all observations near that fit gives the estimate.
-
-Parameter estimation that follows steps without forgetting between them.
+"""Parameter estimation that follows steps without forgetting between them.
 
 A forgetting factor responds to a step faster at the price of more noise at all other times. Here one long-memory
 estimate (multi-innovation least squares) runs beside a few run-length hypotheses. Each assumes that the parameters
@@ -23,6 +17,12 @@ Each hypothesis weights outliers by its own prediction, so a burst that a young 
 long memory. Hypotheses count only after ``min_age`` observations, longer than a burst. A step so large that no
 hypothesis follows it shows in weights that stay low; the long memory then restarts from a robust fit of the latest
 observations.
+
+Robust batch fit of y = phi' theta, insensitive to up to 45 % outliers.
+
+Used to start an estimate from bad data and to restart one that has diverged. Least trimmed squares finds the 55 % of
+the observations that agree best, by concentration steps from many small subsets (Rousseeuw and Van Driessen 2006);
+least squares over all observations near that fit gives the estimate.
 """
 
 from __future__ import annotations

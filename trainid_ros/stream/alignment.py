@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Direction of travel and last stop, followed sample by sample.
-
-The time base that a step of the stamps forward has left: the stamps may soon come back to it.
-
-A clock that was set wrong for some seconds is set right again. That step back is no other drive, however large it is.
-
-Alignment: topics with stamps of their own become one sample per period, by stamp alone.
+"""Alignment: topics with stamps of their own become one sample per period, by stamp alone.
 
 A sample has the stamp of a speed record. Force, gradient and curvature are interpolated to that stamp; a brake command
 holds from its stamp on. A sample is released as soon as every required topic has reached its stamp, or when the newest
@@ -21,6 +15,12 @@ lose one record in a row: its limits are 2.5 of its own intervals. The interval 
 have passed, in the order of stamps, so the order of arrival does not matter. Where commands come slowly, a change
 between two of them counts from the middle on, since its time is unknown. Commands may also be published only on change:
 with ``command_hold`` set, the last one holds that long, and samples wait ``max_lag`` for a change that is on its way.
+
+Direction of travel and last stop, followed sample by sample.
+
+The time base that a step of the stamps forward has left: the stamps may soon come back to it.
+
+A clock that was set wrong for some seconds is set right again. That step back is no other drive, however large it is.
 """
 
 from __future__ import annotations

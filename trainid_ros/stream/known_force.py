@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of the measured speed, estimated from the measurements alone.
+"""Known part of the specific force balance: traction, gradient and modelled effects.
+
+Noise of the measured speed, estimated from the measurements alone.
 
 Tachometers of trains differ by a factor of ten. Second differences of equally spaced speeds contain the noise (with
 variance 6 sigma^2) and almost none of the motion, whose jerk is small.
@@ -8,8 +10,6 @@ They do not show the rounding error of a speed measured in coarse steps. While t
 stays the same for seconds and then jumps. Its error has the variance q^2/12, but all samples between two jumps share
 it, so together they count as one sample. Where every sample changes the speed the error is just as large, and
 differences may not have revealed it yet.
-
-Known part of the specific force balance: traction, gradient and modelled effects.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of the checks of inputs against each other.
-
-Check the inputs against each other before anything is learned from them: units, signs, stuck or late inputs.
+"""Check the inputs against each other before anything is learned from them: units, signs, stuck or late inputs.
 
 With specific forces [N/kN] and y = 1000 (1 + gamma) (dv/dt) / g + i + w(v), where w(v) is that of the train file,
 
@@ -14,6 +12,8 @@ resistance differ from those of the train file by some ten per cent, wrong units
 distances, the gradient with the line, and the times of steps. What is found lasts until it is certainly mended; the
 stream rejects all samples meanwhile. A sample whose last two seconds contradict the balance by more than any resistance
 is rejected at once. While a change is only suspected, samples are used, but no estimate is trusted.
+
+State of the checks of inputs against each other.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interval between the records of one topic, learned from their stamps.
-
-The records of one topic in stamp order: values interpolated to a stamp, and means between two.
+"""The records of one topic in stamp order: values interpolated to a stamp, and means between two.
 
 Brake commands by stamp: which one is in force, since when, and up to when that is known.
 
 Commands come all the time, or only when they change: then the last one holds for a declared time.
+
+The interval between the records of one topic, learned from their stamps.
 """
 
 from __future__ import annotations
