@@ -18,7 +18,7 @@ from pathlib import Path
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED, Row
 
-MOST_BRAKE = 1.2  # m/s^2
+MAX_BRAKE = 1.2  # m/s^2
 ROWS_A_MASS = 5
 HEAD = ('Fahrzeug;4711', 'Zeit;v;Weg;F;Steigung;Bremse;Masse', 's;km/h;m;kN;°;%;t')
 
@@ -46,7 +46,7 @@ def lines(topics: list[list[Row]]) -> list[str]:
             position,
             force / 1e3,
             slope,
-            -100.0 * brake / MOST_BRAKE,
+            -100.0 * brake / MAX_BRAKE,
         ]
         texts = [f'{cell:.{digits}f}' for cell, digits in zip(cells, (3, 2, 1, 2, 4, 1), strict=True)]
         texts.append('' if number % ROWS_A_MASS else f'{mass / 1e3:.1f}')

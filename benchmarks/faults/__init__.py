@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from benchmarks.faults.trial import Outcome
 
 _FIRST_SEED = 4001
-_MOST_SEEDS = 12
-_MOST_WORLD_SEEDS = 2
+_MAX_SEEDS = 12
+_MAX_WORLD_SEEDS = 2
 _HEADER = (
     'fault',
     'seen',
@@ -55,8 +55,8 @@ _NOTE = (
 
 def measure(seeds: int) -> tuple[Table, ...]:
     """Return the tables for faults from the first message on and in mid-drive, of each train, and in pairs."""
-    count, single = min(seeds, _MOST_SEEDS), [(fault.name,) for fault in (NOTHING, *FAULTS)]
-    kinds = ((DAY, count), *((world, min(seeds, _MOST_WORLD_SEEDS)) for world in WORLDS))
+    count, single = min(seeds, _MAX_SEEDS), [(fault.name,) for fault in (NOTHING, *FAULTS)]
+    kinds = ((DAY, count), *((world, min(seeds, _MAX_WORLD_SEEDS)) for world in WORLDS))
     return (
         *(_table(f'Faults from the first message on: {kind}', single, n, kind, from_start=True) for kind, n in kinds),
         *(_table(f'Faults for a minute in mid-drive: {kind}', single, n, kind) for kind, n in kinds),

@@ -33,7 +33,7 @@ STEP = 0.02
 _WEIGHT = G / 1000.0
 _TICK = 10
 _APPLIED = -0.03
-_MOST_S = 900.0
+_MAX_S = 900.0
 _STOP_WINDOW = 120.0
 
 
@@ -153,7 +153,7 @@ class Ride:
         nothing = (0.0,) * len(self._effects)
         speed = pull = wanted = command = 0.0
         started = False
-        for k in range(round(_MOST_S / STEP)):
+        for k in range(round(_MAX_S / STEP)):
             true, mapped = self._track_at(front, heading)
             if k % _TICK == 0:
                 wanted, command = driver.decide(front, speed, mapped)
@@ -182,7 +182,7 @@ class Ride:
                 moment.travelled += moved
                 if new <= 0.0 and command < 0.0:
                     return front
-        raise RuntimeError(f'run {number} of the ride did not reach its stop within {_MOST_S:.0f} s')
+        raise RuntimeError(f'run {number} of the ride did not reach its stop within {_MAX_S:.0f} s')
 
     def _track_at(self, front: float, heading: int) -> tuple[float, float]:
         """Return true and mapped gradient in the direction of travel [per mille]; update curvature and tunnel share."""

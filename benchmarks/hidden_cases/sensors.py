@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LOST = 0.03
 _OUTLIERS = 0.05
 _WALK = 0.04
-_LEAST_CURVATURE = 2e-5
+_MIN_CURVATURE = 2e-5
 
 
 def slip_path(log: Log, share: float, most: float, rng: Generator) -> Array:
@@ -134,7 +134,7 @@ def _tracks(log: Log, times: Array, track: Track, walk: Array, start_ns: int) ->
     rows = np.round(times / STEP).astype(int)
     heading = log.heading[rows]
     under = track.under(_at(times, log.front) + _at(times, walk), heading)
-    curved = under[:, 2] > _LEAST_CURVATURE
+    curved = under[:, 2] > _MIN_CURVATURE
     radius = np.divide(1.0, under[:, 2], out=np.zeros(len(rows)), where=curved)
     columns = (heading * under[:, 1]).tolist(), radius.tolist(), (under[:, 3] >= 0.5).tolist()
     values = zip(_stamps(times, start_ns), *columns, strict=True)

@@ -31,7 +31,7 @@ WORLDS: Final = ('metro', 'emu', 'high_speed', 'freight', 'tram')
 DURATIONS: Final = {'metro': 3700.0, 'emu': 3500.0, 'high_speed': 3200.0, 'freight': 3200.0, 'tram': 3900.0}
 # Upper limit of the time that the last run needs to reach its stop after the duration is over [s].
 SPARE: Final = 7200.0
-MOST_RUNS: Final = 200
+MAX_RUNS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def _plan(world: str, seed: int, unknowns: Collection[str], duration: float) -> 
         resistance=draw_resistance(vehicle, duration, changes, random_of(world, seed, 'resistance')),
         brake_rate=draw_brake_rate(vehicle, duration, changes, random_of(world, seed, 'brake rate')),
         gusts=draw_gusts(errors, int((duration + SPARE) / TICK), TICK, random_of(world, seed, 'gusts')),
-        masses=draw_loads(vehicle, MOST_RUNS, random_of(world, seed, 'load')),
+        masses=draw_loads(vehicle, MAX_RUNS, random_of(world, seed, 'load')),
         errors=errors,
         duration=duration,
     )

@@ -20,7 +20,7 @@ Pairs = tuple[tuple[float, float], ...]
 
 
 # Curvature below which track counts as straight [1/m]; margin before the first and after the last stop [m].
-LEAST_CURVATURE: Final = 1e-5
+MIN_CURVATURE: Final = 1e-5
 MARGIN: Final = 1500.0
 DATA: Final = Path(__file__).parent / 'data'
 
@@ -75,7 +75,7 @@ def lay_way(track: Track, sign: int, length: float, curve: float) -> Way:
     if sign < 0:
         gradient, limit, curvature = -gradient[::-1], limit[::-1], curvature[::-1]
     mean_gradient, mean_curvature = _under_train(gradient, length), _under_train(curvature, length)
-    mean_curvature[mean_curvature < LEAST_CURVATURE] = 0.0
+    mean_curvature[mean_curvature < MIN_CURVATURE] = 0.0
     origin = track.stops[0] if sign > 0 else track.stops[-1]
     offset = MARGIN if sign > 0 else grid.size - (track.stops[-1] - first)
     return Way(
@@ -148,7 +148,7 @@ def _emu() -> Track:
     radius = []
     for start, first, last in data['curvatures']['values']:
         bend = 0.5 * sum(1.0 / abs(r) if np.isfinite(r) and r != 0.0 else 0.0 for r in (float(first), float(last)))
-        radius.append((float(start), 1.0 / bend if bend > LEAST_CURVATURE else 0.0))
+        radius.append((float(start), 1.0 / bend if bend > MIN_CURVATURE else 0.0))
     return Track(
         stops=(0.0, 5150.0, 10100.0, 17300.0, 22600.0, 29450.0),
         gradient=tuple((float(s), float(i)) for s, i in data['gradients']['values']),

@@ -33,8 +33,8 @@ SPACING: Final = 100.0
 TICK: Final = 0.2
 INERTIA: Final = 1000.0 * (1.0 + GAMMA) / G
 _WEIGHT: Final = MASS_T * G / 1000.0  # kN of force per N/kN
-_MOST_FORCE: Final = 460.0 / _WEIGHT
-_MOST_POWER: Final = 19200.0 / _WEIGHT
+_MAX_FORCE: Final = 460.0 / _WEIGHT
+_MAX_POWER: Final = 19200.0 / _WEIGHT
 _LINE_KM: Final = 210.0
 _START: Final = 1000.0
 _SUBSTEPS: Final = 4
@@ -142,7 +142,7 @@ class _Driver:
             self._next += 1
         assumed = 0.8 + speed * (0.02 + 0.0014 * speed)
         wanted = assumed + 4.0 * (self._target - speed)
-        most = min(_MOST_FORCE, _MOST_POWER / speed)
+        most = min(_MAX_FORCE, _MAX_POWER / speed)
         return min(most, max(-most if self._plan.brakes else 0.0, wanted))
 
 

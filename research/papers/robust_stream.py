@@ -32,7 +32,7 @@ _WARM_UP: Final = 100
 _SECOND_LOOK: Final = 500
 _MEMORY: Final = 0.01
 _UNCERTAIN: Final = 0.1
-_MOST: Final = 9.0
+_MAX_SCALED_SQUARE: Final = 9.0
 _TINY: Final = 1e-8
 
 
@@ -93,4 +93,4 @@ class RobustStream:
         if self._tracker.change_probability < _UNCERTAIN:
             S = variance + self._variance
             known = self._variance / S
-            self._variance += _MEMORY * weight * known * (min(nu * nu / S, _MOST) - 1.0) * self._variance
+            self._variance += _MEMORY * weight * known * (min(nu * nu / S, _MAX_SCALED_SQUARE) - 1.0) * self._variance

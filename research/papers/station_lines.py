@@ -39,7 +39,7 @@ _MAP_STEP_M: Final = 10.0
 _TRAIN_M: Final = 120.0
 _SUBSTEPS: Final = 2
 # Greatest force of motors and brakes [N/kN].
-_MOST_FORCE: Final = 120.0
+_MAX_FORCE: Final = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class _Drive:
         wanted = np.minimum(np.minimum(rise, self._at_stop(self._draws.cruise)), np.sqrt(2.0 * b * left))
         change, self._wanted = (wanted - self._wanted) / T, wanted
         force: Array = (change + 0.4 * (wanted - self._v)) / c + 3.0 + 0.01 * self._v**2
-        return np.clip(force, -_MOST_FORCE, _MOST_FORCE)
+        return np.clip(force, -_MAX_FORCE, _MAX_FORCE)
 
     def _move(self, u: Array, c: Array, i: Array) -> None:
         """Integrate over one period (Runge-Kutta); stop at the platform, dwell, change the load."""

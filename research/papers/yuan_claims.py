@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 WHITE: Final = NOISES[0]
 _SHARP: Final = 0.005
-_MOST_OF_THE_TIME: Final = 0.5
+_MAJORITY: Final = 0.5
 _SHARP_NOISES: Final = (0.002, 0.005, 0.02)
 _CONVERGED: Final = 0.2
 # Fig. 4: lowest and highest printed value of each parameter.
@@ -111,8 +111,8 @@ def sharp_noise(std: float) -> float:
 
 def sharp_verdict(sharp: dict[float, float]) -> str:
     """Return the noises [m/s] for which most errors are small, and whether noise alone gives the same result."""
-    so = [std for std, share in sharp.items() if share > _MOST_OF_THE_TIME]
-    as_noise = all((sharp_noise(std) > _MOST_OF_THE_TIME) == (std in so) for std in sharp)
+    so = [std for std, share in sharp.items() if share > _MAJORITY]
+    as_noise = all((sharp_noise(std) > _MAJORITY) == (std in so) for std in sharp)
     found = f'confirmed at noise of {", ".join(f"{std:g}" for std in so)} m/s' if so else 'refuted at every noise'
     if so and len(so) < len(sharp):
         found += f', refuted at {", ".join(f"{std:g}" for std in sharp if std not in so)}'

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Simulation = Callable[[float, float, float, float, Floats, Floats], None]
 
 _RIDES: Final[tuple[Scenario, ...]] = ('clean', 'slip', 'out5')
-_LEAST_TICKS: Final = 400
+_MIN_TICKS: Final = 400
 _MANY_ROWS: Final = 10_000
 _MANY: Final = 20
 _SCALE: Final = np.array([1.0, 0.02, 0.001])
@@ -73,7 +73,7 @@ def measure(seeds: int) -> list[Table]:
         rows.append((name, f'{p50:.2f}', f'{p90:.2f}', *(f'{error:.3f}' for error in errors)))
     note = (
         f'Median over {seeds} seeds of the RMSE of w(v) over 5 to 22 m/s [N/kN], CPU time in ms on '
-        f'clean data. One piece: at least {_LEAST_TICKS} ticks. slip and out5 as in the streaming table. The batch fit '
+        f'clean data. One piece: at least {_MIN_TICKS} ticks. slip and out5 as in the streaming table. The batch fit '
         'also estimates delay and gain of the force, noise and gusts; the others assume white noise only.'
     )
     header = ('fit', 'ms', 'ms, p90', *_RIDES)
@@ -112,7 +112,7 @@ def pieces_of(seed: int, scenario: Scenario) -> tuple[list[Piece], Davis]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], raw.moving.astype(np.int8), [0]])))
     found = []
     for start, end in edges.reshape(-1, 2):
-        if end - start >= _LEAST_TICKS:
+        if end - start >= _MIN_TICKS:
             part = slice(start, end)
             found.append(Piece(raw.speed[part], (raw.force - raw.gradient)[part], raw.force[part]))
     return found, stream.after

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from test.client.test_stopping import EMU, shape
-from trainid_ros.client.stopping import MOST_SPEED, Braking, RateShape, StoppingBounds, StopPosterior
+from trainid_ros.client.stopping import MAX_SPEED, Braking, RateShape, StoppingBounds, StopPosterior
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.train_file import Pairs
 
@@ -92,7 +92,7 @@ def test_the_std_of_a_speed_is_that_of_its_distance() -> None:
 
 
 def test_a_distance_too_long_for_any_speed_gives_the_largest_one() -> None:
-    assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(1e5)[0] == MOST_SPEED
+    assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(1e5)[0] == MAX_SPEED
 
 
 def test_no_distance_allows_no_speed_also_downhill() -> None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, MOST_RATE, Channel, Normal, Parameter
+from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, MAX_RATE, Channel, Normal, Parameter
 from trainid_ros.interface.results import Status
 
 FILE = Normal((1.0,), (0.04,))
@@ -77,7 +77,7 @@ def test_a_suspicion_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
         values.append(now.mean[0])
         stds.append(math.sqrt(now.covariance[0]))
     steps = [after - value for value, after in pairwise(values)]
-    assert all(-1.001 * MOST_RATE * 0.05 * 0.2 <= step <= 0.0 for step in steps)
+    assert all(-1.001 * MAX_RATE * 0.05 * 0.2 <= step <= 0.0 for step in steps)
     assert values[-1] < values[0] - 0.05
     assert min(stds) >= 0.2
 
@@ -198,7 +198,7 @@ def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -
     one.take(Status.VALID, {'rate': Normal((0.83,), (1e-4,))}, 11.2)
     assert one.reason() == 'VALID, moving to the live value'
     one.go_on(11.2 + MAX_AGE_S)
-    assert 1.0 - MOST_RATE * MAX_AGE_S * 0.2 <= one.normal('rate').mean[0] < 0.98
+    assert 1.0 - MAX_RATE * MAX_AGE_S * 0.2 <= one.normal('rate').mean[0] < 0.98
 
 
 @pytest.mark.parametrize('variance', [-1e-4, math.nan, math.inf])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.client.channel import MOST_RATE, Gradual, Normal
+from trainid_ros.client.channel import MAX_RATE, Gradual, Normal
 from trainid_ros.client.file_values import DAVIS, FileValues
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.train.effects import parse_effects
@@ -38,8 +38,8 @@ def test_a_resistance_moves_at_most_a_quarter_faster_than_stated_at_any_speed(pa
         for direction in directions:
             (before, variance), (after, _) = start.along(direction), target.along(direction)
             fastest = max(fastest, abs(after - before) / math.sqrt(variance) / move.left_s(0.0))
-    print(f'{fastest / MOST_RATE:.3f}')
-    assert MOST_RATE < fastest < 1.25 * MOST_RATE
+    print(f'{fastest / MAX_RATE:.3f}')
+    assert MAX_RATE < fastest < 1.25 * MAX_RATE
 
 
 def test_without_effects_the_brake_rate_has_the_rows_of_the_train_file() -> None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.channel import MOST_RATE, Gradual, Normal
+from trainid_ros.client.channel import MAX_RATE, Gradual, Normal
 
 FILE = Normal((1.0,), (0.04,))
 LIVE = Normal((0.8,), (1e-4,))
@@ -34,7 +34,7 @@ def test_values_and_stds_change_at_most_at_the_stated_rate() -> None:
     assert 2.0 < end - 10.0 < 6.0
     times = [10.0 + dt * k for k in range(round((end - 10.0) / dt) + 2)]
     for probe in PROBES:
-        limit = 1.001 * MOST_RATE * dt * std(DAVIS_FILE, probe)
+        limit = 1.001 * MAX_RATE * dt * std(DAVIS_FILE, probe)
         steps = [values.at(t) for t in times]
         for before, after in pairwise(steps):
             assert abs(after.along(probe)[0] - before.along(probe)[0]) <= limit

@@ -63,7 +63,7 @@ def test_a_namespace_is_read_alone_with_relative_names(bag: Path) -> None:
 
 def test_only_the_beginning_of_a_long_bag_is_read(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(number_series, 'LONGEST_S', 4.0)
-    monkeypatch.setattr(number_series, '_MOST', 10)
+    monkeypatch.setattr(number_series, '_MAX_SAMPLES', 10)
     shares: list[float] = []
     numbers = read_numbers(bag, '/', 64 << 20, shares.append)
     assert named(numbers)['/a/twist twist.linear.x'].value.tolist() == [0.0, 5.0, 10.0, 15.0, 20.0]

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow  # a browser starts, and drawing takes seconds
 
 PLOTS = 'figure svg, figure img'
 # A line of text alone covers less of a plot.
-LEAST_INK = 0.02
+MIN_INK = 0.02
 
 
 @pytest.fixture(scope='module')
@@ -70,7 +70,7 @@ def test_a_report_is_whole(browser: Chromium, name: str, plots: int, request: py
     for left, top, right, bottom in boxes:
         assert right - left > 200
         assert bottom - top > 50
-        assert ink(picture[top:bottom, left:right]) > LEAST_INK, (left, top)
+        assert ink(picture[top:bottom, left:right]) > MIN_INK, (left, top)
 
 
 @pytest.mark.parametrize('name', ['replayed', 'explained', 'fleet'])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.forces import MOST_CHANGES, BrakeCommandChange, CommandHistory, lag_integral, lag_response
+from trainid_ros.train.forces import MAX_CHANGES, BrakeCommandChange, CommandHistory, lag_integral, lag_response
 
 
 def history(*changes: tuple[int, float]) -> CommandHistory:
@@ -62,8 +62,8 @@ def test_pruning_keeps_every_value_from_the_given_time_on() -> None:
 
 
 def test_the_history_is_bounded() -> None:
-    commands = history(*((i, -0.1 * (1 + i % 2)) for i in range(MOST_CHANGES + 50)))
-    assert len(commands.changes) == MOST_CHANGES
+    commands = history(*((i, -0.1 * (1 + i % 2)) for i in range(MAX_CHANGES + 50)))
+    assert len(commands.changes) == MAX_CHANGES
     assert commands.value(10**9) == -0.2
 
 

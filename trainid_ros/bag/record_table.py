@@ -32,7 +32,7 @@ _NUMBER: Final = np.dtype('<f8')
 _FORMS: Final = ((_STAMP.newbyteorder('>'), _NUMBER.newbyteorder('>')), (_STAMP, _NUMBER))
 """Types of stamps and numbers by the second byte, which gives the byte order."""
 # A serializer may pad to a multiple of four bytes.
-_MOST_PADDING: Final = 3
+_MAX_PADDING: Final = 3
 _ROWS_AT_ONCE: Final = 10_000
 
 
@@ -143,7 +143,7 @@ def decode(
         when = values_at(data, start[rows] + _CDR_START, stamp)
         body = -(-(_STAMP.itemsize + when['frame'].astype(np.int64)) // 8) * 8
         excess = end[rows] - start[rows] - (_CDR_START + body + 8 * form.floats + form.flags)
-        fits = (excess >= 0) & (excess <= _MOST_PADDING)
+        fits = (excess >= 0) & (excess <= _MAX_PADDING)
         rows, when, body = rows[fits], when[fits], body[fits]
         first = start[rows] + _CDR_START + body
         x[rows] = values_at(data, first, number)

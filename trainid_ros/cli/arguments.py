@@ -17,7 +17,7 @@ DEMO_RATE: Final = 70.0
 DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
 _MAX_CHUNK_MB: Final = 64
-_MOST_MB: Final = 4095  # offsets within a chunk have 32 bits
+_MAX_MB: Final = 4095  # offsets within a chunk have 32 bits
 _NAMESPACE: Final = re.compile(r'/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?', re.ASCII)
 _FALSE_ALARM_DAYS: Final = 20_000.0
 EXPLAIN_CHAPTER: Final = 'explain'
@@ -374,6 +374,6 @@ def whole(text: str) -> int:
 
 def megabytes(text: str) -> int:
     """Return a size in bytes, given in whole MB from 1 to 4095; ArgumentTypeError for anything else."""
-    if not (text.isdecimal() and 1 <= int(text) <= _MOST_MB):
-        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to {_MOST_MB}')
+    if not (text.isdecimal() and 1 <= int(text) <= _MAX_MB):
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to {_MAX_MB}')
     return int(text) << 20

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 # Numbers that are not in the table of a column and are named.
-_MOST_NAMED: Final = 5
+_MAX_NAMED: Final = 5
 _TOPIC_OF = {topic.record: topic.name for topic in INPUT_TOPICS}
 
 
@@ -68,7 +68,7 @@ def _new_bag(path: Path) -> Iterator[BagWriter]:
 def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
     for line in table.warnings:
         warn(line)
-    for (name, number), count in table.unlisted.most_common(_MOST_NAMED):
+    for (name, number), count in table.unlisted.most_common(_MAX_NAMED):
         warn(
             f'{args.file}: column {shown(name)}: {number:g} is not in table of the mapping ({pluralise(count, "row")})'
         )

@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MOST_RATE: Final = 0.25
+MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
 
 ABSURD: Final = 1e6
 """Larger magnitudes are treated as invalid."""
 # A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
-_LEAST_SHARE: Final = 0.01
+_MIN_SHARE: Final = 0.01
 _TINY: Final = 1e-9
 # A correlation may be wrong by this much [1].
 _ROUNDING: Final = 1e-6
@@ -124,7 +124,7 @@ class Gradual:
         """Move to a distribution from a time [s] on, within ``longest_s`` [s]."""
         start = self.at(time_s)
         self._to, self._begin_s = target, time_s
-        self._duration_s = min(self._longest_way(start, target) / MOST_RATE, longest_s)
+        self._duration_s = min(self._longest_way(start, target) / MAX_RATE, longest_s)
         self._way = tuple(map(_difference, target.mean, start.mean))
         self._power = 2 if math.isinf(longest_s) else 1
         if self._duration_s > 0.0:
@@ -155,7 +155,7 @@ class Gradual:
         for probe in self._probes:
             (before, old), (after, new), unit = (x.along(probe) for x in (start, target, self._file))
             change = max(abs(after - before), math.sqrt(old) - math.sqrt(new))
-            longest = max(longest, change / max(math.sqrt(unit[1]), _LEAST_SHARE * abs(unit[0]), _TINY))
+            longest = max(longest, change / max(math.sqrt(unit[1]), _MIN_SHARE * abs(unit[0]), _TINY))
         return longest
 
 

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
 from trainid_ros.client.channel import Normal, Parameter
-from trainid_ros.client.stopping import EXTRA_STEP, MOST_SPEED, RateShape
+from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, RateShape
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import TrackPoint, resistance_terms
 from trainid_ros.train.forces import G
-from trainid_ros.train.train_file import LEAST_RATE, MOST_RATE
+from trainid_ros.train.train_file import MAX_RATE, MIN_RATE
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
@@ -110,9 +110,9 @@ DAVIS: Final = 'a, b, c'
 FORCE_SCALE: Final = 'force scale'
 BRAKE_RATE: Final = 'brake rate'
 # No a, b or c of a train is outside these [N/kN and per m/s, (m/s)^2], nor its resistance or the std of that [N/kN].
-_LEAST_DAVIS, _MOST_DAVIS = -20.0, 200.0
+_MIN_DAVIS, _MAX_DAVIS = -20.0, 200.0
 # Actual over reported force, whichever reads wrong [1].
-LEAST_SCALE, _MOST_SCALE = 0.1, 10.0
+MIN_SCALE, _MAX_SCALE = 0.1, 10.0
 # Speeds at which moves of the resistance are measured, and changes of the brake by effects, as shares of the highest.
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -143,7 +143,7 @@ class FileValues:
 
     def _extra(self, direction: int) -> list[float]:
         """Return the resistance of the effects at multiples of ``EXTRA_STEP`` [N/kN]; empty if there is none."""
-        count = math.ceil(MOST_SPEED / EXTRA_STEP) + 1
+        count = math.ceil(MAX_SPEED / EXTRA_STEP) + 1
         extra = [self.effects.resistance(EXTRA_STEP * k, direction) for k in range(count)]
         return extra if any(extra) else []
 
@@ -169,14 +169,14 @@ class FileValues:
         scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
         probes = tuple((1.0, v, v * v) for v in self._speeds)
         return {
-            DAVIS: Parameter(davis, probes, _LEAST_DAVIS, _MOST_DAVIS, _MOST_DAVIS),
-            FORCE_SCALE: Parameter(scale, ((1.0,),), LEAST_SCALE, _MOST_SCALE),
+            DAVIS: Parameter(davis, probes, _MIN_DAVIS, _MAX_DAVIS, _MAX_DAVIS),
+            FORCE_SCALE: Parameter(scale, ((1.0,),), MIN_SCALE, _MAX_SCALE),
         }
 
     def brake_rate(self) -> dict[str, Parameter]:
         """Return the brake rate, or the factor on its table."""
         rate = Normal((self.brake.rate,), (self.config.prior_std**2,))
-        return {BRAKE_RATE: Parameter(rate, ((1.0,),), LEAST_RATE, MOST_RATE)}
+        return {BRAKE_RATE: Parameter(rate, ((1.0,),), MIN_RATE, MAX_RATE)}
 
     def rate_direction(self, speed: float | None) -> tuple[float, float]:
         """Return s(v), and the standard deviation of e p(v) + h m(v) [1]; see ``stopping``.

@@ -321,7 +321,7 @@ class Braking:
             gradient[LAG] += weight * self._shape.rate(v, self._theta) * change
 
 
-MOST_SPEED: Final = 150.0
+MAX_SPEED: Final = 150.0
 """Largest speed of an argument or an answer [m/s]."""
 _DAVIS: Final = (A, B, C)
 # The design point is found when its distance grows by no more than this share, and most iterations to it.
@@ -399,7 +399,7 @@ class LeastDeceleration:
 
     def __init__(self, shape: RateShape, posterior: StopPosterior, command: float, z: float) -> None:
         self._shape, self._posterior, self._command, self._z = shape, posterior, command, z
-        knots = shape.knots(MOST_SPEED)
+        knots = shape.knots(MAX_SPEED)
         self._grid = [0.0]
         for k in range(1, len(knots)):
             self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in _BETWEEN])
@@ -474,18 +474,18 @@ class StoppingBounds:
     def speed(self, distance: float) -> tuple[float, float]:
         """Return the speed [m/s] whose bound is a distance [m, >= 0], and the standard deviation of that speed [m/s].
 
-        The train stops within the distance from all speeds up to this one. It is at most ``MOST_SPEED``, and 0 where
+        The train stops within the distance from all speeds up to this one. It is at most ``MAX_SPEED``, and 0 where
         even the slowest train may not stop within the distance.
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
 
         """
-        low, high, speed = 0.0, MOST_SPEED, min(self._first_guess(distance), MOST_SPEED)
+        low, high, speed = 0.0, MAX_SPEED, min(self._first_guess(distance), MAX_SPEED)
         found = self.at(speed)
         for _ in range(_ITERATIONS):
             excess = found.distance - distance
-            if abs(excess) <= _CLOSE or high - low <= 1e-12 or (speed == MOST_SPEED and excess < 0.0):
+            if abs(excess) <= _CLOSE or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
@@ -498,8 +498,8 @@ class StoppingBounds:
     def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
         """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
         following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
-        if following >= high == MOST_SPEED:
-            return MOST_SPEED
+        if following >= high == MAX_SPEED:
+            return MAX_SPEED
         return following if low < following < high else 0.5 * (low + high)
 
     def _checked(self, speed: float, found: Bound) -> tuple[float, float]:

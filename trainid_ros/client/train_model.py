@@ -20,8 +20,8 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel, Normal
-from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, LEAST_SCALE, FileValues
-from trainid_ros.client.stopping import MOST_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
+from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
+from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
@@ -66,7 +66,7 @@ class Argument:
         return number
 
 
-SPEED: Final = Argument('speed', 'm/s', 0.0, MOST_SPEED)
+SPEED: Final = Argument('speed', 'm/s', 0.0, MAX_SPEED)
 GRADIENT: Final = Argument('gradient', 'per mille', -500.0, 500.0)
 ACCELERATION: Final = Argument('acceleration', 'm/s^2', -20.0, 20.0)
 MASS: Final = Argument('mass', 'kg', 1.0, 1e9)
@@ -311,10 +311,10 @@ class TrainModel:
         force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + i))
         if force > 0.0:
             # As the estimators do: they subtract what effects take from the reported force, which they scale.
-            s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), LEAST_SCALE)
+            s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
             share = math.sqrt(variance) / s
         else:
-            s, share = max(self._file.effects.brake_share(v), LEAST_SCALE), train.mass_std
+            s, share = max(self._file.effects.brake_share(v), MIN_SCALE), train.mass_std
         force, by_w = force / s, M * 0.001 * G / s
         map_std = self._file.train_file.line.gradient_std
         std = math.hypot(by_w * w.std, by_w * map_std, force * share)

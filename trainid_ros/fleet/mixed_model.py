@@ -44,7 +44,7 @@ DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 """Degrees of freedom of Student's t among which the data choose."""
 ROUNDS: Final = 4
 """Rounds after which the weights do not change any more."""
-LEAST_TRAINS: Final = 4
+MIN_TRAINS: Final = 4
 """Trains on most days for a day to have an effect: with fewer it would take away what is a train's own."""
 _USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of an estimate that is compared
 _LOG_VARIANCES: Final = (-14.0, 4.0)  # Range of the logarithms of variances relative to that of the data
@@ -165,7 +165,7 @@ class MixedFit:
 def common_effects(cells: Cells, labels: Labels) -> Effects:
     """Return the effects that can be told apart: those with two levels or more, and days with trains enough."""
     factors = [('line', cells.line), ('weather', cells.weather)]
-    if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= LEAST_TRAINS:
+    if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= MIN_TRAINS:
         factors.append(('day', cells.day))
         if len(labels.lines) > 1:
             factors.append(('line on a day', cells.day * len(labels.lines) + cells.line))

@@ -34,7 +34,7 @@ Row: TypeAlias = 'list[Any]'
 """Stamp [ns], then the cells of the other columns; None where an estimator has no estimate at this stamp."""
 _ROWS_AT_ONCE: Final = 5000
 # Estimators whose settings differ may give their estimates of one sample some messages apart.
-_MOST_OPEN: Final = 200
+_MAX_OPEN: Final = 200
 _W, _WV, _WV2, _V = 'N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2', 'm/s'
 _COUNTERS: Final = {'status': '', 'used': '', 'rejected': '', 'last_reject_reason': ''}
 _UNITS: Final[dict[str, dict[str, str]]] = {
@@ -104,7 +104,7 @@ class EstimateTable:
         self._open.setdefault(output.stamp_ns, {})[topic] = _values(topic, output)
         while self._open:
             stamp_ns, estimates = next(iter(self._open.items()))
-            if len(estimates) < len(_UNITS) and len(self._open) <= _MOST_OPEN:
+            if len(estimates) < len(_UNITS) and len(self._open) <= _MAX_OPEN:
                 return
             self._close_row(stamp_ns)
 

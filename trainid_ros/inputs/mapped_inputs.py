@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 # Over a longer time without a speed the distance is not known [s].
 _LONGEST_S: Final = 1.0
 # Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
-_LEAST_M: Final = 10.0
+_MIN_M: Final = 10.0
 _SOME_EFFORT: Final = -0.1
 # Numbers that are not in a table and are named.
-_MOST_NAMED: Final = 5
+_MAX_NAMED: Final = 5
 
 
 class MappedInputs:
@@ -93,7 +93,7 @@ class MappedInputs:
         """What was wrong with the messages so far."""
         return [
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
-            for (topic, raw), count in sorted(self._unlisted.most_common(_MOST_NAMED))
+            for (topic, raw), count in sorted(self._unlisted.most_common(_MAX_NAMED))
         ]
 
     def problem(self, topic: str) -> str:
@@ -238,7 +238,7 @@ class DeadReckoning:
             return
         if math.isnan(self._passed):
             self._passed = position
-        elif abs(position - self._passed) >= _LEAST_M:
+        elif abs(position - self._passed) >= _MIN_M:
             self.direction = 1 if position > self._passed else -1
             self._passed = position
         self._fix, self._fix_ns = position, stamp_ns

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
 # Share of the speeds that may have the time of the one before [1].
-_MOST_REPEATED: Final = 0.3
+_MAX_REPEATED: Final = 0.3
 # A position at the stamp of a speed must be known before that.
 _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command', 'mass')
 _DATE_TIMES: Final = np.dtype('datetime64[ns]')
@@ -41,7 +41,7 @@ _YEAR_NS: Final = 366 * 86400 * NS_PER_S
 _RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
 """Where times that count from the start of a recording are put unless the mapping says when that was: 2000-01-01."""
 _LAST_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
-_MOST_NS: Final = 2**61
+_MAX_NS: Final = 2**61
 
 
 class Clock:
@@ -99,7 +99,7 @@ class Clock:
             return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
-        limit = _MOST_NS // round(ns)
+        limit = _MAX_NS // round(ns)
         if values.dtype.kind == 'i':
             return np.asarray(np.clip(values, -limit, limit) * round(ns))
         return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
@@ -231,7 +231,7 @@ class TableRecords:
         self.repeated += repeats.size
         if repeats.size and not self._first_repeated:
             self._first_repeated = f'row {self._rows_before + int(repeats[0]) + 1}'
-        if self.repeated > _MOST_REPEATED * self._speeds:
+        if self.repeated > _MAX_REPEATED * self._speeds:
             raise InputError(
                 f'{self._path}: {self._first_repeated}: column {shown(", ".join(self._time.columns))} has the time of '
                 f'the row before, as {self.repeated} of {self._speeds} rows have: its resolution is too coarse for '

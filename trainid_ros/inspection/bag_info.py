@@ -46,7 +46,7 @@ _CHANGING: Final = 0.9
 _FEWEST_CHANGES: Final = 3
 # Distances by speed and by position are compared from this distance on [m], and may differ by this share [1]. A larger
 # step of the position is a correction [m].
-_LEAST_DISTANCE_M: Final = 500.0
+_MIN_DISTANCE_M: Final = 500.0
 _DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
@@ -348,7 +348,7 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     # Positions are unknown, or corrected at a balise.
     known = (elapsed > 0.0) & (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
     distance = float(by_position[known].sum())
-    if distance < _LEAST_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
+    if distance < _MIN_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
         return []
     unit = ', so it looks like km/h' if abs(ratio + 1.0 - _KMH) < _DISTANCE_ERROR * _KMH else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']

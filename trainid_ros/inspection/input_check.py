@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 # Slower trains may stand or shunt [m/s].
 _MIN_SPEED: Final = 1.0
 # A share of the samples in motion [1]: beyond it what goes wrong is the rule.
-_MOST: Final = 0.5
+_MAJORITY: Final = 0.5
 # Correlation of a force whose sign is wrong [1], from so many samples on.
 _OPPOSITE: Final = -0.5
 _FEWEST: Final = 50
@@ -67,7 +67,7 @@ _MIN_BLOCKS: Final = 15
 # least [1], and least standard deviation of the gradient in its right unit [per mille].
 _SIGMAS: Final = 8.0
 _SHARE: Final = 0.2
-_LEAST_STD: Final = 1.0
+_MIN_STD: Final = 1.0
 # Slope beyond which a gradient is certainly too small [1]: a speed in km/h gives 3.6. It exceeds that by so many
 # standard deviations.
 _TOO_SMALL: Final = 5.0
@@ -174,7 +174,7 @@ class _GradientCheck:
         if len(self._blocks) < _MIN_BLOCKS or (slope := _slope(np.array(self._blocks))) is None:
             return ''
         size = abs(slope.value)
-        if size < _SIGMAS * slope.std or slope.share < _SHARE or size * slope.spread < _LEAST_STD:
+        if size < _SIGMAS * slope.std or slope.share < _SHARE or size * slope.spread < _MIN_STD:
             return ''
         how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
         sign = ', with the wrong sign' if slope.value < 0.0 else ''
@@ -263,7 +263,7 @@ class _Check:
 
     def is_most(self, reason: Reason) -> bool:
         """Return whether most samples in motion are rejected for a reason."""
-        return self._reasons[reason] > _MOST * self._moving
+        return self._reasons[reason] > _MAJORITY * self._moving
 
     def signs(self) -> list[str]:
         """Return which inputs have the wrong sign, by all that was seen."""
@@ -282,7 +282,7 @@ class _Check:
         """Say so if hardly any sample in motion can be used."""
         left_out = Counter({reason: count for reason, count in self._reasons.items() if reason is not Reason.NONE})
         del left_out[Reason.CONTRADICTION]  # named by what contradicts what
-        if not left_out or self._reasons[Reason.NONE] >= (1.0 - _MOST) * self._moving:
+        if not left_out or self._reasons[Reason.NONE] >= (1.0 - _MAJORITY) * self._moving:
             return []
         reason, count = left_out.most_common(1)[0]
         return [f'{count} of {self._moving} samples in motion cannot be used: {reason.name}']
@@ -296,7 +296,7 @@ class _Check:
 
     def off_the_line(self) -> list[str]:
         """Say so if most positions are not on the line of the train file."""
-        if self._line is None or self._off_line <= _MOST * self._moving:
+        if self._line is None or self._off_line <= _MAJORITY * self._moving:
             return []
         return [
             f'{SPEED_TOPIC.name} has a position off the line of the train file, {self._line.first:.0f} to '

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 LONGEST_S: Final = 3600.0
 """Part of a bag that is read [s]."""
 # Of a topic with more messages in the bag, each k-th is read.
-_MOST: Final = 20_000
+_MAX_SAMPLES: Final = 20_000
 # Larger messages are images and the like [bytes].
 _LARGEST: Final = 4096
 _LONGEST_ARRAY: Final = 8
-_MOST_FIELDS: Final = 64
+_MAX_FIELDS: Final = 64
 _PACKAGE: Final = 'trainid_msgs/'
 _TYPE: Final = re.compile(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+')
 _IMAGES: Final = ('Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo')
@@ -104,7 +104,7 @@ def read_numbers(
             wanted[name] = topic.count
     readable = _readable(path, namespace, max_chunk, wanted)
     left_out += [(name, 'its definition cannot be read') for name in wanted if name not in readable]
-    collectors = {name: _Collector(name, max(1, wanted[name] // _MOST)) for name in readable}
+    collectors = {name: _Collector(name, max(1, wanted[name] // _MAX_SAMPLES)) for name in readable}
     end_ns = min(span[1], span[0] + round(LONGEST_S * NS_PER_S))
     with BagReader(path, namespace, max_chunk, mapping=_naming(readable)) as reader:
         _collect(reader, collectors, span[0], end_ns, reading)
@@ -185,7 +185,7 @@ class _Collector:
             return
         if not self._rows:
             self._type = kind.name
-            leaves = list(_leaves(message))[:_MOST_FIELDS]
+            leaves = list(_leaves(message))[:_MAX_FIELDS]
             self._paths, self._whole = [path for path, _ in leaves], [whole for _, whole in leaves]
         stamp_ns = stamp_of(message) if hasattr(message, 'header') else 0
         try:

@@ -548,7 +548,7 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
 _LATEST_S: Final = 2.0
 # Then it takes so long to come to its value [s].
 _SETTLED_S: Final = 1.4
-_MOST_NOTCHES: Final = 16
+_MAX_NOTCHES: Final = 16
 # Milder than this is not braking [m/s^2].
 _MILD: Final = 0.1
 _CHANGING: Final = 0.9
@@ -572,7 +572,7 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
     choice = Choice('brake_command', on_change=_on_change(item))
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
-    if item.is_whole and np.unique(item.value).size <= _MOST_NOTCHES:
+    if item.is_whole and np.unique(item.value).size <= _MAX_NOTCHES:
         choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
         choice.reasons.append(f'value of each notch: {by_force} while it holds')
         choice.decisions.append('the nominal deceleration of each notch')

@@ -44,7 +44,7 @@ _EMPTY: Final = ' '
 # Bands that are wider than this many of the narrowest one are cut off [1].
 _WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
-_LEAST_SPAN: Final = 1e-3
+_MIN_SPAN: Final = 1e-3
 # Larger values are not drawn: messages may hold any number.
 _LARGEST: Final = 1e100
 
@@ -110,7 +110,7 @@ def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
             half = BAND_STD * min(_deviation(point), widest)
             values += [point.value - half, point.value + half]
     low, high = min(values), max(values)
-    least = _LEAST_SPAN * max(abs(low), abs(high), _LEAST_SPAN)
+    least = _MIN_SPAN * max(abs(low), abs(high), _MIN_SPAN)
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), least)
     return middle - half, middle + half
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _STEP_KMH: Final = 5.0
 _USUAL_KMH: Final = 50.0
 # Larger speeds [m/s] and covariances count as unknown: messages may hold any number.
-_MOST_SPEED: Final = 1000.0
+_MAX_SPEED: Final = 1000.0
 _LARGEST: Final = 1e280
 # Place of the variance of b1 in the covariance of (a1, a2, b1, d0), row by row.
 _B1: Final = 10
@@ -41,7 +41,7 @@ def reference_speed(message: Any) -> float:
 
     The present speed changes all the time, and w with it: a change of the estimate would not be seen.
     """
-    if not 0.0 <= message.speed_min <= message.speed_max < _MOST_SPEED or message.speed_max == 0.0:
+    if not 0.0 <= message.speed_min <= message.speed_max < _MAX_SPEED or message.speed_max == 0.0:
         return _USUAL_KMH / KM_H
     middle = 0.5 * KM_H * float(message.speed_min + message.speed_max)
     return max(round(middle / _STEP_KMH), 1) * _STEP_KMH / KM_H

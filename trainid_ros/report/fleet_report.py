@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from trainid_ros.fleet.changes import Level
-from trainid_ros.fleet.mixed_model import LEAST_TRAINS
+from trainid_ros.fleet.mixed_model import MIN_TRAINS
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report.page import Table, render
 from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, GRID, INK, MUTED, SECOND, TRACTION, styled_figure, to_svg
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.analysis import ChannelView, FleetView, LevelOutlier, TrainView
     from trainid_ros.fleet.changes import Change, Departure
 
-MOST_PAGES: Final = 60
+MAX_PAGES: Final = 60
 """Trains with a page of their own: those that stand out, and of the others the first."""
 # Channels of a change that are worth a line: ln of their Bayes factor.
 _TELLING: Final = 3.0
 _NAMED: Final = (BAD, BRAKE, SECOND, TRACTION, ESTIMATE)
 _SIGMAS: Final = 2.0
-_MOST_LINES: Final = 200
-_MOST_TICKS: Final = 8
+_MAX_LINES: Final = 200
+_MAX_TICKS: Final = 8
 
 
 def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, tuple[str, ...]]) -> str:
@@ -42,7 +42,7 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
         limit: Train-days for one false alarm.
         notes: Further sentences by name of the train, such as what ``explain`` found in its bags.
     """
-    shown = view.trains[: max(MOST_PAGES, len(view.found))]
+    shown = view.trains[: max(MAX_PAGES, len(view.found))]
     return render(
         'fleet.html.j2',
         'trainid fleet report',
@@ -67,8 +67,8 @@ def summary(view: FleetView) -> str:
     """Return the outcome in one sentence."""
     trains = pluralise(len(view.trains), 'train')
     few = (
-        f' Of fewer than {LEAST_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
-        if len(view.trains) < LEAST_TRAINS
+        f' Of fewer than {MIN_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
+        if len(view.trains) < MIN_TRAINS
         else ''
     )
     few += _left_out(view)
@@ -161,7 +161,7 @@ def fleet_over_days(view: FleetView) -> str:
         panels = figure.subplots(len(view.channels), 1, sharex=True, squeeze=False)[:, 0]
         for k, (axes, channel) in enumerate(zip(panels, view.channels, strict=True)):
             _fleet_band(axes, channel, len(view.labels.days))
-            for train in view.trains[len(view.found) : _MOST_LINES]:
+            for train in view.trains[len(view.found) : _MAX_LINES]:
                 axes.plot(channel.fit.mean + train.series[k].value, color=MUTED, linewidth=0.5, alpha=0.5)
             for train, colour in zip(view.found, _NAMED, strict=False):
                 axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.', label=train.name)
@@ -239,6 +239,6 @@ def _label(axes: Axes, channel: ChannelView) -> None:
 
 
 def _days(axes: Axes, days: Sequence[str]) -> None:
-    every = max(1, -(-len(days) // _MOST_TICKS))
+    every = max(1, -(-len(days) // _MAX_TICKS))
     axes.set_xticks(range(0, len(days), every), days[::every])
     axes.set_xlim(-0.5, len(days) - 0.5)

@@ -41,10 +41,10 @@ _HEAD: Final = 200
 _LARGEST: Final = 64 * 2**20
 _PART: Final = '.part'
 # The newest refused files that are kept.
-_MOST_REFUSED: Final = 5
+_MAX_REFUSED: Final = 5
 # Settings that only decide the status of an estimate.
 _STATUS_SETTINGS: Final = frozenset({'valid_std', 'valid_share'})
-_MOST_SHOWN: Final = 3
+_MAX_SHOWN: Final = 3
 
 
 def default_path(node: str) -> Path:
@@ -74,8 +74,8 @@ class Provenance:
         if self.algorithm != other.algorithm:
             return f'is of {self.algorithm}, not of {other.algorithm}'
         names = [name for name in {**other.values, **self.values} if self.values.get(name) != other.values.get(name)]
-        shown = [f'{name} = {self.values.get(name)}, here {other.values.get(name)}' for name in names[:_MOST_SHOWN]]
-        more = f', and {len(names) - _MOST_SHOWN} more' if len(names) > _MOST_SHOWN else ''
+        shown = [f'{name} = {self.values.get(name)}, here {other.values.get(name)}' for name in names[:_MAX_SHOWN]]
+        more = f', and {len(names) - _MAX_SHOWN} more' if len(names) > _MAX_SHOWN else ''
         return f'is of another train or other settings: {"; ".join(shown)}{more}' if names else ''
 
 
@@ -249,7 +249,7 @@ class CheckpointFile:
             self._unmoved = f'was refused and cannot be renamed: {error.strerror or error}'
             return self.path
         self._unmoved = ''
-        for number in sorted(numbers)[: 1 - _MOST_REFUSED]:
+        for number in sorted(numbers)[: 1 - _MAX_REFUSED]:
             with suppress(OSError):
                 self._aside(number).unlink()
         return aside

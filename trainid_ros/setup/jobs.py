@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _CLOSE: Final = 0.75
-_MOST_NAMED: Final = 10
+_MAX_NAMED: Final = 10
 # Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
 _BOOLS: Final = {
     word: value
@@ -95,8 +95,8 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         return f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?', True
-    more = f' and {len(sections) - _MOST_NAMED} more' if len(sections) > _MOST_NAMED else ''
-    return f'{path}: no section for {node!r}; its sections are {", ".join(sections[:_MOST_NAMED])}{more}', False
+    more = f' and {len(sections) - _MAX_NAMED} more' if len(sections) > _MAX_NAMED else ''
+    return f'{path}: no section for {node!r}; its sections are {", ".join(sections[:_MAX_NAMED])}{more}', False
 
 
 def _sections(tree: object, prefix: str) -> Iterator[str]:

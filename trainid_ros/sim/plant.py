@@ -271,7 +271,7 @@ _LINEAR_M: Final = 1.0
 _BRAKE_EXCESS: Final = -0.3
 _RELEASE_EXCESS: Final = -0.8
 # Largest gain of the regulator times dead time and lag of the brake: more would swing.
-_MOST_GAIN: Final = 1.0
+_MAX_GAIN: Final = 1.0
 
 
 class Phase(Enum):
@@ -349,7 +349,7 @@ class Driver:
         self._rng = rng
         self._lead = train_file.brake.delay + train_file.brake.time_constant
         # Share of the gains that a slow brake allows.
-        self._share = min(1.0, _MOST_GAIN / max(model.brake_gain * self._lead, _MOST_GAIN))
+        self._share = min(1.0, _MAX_GAIN / max(model.brake_gain * self._lead, _MAX_GAIN))
         self._depart_s = 0.5 * self._draw(model.dwell_low, model.dwell_high)
         self._brake = -model.holding
         self._cruise_left_s = 0.0

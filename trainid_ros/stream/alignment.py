@@ -100,7 +100,7 @@ class LeftTime:
 
 # Records in a row by which one topic shows a step of the stamps, and another number among which one topic has as many.
 _CONFIRMATIONS: Final = 3
-_MOST_SUSPECTS: Final = (_CONFIRMATIONS - 1) * len(INPUT_TOPICS) + 1
+_MAX_SUSPECTS: Final = (_CONFIRMATIONS - 1) * len(INPUT_TOPICS) + 1
 _THINNING_SHARE: Final = 0.4
 
 
@@ -264,7 +264,7 @@ class Aligner:
         if self._suspects and self._is_far(row.stamp_ns, self._suspects[-1].stamp_ns):
             self._reject_suspects(events)
         self._suspects.append(row)
-        if len(self._suspects) > _MOST_SUSPECTS:
+        if len(self._suspects) > _MAX_SUSPECTS:
             events.append(self._reject_jump(self._suspects.pop(0)))
         shown = [item.topic for item in self._suspects]
         if _CONFIRMATIONS <= max([shown.count(topic) for topic in shown]) < len(shown):

@@ -38,10 +38,10 @@ _SMOOTH: Final = 3.0
 _SQUARE: Final = 2.5e-3
 _SQUARE_BLOCKS: Final = 20.0
 _SQUARE_MEMORY: Final = 300.0
-_LEAST: Final = 60.0
+_MIN_COUNT: Final = 60.0
 # Standard deviations that are hardly ever exceeded [1], least limit [m/s], share of it below which it is over [1].
 _SIGMAS: Final = 5.0
-_LEAST_LIMIT: Final = 0.04
+_MIN_LIMIT: Final = 0.04
 _CHANGE_OVER: Final = 0.5
 # Time in motion after which a change is no fault but the train as it is now [s]; its limit may then be higher [1].
 _LONGEST_S: Final = 60.0
@@ -53,8 +53,8 @@ _FORCE: Final = 5.0
 _GAIN_SIGMAS: Final = 5.0
 _NAMED_S: Final = 4.0
 # Ratios to the gain before that say something [1].
-_LEAST_RATIO: Final = 0.1
-_MOST_RATIO: Final = 10.0
+_MIN_RATIO: Final = 0.1
+_MAX_RATIO: Final = 10.0
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class ChangeCheck:
     @property
     def limit(self) -> float:
         """Change that is hardly ever exceeded [m/s]."""
-        return max(_SIGMAS * math.sqrt(self.square), _LEAST_LIMIT)
+        return max(_SIGMAS * math.sqrt(self.square), _MIN_LIMIT)
 
     def stand(self, *, weighed: bool) -> None:
         """Take note of a stop, where the mass changes."""
@@ -121,7 +121,7 @@ class ChangeCheck:
         left = residual * variance / innovation_variance
         self.total = self.total * math.exp(-seconds / _MEMORY_S) + left * seconds / inertia
         self.change += (self.total - self.change) / _SMOOTH
-        if self.count >= _LEAST:
+        if self.count >= _MIN_COUNT:
             self._judge(seconds)
         if off:
             return
@@ -180,7 +180,7 @@ class ChangeCheck:
         certain = change > max(_GAIN * self.gain, _GAIN_SIGMAS * math.sqrt(self.scatter / self.xx))
         if certain and change * change * self.xx > _FORCE * _FORCE * self.blocks:
             times = f'follows ato/force {self.ratio:.2g} times as much as before'
-            plain = _LEAST_RATIO < self.ratio < _MOST_RATIO
+            plain = _MIN_RATIO < self.ratio < _MAX_RATIO
             self.finding = f'the speed suddenly {times if plain else "does not follow ato/force any more"}'
 
 
@@ -338,7 +338,7 @@ class LineCheck:
         """
         error = gradient - min(max(gradient, least), most)
         self.lately += (error - self.lately) / _SHORT
-        usual, known = math.sqrt(self.spread), self.count >= _LEAST
+        usual, known = math.sqrt(self.spread), self.count >= _MIN_COUNT
         sudden, limit = self.lately - self.offset, _ERROR + std + _SUDDEN_SIGMAS * usual
         is_sudden = known and abs(sudden) > limit
         self.off = min(self.off + 1, _SUDDEN_BLOCKS) if is_sudden else max(self.off - 1, 0)
@@ -366,10 +366,10 @@ class LineCheck:
     def _judge(self, expected: float, limit: float) -> None:
         """Judge the errors over a long time by the limit of their mean [per mille]."""
         most = math.sqrt(_SHARE * self.steepness + (_SCATTER * limit) ** 2)
-        if self.count >= _LEAST and abs(self.offset) > limit:
+        if self.count >= _MIN_COUNT and abs(self.offset) > limit:
             self.value, self.limit = self.offset, limit
             self.finding = f'ato/gradient is about {self.offset:+.1f} per mille off the line of the train file'
-        elif self.count >= _LEAST and self.square > most * most:
+        elif self.count >= _MIN_COUNT and self.square > most * most:
             self.value, self.limit = math.sqrt(self.square), most
             self.finding = 'ato/gradient does not follow the line of the train file'
         elif self.finding:

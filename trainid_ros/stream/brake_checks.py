@@ -98,7 +98,7 @@ class LaggedCommand:
 
 # Least change that contradicts the train file [1], in standard deviations [1], and the share of it at which a
 # contradiction ends.
-_LEAST_CHANGE: Final = 0.3
+_MIN_CHANGE: Final = 0.3
 _KNOWN: Final = 4.0
 _ENDS: Final = 0.75
 # A braking over a smaller range of p says nothing of a change over speed [1].
@@ -214,7 +214,7 @@ class ShapeChange:
     @property
     def contradicts(self) -> bool:
         """True if no error of this size is expected of a train file."""
-        return self.size > max(_LEAST_CHANGE, _KNOWN * self.std)
+        return self.size > max(_MIN_CHANGE, _KNOWN * self.std)
 
 
 @dataclass(slots=True)
@@ -260,7 +260,7 @@ class BrakeShapeCheck:
         change = self.known.change(self.slowest, self.fastest)
         if change.contradicts:
             self.found = change
-        self.is_wrong = change.contradicts or (self.is_wrong and change.size > _ENDS * _LEAST_CHANGE)
+        self.is_wrong = change.contradicts or (self.is_wrong and change.size > _ENDS * _MIN_CHANGE)
 
 
 # Step of the grid [s], and its largest shifts in steps: a train may brake like a freight train, but hardly before a
@@ -275,8 +275,8 @@ _BLOCK_S: Final = 0.6
 # Rounding of the length of a block [s].
 _ROUNDING_S: Final = 1e-3
 # Factors that a brake may have [1].
-_LEAST_FACTOR: Final = 0.3
-_MOST_FACTOR: Final = 2.0
+_MIN_FACTOR: Final = 0.3
+_MAX_FACTOR: Final = 2.0
 # The command holds where shifts by so many steps change it by no more than this share.
 _NEAR: Final = 2
 _HOLDS: Final = 0.2
@@ -287,12 +287,12 @@ _FOLLOWED: Final = 2.0
 _SHAPE_S: Final = 0.15
 _CERTAIN_S: Final = 0.8
 # Least impulse of a braking that says something about the command [N/kN s]: .6 m/s.
-_LEAST_IMPULSE: Final = 60.0
+_MIN_IMPULSE: Final = 60.0
 _NEAR_STDS: Final = 2.0
 _GAIN: Final = 25.0
 # Errors of dead time and time constant that are no fault: in standard deviations of the train file, and at least [s].
 _STATED: Final = 2.0
-_LEAST_ERROR_S: Final = 0.8
+_MIN_ERROR_S: Final = 0.8
 
 
 class BrakeTiming:
@@ -314,7 +314,7 @@ class BrakeTiming:
         self.delay = brake.delay + effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
         self.time_constant = brake.time_constant
         self.followed_s = self.delay + _FOLLOWED * brake.time_constant
-        self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
+        self.tolerance = max(_MIN_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
         self.max_speed = train_file.train.max_speed
         self.lead_s = max(0.0, _SOONER * _STEP_S - self.delay)
         self.rest_s = self.delay + _SOONER * _STEP_S
@@ -352,7 +352,7 @@ class Braking:
     @property
     def is_comparable(self) -> bool:
         """True if the impulses are large enough to compare; they hardly depend on dead time and lag."""
-        return self.by_command < -_LEAST_IMPULSE
+        return self.by_command < -_MIN_IMPULSE
 
     def add(self, block: BrakeBlock, lag: LaggedCommand, delay: float) -> None:
         """Add a block; ``delay`` is the dead time [s]."""
@@ -379,7 +379,7 @@ class Braking:
     def residuals(self, shift: int) -> float:
         """Return the sum of squared residuals of a shift [(N/kN)^2]."""
         xx, yx = self.xx[shift], self.yx[shift]
-        factor = min(max(yx / xx, _LEAST_FACTOR), _MOST_FACTOR) if xx > 0.0 else 0.0
+        factor = min(max(yx / xx, _MIN_FACTOR), _MAX_FACTOR) if xx > 0.0 else 0.0
         return self.yy - factor * (2.0 * yx - factor * xx)
 
     def judge(self) -> tuple[float, float, float]:

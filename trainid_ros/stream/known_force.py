@@ -47,7 +47,7 @@ _FORGETTING: Final = 1.01
 _MAX_QUANTUM: Final = 0.5
 _ROUNDING_MEMORY: Final = 0.04
 # Smallest share used: a speed constant for more than 50 samples is stuck.
-_LEAST_CHANGED: Final = 0.02
+_MIN_CHANGED: Final = 0.02
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class SpeedNoise:
         """Variance of the rounding of a single sample that gives all of them together their true weight [(m/s)^2]."""
         if self.changed == 1.0:  # no speed was repeated: the steps are those of an accelerating train
             return 0.0
-        return self.quantum * self.quantum / 12.0 / max(self.changed, _LEAST_CHANGED)
+        return self.quantum * self.quantum / 12.0 / max(self.changed, _MIN_CHANGED)
 
     def add(self, speed: float, dt: float) -> None:
         """Add one more speed [m/s], measured ``dt`` [s] after the last one; NaN after a gap."""

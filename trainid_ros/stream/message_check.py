@@ -52,7 +52,7 @@ class CommandCheck:
 
 # Most of the mass of the train file that a loaded train may have [1]: a wagon that is full, over one that is empty. The
 # reverse is the least.
-_MOST_MASS: Final = 5.0
+_MAX_MASS: Final = 5.0
 _TONNE: Final = 1000.0
 
 
@@ -66,15 +66,15 @@ class MassCheck:
     @property
     def limit(self) -> float:
         """The nearer limit of the ratio [1]."""
-        return _MOST_MASS if self.ratio > 1.0 else 1.0 / _MOST_MASS
+        return _MAX_MASS if self.ratio > 1.0 else 1.0 / _MAX_MASS
 
     def add(self, mass: float, stated: float) -> None:
         """Compare the weighed mass, NaN if there is none, with that of the train file [kg]."""
         self.ratio = mass / stated if is_finite(mass) else 1.0
-        if 1.0 / _MOST_MASS <= self.ratio <= _MOST_MASS:
+        if 1.0 / _MAX_MASS <= self.ratio <= _MAX_MASS:
             self.finding = ''
             return
-        in_tonnes = 1.0 / _MOST_MASS < self.ratio * _TONNE < _MOST_MASS
+        in_tonnes = 1.0 / _MAX_MASS < self.ratio * _TONNE < _MAX_MASS
         unit = ': it looks like tonnes' if in_tonnes else ''
         self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
@@ -171,7 +171,7 @@ _EQUAL: Final = 0.1
 _FOLLOWED: Final = 0.7
 _IGNORED: Final = 0.3
 _FORCE_ERROR: Final = 0.03
-_MOST_ERROR: Final = 0.4
+_MAX_ERROR: Final = 0.4
 
 
 @dataclass(slots=True)
@@ -220,7 +220,7 @@ class ReleaseCheck(SpikeCount):
 
     def _count(self, *, same: bool) -> None:
         """Count a release that is over, as a spike if the force has not followed it."""
-        if same and self.released * _MOST_ERROR > _FORCE_ERROR * self.since_s:
+        if same and self.released * _MAX_ERROR > _FORCE_ERROR * self.since_s:
             share = self.followed / self.released
             self.spikes = max(self.spikes + (1.0 if share < _IGNORED else -1.0 if share > _FOLLOWED else 0.0), 0.0)
         self.since_s = 0.0
@@ -232,7 +232,7 @@ _SPIKE: Final = 12.0
 # sum (e^4 = 55 to 1), most of one spike by the speed, memory [s]. A cut is towards zero, and the speed answers to it;
 # traction hardly rises for a moment, but may where a controller knows two steps only.
 _EVIDENCE: Final = 4.0
-_MOST_EVIDENCE: Final = 2.0
+_MAX_EVIDENCE: Final = 2.0
 _NO_CUT: Final = 1.0
 _EVIDENCE_MEMORY_S: Final = 120.0
 # Samples after which a spike is out of those that are compared.
@@ -308,7 +308,7 @@ class SpikeCheck(SpikeCount):
             evidence = _NO_CUT
         if not math.isnan(area + answer):
             by_speed = area * (0.5 * area - answer) / (std * std)
-            evidence += min(max(by_speed, -_MOST_EVIDENCE), _MOST_EVIDENCE)
+            evidence += min(max(by_speed, -_MAX_EVIDENCE), _MAX_EVIDENCE)
         elif evidence == 0.0:
             return
         self.spikes += 1.0

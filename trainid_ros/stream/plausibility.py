@@ -59,7 +59,7 @@ _COMMAND_HELD_S: Final = 1.0
 # Memory of acceleration over force, and least number [blocks]; least force that shows it [N/kN]. Acceleration
 # that no train has [m/s^2], and noise of the speed added [std].
 RECENT: Final = 8.0
-_RECENT_LEAST: Final = 4.0
+_RECENT_MIN: Final = 4.0
 _RECENT_FORCE: Final = 15.0
 _STEP: Final = 4.0
 _STEP_SIGMAS: Final = 8.0
@@ -181,7 +181,7 @@ class PlausibilityState:
     def by_force(self) -> float:
         """Acceleration over what traction and brake give, over the last seconds [1]; NaN if they hardly act."""
         recent = self.recent
-        strong = recent.count > _RECENT_LEAST and recent.xx > _RECENT_FORCE * _RECENT_FORCE * recent.count
+        strong = recent.count > _RECENT_MIN and recent.xx > _RECENT_FORCE * _RECENT_FORCE * recent.count
         return recent.value if strong else math.nan
 
     def follow_step(self, change: float, dt: float) -> None:

@@ -152,7 +152,7 @@ _MAX_MISSING: Final = 0.5
 # Density of the difference of two equal measurements, times sigma: 1 / (2 sqrt(pi)).
 _EQUAL: Final = 0.2821
 # Coarser steps hide the noise: then repeats say nothing [1].
-_MOST_LIKELY: Final = 0.4
+_MAX_REPEAT_PROBABILITY: Final = 0.4
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
 # Probability of repeats that never happen, fewest of them, and speeds that show the noise before.
@@ -223,7 +223,7 @@ class StuckSpeed:
 def most_repeats(noise: SpeedNoise) -> int:
     """Return how often in a row a noisy speed may come again, 0 if any number is possible."""
     repeated = max(_EQUAL * noise.quantum / noise.std, 1.0 - noise.changed)
-    if repeated >= _MOST_LIKELY or not noise.is_seen:
+    if repeated >= _MAX_REPEAT_PROBABILITY or not noise.is_seen:
         return 0
     return max(_FEWEST, math.ceil(math.log(_NEVER) / math.log(repeated))) if repeated > 0.0 else _FEWEST
 

@@ -311,7 +311,7 @@ _SEGMENT: Final = 100.0
 _LONGEST: Final = 1000.0
 # Number of segments whose mean error counts, and of those it needs.
 _DISTANCE_MEMORY: Final = 7.0
-_LEAST: Final = 4.0
+_MIN_COUNT: Final = 4.0
 # Limit of the mean error [1]: wheels wear by less than 2 %, balises correct the position by some metres.
 _ERROR: Final = 0.035
 # It is over when so many segments in a row have errors below this [1].
@@ -335,12 +335,12 @@ _STILL_FACTOR: Final = 3.0
 # Ratio of the distances beyond which the forces tell whether speed or position is off [1].
 _FORCES_TELL: Final = 1.4
 # Largest ratio of the distances that is told from others [1].
-_MOST: Final = 1e6
+_MAX_RATIO: Final = 1e6
 # Ratio within which a speed has another unit [1].
 _UNIT: Final = 1.1
 # Distance over which the present ratio of both is taken, and least one that shows it [m].
 _RATIO_WAY: Final = 60.0
-_LEAST_WAY: Final = 50.0
+_MIN_WAY: Final = 50.0
 # Distance over which a position may stand still and be that of the train [m].
 _BEHIND: Final = 20.0
 
@@ -387,7 +387,7 @@ class DistanceCheck:
     @property
     def ratio(self) -> float:
         """Distance by the speed over that by the position [1], NaN while it is not known."""
-        if self.lately_by_speed < _LEAST_WAY or self.lately_by_position <= 0.0:
+        if self.lately_by_speed < _MIN_WAY or self.lately_by_position <= 0.0:
             return math.nan
         return self.lately_by_speed / self.lately_by_position
 
@@ -418,7 +418,7 @@ class DistanceCheck:
         # A position may be updated less often than the speed: a segment ends where it changes.
         if by_position != 0.0 and self.by_speed >= _SEGMENT:
             if self.by_position != 0.0:  # below 0, the direction is not known since the position hardly changes
-                self._close(min(self.by_speed / abs(self.by_position), _MOST) - 1.0, by_force)
+                self._close(min(self.by_speed / abs(self.by_position), _MAX_RATIO) - 1.0, by_force)
             self.interrupt()
 
     def _follow_position(self, by_speed: float, by_position: float) -> None:
@@ -446,7 +446,7 @@ class DistanceCheck:
             self.by_force = 0.0 if math.isnan(by_force) else by_force
         deviation = error - self.mean
         limit = max(_SUDDEN, _SUDDEN_SIGMAS * math.sqrt(self.square))
-        is_sudden = self.count >= _LEAST and abs(deviation) > limit
+        is_sudden = self.count >= _MIN_COUNT and abs(deviation) > limit
         self.error = error
         self.sudden = self.sudden + 1 if is_sudden else 0
         self.mended = self.mended + 1 if abs(error) < _MENDED else 0
@@ -456,7 +456,7 @@ class DistanceCheck:
             self.square += (deviation * (error - self.mean) - self.square) / self.count
         if self.finding and self.mended >= _MENDED_SEGMENTS:
             self.finding, self.mean = '', error
-        elif self.sudden >= _SUDDEN_SEGMENTS or (self.count >= _LEAST and abs(self.mean) > _ERROR):
+        elif self.sudden >= _SUDDEN_SEGMENTS or (self.count >= _MIN_COUNT and abs(self.mean) > _ERROR):
             self.finding = _text(1.0 + error, self.by_force) if self.mended == 0 else self.finding
 
 

@@ -61,7 +61,7 @@ def required_force(acceleration: float, mass: float, rotary_mass: float, resista
     return (specific_inertia(acceleration, rotary_mass) + resistance) * (mass * G / 1000.0)
 
 
-MOST_CHANGES: Final = 1024
+MAX_CHANGES: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class BrakeCommandChange:
 class CommandHistory:
     """Bounded history of the piecewise-constant brake command; changes oldest first.
 
-    At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
+    At most ``MAX_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
     """
 
     changes: tuple[BrakeCommandChange, ...] = stored((), kind=BrakeCommandChange)
@@ -100,7 +100,7 @@ class CommandHistory:
         if kept and change.stamp_ns == kept[-1].stamp_ns:
             kept = kept[:-1]
         if not kept or kept[-1].target_acceleration != value:
-            kept = (*kept, change)[-MOST_CHANGES:]
+            kept = (*kept, change)[-MAX_CHANGES:]
         self.changes = kept
 
     def follow(self, changes: tuple[BrakeCommandChange, ...]) -> None:

@@ -18,7 +18,7 @@ except ImportError:
 
 ResultT = TypeVar('ResultT')
 
-_MOST_VALUES: Final = 100_000
+_MAX_VALUES: Final = 100_000
 """Most values in a file, those of an alias counted again; about 2 s and 100 MB."""
 _DEEPEST: Final = 100
 _NUMBERS: Final = {
@@ -112,8 +112,8 @@ def _check_size(text: str) -> None:
         elif isinstance(event, yaml.ScalarEvent):
             sizes[anchor or ''] = 1
             count += 1
-        if count > _MOST_VALUES:
-            raise _error(event, f'more than {_MOST_VALUES} values')
+        if count > _MAX_VALUES:
+            raise _error(event, f'more than {_MAX_VALUES} values')
         if len(open_collections) > _DEEPEST:
             raise _error(event, f'nested more than {_DEEPEST} deep')
 

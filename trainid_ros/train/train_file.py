@@ -23,14 +23,14 @@ NamedValues = tuple[tuple[str, float], ...]
 # Below this speed, the power limits the traction as at it [m/s].
 _SLOWEST = 0.1
 # A brake rate outside this range is a unit error.
-LEAST_RATE, MOST_RATE = 0.01, 10.0
+MIN_RATE, MAX_RATE = 0.01, 10.0
 _CARS = 6
 # The time of an answer of the client grows with the rows of the brake rate.
-_MOST_ROWS = 100
+_MAX_ROWS = 100
 # Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
-_LEAST_DELAY, _LEAST_LAG = 0.67, 0.25
+_MIN_DELAY, _MIN_LAG = 0.67, 0.25
 # Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
-_MOST_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
+_MAX_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Train:
     cars: int = _CARS  # Number of cars
     max_traction_force: float = setting(310e3, 'maximum tractive force at the wheel rim', 'N', 1.0, 1e9)
     max_traction_power: float = setting(3.1e6, 'maximum tractive power at the wheel rim', 'W', 1.0, 1e12)
-    max_speed: float = setting(80.0 / 3.6, 'maximum speed of the train', 'm/s', 0.1, _MOST_SPEED)
+    max_speed: float = setting(80.0 / 3.6, 'maximum speed of the train', 'm/s', 0.1, _MAX_SPEED)
     # Of the mass, weighed or not, and of the force as it is reported.
     mass_std: float = setting(0.03, 'std of the relative error of the mass', '1', 0.0, 0.5)
     force_std: float = setting(0.02, 'std of the relative error of the force', '1', 0.0, 0.5)
@@ -68,7 +68,7 @@ class Brake:
     """Brake actuator: a gain (actual over commanded acceleration) with a dead time and a first-order lag."""
 
     # With a table, the factor on it.
-    rate: float = setting(1.0, 'prior brake rate, 1 = nominal', '1', LEAST_RATE, MOST_RATE)
+    rate: float = setting(1.0, 'prior brake rate, 1 = nominal', '1', MIN_RATE, MAX_RATE)
     time_constant: float = setting(0.4, 'time constant of the brake', 's', 0.0, 60.0)
     delay: float = setting(0.6, 'dead time of the brake', 's', 0.0, 60.0)
     rate_table: Pairs = ()  # Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed
@@ -95,8 +95,8 @@ class Brake:
     def timing_stds(self) -> tuple[float, float]:
         """Standard deviations of the errors of dead time and lag [s]."""
         return (
-            self.timing_std * math.hypot(self.delay, _LEAST_DELAY),
-            self.timing_std * math.hypot(self.time_constant, _LEAST_LAG),
+            self.timing_std * math.hypot(self.delay, _MIN_DELAY),
+            self.timing_std * math.hypot(self.time_constant, _MIN_LAG),
         )
 
 
@@ -219,12 +219,12 @@ def _rate_table(section: Section) -> Pairs:
     rows = section.rows('rate', ('speed m/s', 'rate'))
     if not rows:
         section.fail('rate', '= [] must be a number or have at least one row')
-    if len(rows) > _MOST_ROWS:
-        section.fail('rate', f'has {len(rows)} rows; it may have at most {_MOST_ROWS}')
+    if len(rows) > _MAX_ROWS:
+        section.fail('rate', f'has {len(rows)} rows; it may have at most {_MAX_ROWS}')
     for i, (speed, rate) in enumerate(rows):
-        section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MOST_SPEED)
-        if not LEAST_RATE <= rate <= MOST_RATE:
-            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{LEAST_RATE:g}, {MOST_RATE:g}]')
+        section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MAX_SPEED)
+        if not MIN_RATE <= rate <= MAX_RATE:
+            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{MIN_RATE:g}, {MAX_RATE:g}]')
     for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
         if after <= before:
             section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds must increase')
@@ -240,7 +240,7 @@ def _line(section: Section) -> Line:
         gradient=_profile(section, 'gradient', 'per mille', low=-_STEEPEST, high=_STEEPEST),
         curve=_curves(section),
         tunnel=_tunnels(section),
-        speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MOST_SPEED),
+        speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MAX_SPEED),
         **_numbers(section, Line),
     )
 

@@ -35,7 +35,7 @@ _POSITION: Final = PositionModel()
 _BRAKE_EXCESS: Final = 0.1
 _RELEASE_EXCESS: Final = -0.6
 # Largest correction by the integral [m/s^2].
-_MOST_INTEGRAL: Final = 0.2
+_MAX_INTEGRAL: Final = 0.2
 # A train that would stop this short without braking drives on [m].
 _TOO_SHORT: Final = 0.5
 
@@ -233,7 +233,7 @@ class Ato:
             self.phase, self._integral = Phase.DRIVE, 0.0
         gradient = state.gradient()
         change = self._integral - model.integral_gain * excess * TICK_S
-        self._integral = min(_MOST_INTEGRAL, max(-_MOST_INTEGRAL, change))
+        self._integral = min(_MAX_INTEGRAL, max(-_MAX_INTEGRAL, change))
         wanted = self._integral - slope - model.gain * excess
         self.follows = self.phase is Phase.BRAKE
         if self.follows:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 # Share of the error of a stop that the next one corrects [1], and largest correction [m].
 _GAIN: Final = 0.4
-_MOST: Final = 5.0
+_MAX_AIM: Final = 5.0
 # Share of the difference that the rate of one braking corrects [1].
 _RATE_GAIN: Final = 0.5
 # Only speeds above this [m/s] are compared, while the lagged command is stronger than this [m/s^2], and only if a
 # nominal brake would have changed the speed by at least this [m/s].
 _SLOWEST: Final = 0.7
 _BRAKED: Final = -0.3
-_LEAST_CHANGE: Final = 2.0
+_MIN_CHANGE: Final = 2.0
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class StopBias:
 
     def learn(self, error: float) -> None:
         """Take in the error of a stop, > 0 beyond it [m]."""
-        self.aim = min(_MOST, max(-_MOST, self.aim - _GAIN * error))
+        self.aim = min(_MAX_AIM, max(-_MAX_AIM, self.aim - _GAIN * error))
 
 
 class LearnedRate:
@@ -95,6 +95,6 @@ class LearnedRate:
 
     def _learn(self) -> None:
         """Learn from the braking that has ended."""
-        if self._nominal > _LEAST_CHANGE:
+        if self._nominal > _MIN_CHANGE:
             self._rate += _RATE_GAIN * (self._lost / self._nominal - self._rate)
         self._lost = self._nominal = 0.0

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Models = tuple[tuple[Array, Array], tuple[Array, Array]]
 
 # The probability of a jump stays below one, because the mixing divides by that of the quiet model.
-_MOST_CERTAIN: Final = 1.0 - 1e-12
+_MAX_PROBABILITY: Final = 1.0 - 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ class ImmPosterior:
         starts, ends = transition(self._config, dt, pause)
         means, covs = (models[0][0], models[1][0]), (models[0][1], models[1][1])
         into_jump = starts * (1.0 - jumping), (1.0 - ends) * jumping
-        after = min(sum(into_jump), _MOST_CERTAIN)  # after a long pause a jump is almost certain
+        after = min(sum(into_jump), _MAX_PROBABILITY)  # after a long pause a jump is almost certain
         quiet_share = (1.0 - starts) * (1.0 - jumping) / (1.0 - after)
         quiet = gaussian.mixed((quiet_share, 1.0 - quiet_share), means, covs)
         jump = models[1]
@@ -179,7 +179,7 @@ def _posterior(prior: float, log_ratio: float) -> float:
     if prior <= 0.0:
         return 0.0
     odds = math.log(prior) - math.log1p(-prior) + log_ratio
-    return min(1.0 / (1.0 + math.exp(min(-odds, 700.0))), _MOST_CERTAIN)
+    return min(1.0 / (1.0 + math.exp(min(-odds, 700.0))), _MAX_PROBABILITY)
 
 
 def imm(train_file: TrainFile, config: ImmConfig, rng: np.random.Generator) -> BrakeRateEstimator:  # noqa: ARG001

@@ -18,7 +18,7 @@ _LOG_PRIOR: Final = np.log([[1.0 / 6.0], [4.0 / 6.0], [1.0 / 6.0]])
 _OFFSETS: Final = np.array([[-1.0], [0.0], [1.0]])
 _KAPPA: Final = 0.2
 _SHRUNK: Final = math.sqrt(1.0 - _KAPPA**2)
-_MOST_SPREAD: Final = 2.0
+_MAX_SPREAD: Final = 2.0
 
 
 class LinearGroupCloud(NamedTuple):
@@ -55,7 +55,7 @@ class LinearGroupCloud(NamedTuple):
         order = f.argsort(kind='stable')
         kept = order[systematic(w[order], len(self.f), uniform)]
         around = f[kept] - f[kept].mean()
-        matched = mean + min(math.sqrt(variance / float(np.square(around).mean())), _MOST_SPREAD) * around
+        matched = mean + min(math.sqrt(variance / float(np.square(around).mean())), _MAX_SPREAD) * around
         states = x[:, kept] + slope[:, None] * (matched - f[kept])
         states += (middle - states.mean(axis=1))[:, None]
         return LinearGroupCloud(matched, states, mean, variance, slope)
