@@ -11,7 +11,7 @@ help: ## list the targets
 setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, research/lab (PYTHON=... selects the interpreter)
 	@PYTHON='$(PYTHON)' tools/setup
 
-demo: ## play a bag through the three live nodes and write a report; what else there is to set up follows beside it
+demo: ## play bags through the three live nodes and V-MILS, write a report; what else there is to set up follows beside it
 	@PYTHON='$(PYTHON)' tools/setup --sources
 	@nice tools/setup >.venv/setup_beside_demo.log 2>&1 & .venv/bin/trainid demo; code=$$?; wait; exit $$code
 

@@ -206,7 +206,7 @@ def _latency(topic: str, sent: dict[int, int], received: dict[int, int]) -> Late
 def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
     """Run groups of nodes, each group in one process, and measure them."""
     with tempfile.TemporaryDirectory() as name, private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
-        pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
+        pids = [processes.start('+'.join(nodes), *_command(nodes)).pid for nodes in groups]
         names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
         return _measure(arrangement, dict(zip(names, pids, strict=True)))
 

@@ -30,7 +30,7 @@ from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.live import private_domain
 from benchmarks.memory import open_files, repeated, resident_kb
 from benchmarks.tables import Table, as_text
-from trainid_ros.cli.demo import lossless_parameters
+from trainid_ros.cli.demo import node_parameters
 from trainid_ros.cli.processes import ProcessGroup
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, OUTPUT_TOPICS, stamp_of
 from trainid_ros.ros.topics import message_class, message_from_record
@@ -169,9 +169,9 @@ def soak(seconds: float, rate: float, busy: int, *, realtime: bool = False) -> S
     burners = [multiprocessing.get_context('spawn').Process(target=_burn, daemon=True) for _ in range(busy)]
     with tempfile.TemporaryDirectory() as name, private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
         parameters = Path(name) / 'parameters.yaml'
-        parameters.write_text(lossless_parameters(), encoding='utf-8')
-        command = ['run', '--train', str(TRAIN_FILE), '--ros-args', '--params-file', str(parameters)]
-        process = processes.start('nodes', command).process
+        parameters.write_text(node_parameters(), encoding='utf-8')
+        command = ('run', '--train', str(TRAIN_FILE), '--ros-args', '--params-file', str(parameters))
+        process = processes.start('nodes', *command)
         feed, stop = _Feed(), threading.Event()
         readings: list[Reading] = []
         reader = threading.Thread(target=lambda: readings.extend(_readings(process.pid, stop)))

@@ -12,13 +12,23 @@ import pytest
 import yaml
 
 from trainid_ros.cli import demo
-from trainid_ros.cli.demo import Comparison, Estimates, compare, line, load_demo_bag, lossless_parameters, stock_bag
+from trainid_ros.cli.demo import (
+    Comparison,
+    Published,
+    compare,
+    describe_resistance,
+    line,
+    load_demo_bag,
+    node_parameters,
+    stock_bag,
+)
 from trainid_ros.cli.main import main
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import HTML_START
 from trainid_ros.sim.truth import Truth
+from trainid_ros.train.train_file import Davis
 
 START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0, 0.3)
@@ -71,12 +81,14 @@ def test_only_the_chapters_played_need_their_folders(tmp_path: Path) -> None:
         main(['demo', '--only', 'yizhuang', '--out', str(tmp_path)])
 
 
-def newest() -> dict[type, Any]:
+def newest() -> list[Output[Any]]:
     stamp = START_NS + 90 * NS_PER_S
-    return {
-        ResistanceEstimate: Output(stamp, RESISTANCE, Status.VALID, 12, 8, None),
-        BrakeRateEstimate: Output(stamp, BRAKE, Status.HOLDING, 3, 17, None),
-    }
+    v_mils = replace(RESISTANCE, resistance=1.7)
+    return [
+        Output(stamp, RESISTANCE, Status.VALID, 12, 8, None),
+        Output(stamp, BRAKE, Status.HOLDING, 3, 17, None),
+        Output(stamp, v_mils, Status.CONVERGING, 2, 18, None),
+    ]
 
 
 def test_line_shows_estimates_truth_and_status() -> None:
@@ -84,10 +96,11 @@ def test_line_shows_estimates_truth_and_status() -> None:
     for wanted in ('36.0 km/h', 'w 1.900 ± 0.200 (truth 1.800) VALID', '12 used, 8 rejected'):
         assert wanted in text
     assert 'brake rate 0.910 ± 0.050 (truth 0.950) HOLDING' in text  # the truth at that time
+    assert 'w by V-MILS 1.700 ± 0.200 (truth 1.800) CONVERGING' in text
 
 
 def test_line_without_truth_or_brake_rate() -> None:
-    text = line({ResistanceEstimate: newest()[ResistanceEstimate]}, None)
+    text = line(newest()[:1], None)
     assert 'truth' not in text
     assert 'brake' not in text
 
@@ -98,9 +111,21 @@ def test_line_with_a_truth_that_knows_no_brake_rate() -> None:
     assert 'brake rate 0.910 ± 0.050 HOLDING' in text
 
 
+def test_the_resistance_of_an_algorithm_is_shown_with_its_error() -> None:
+    covariance = (0.04, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    output = Output(START_NS, replace(RESISTANCE, covariance=covariance), Status.VALID, 12, 8, None)
+    head, values = describe_resistance('V-MILS', output, Davis(1.5, 0.02, 0.001))
+    assert head == 'V-MILS: w(v) = 1.600 + 0.0200 v + 0.00100 v² N/kN, VALID, 12 samples used, 8 rejected'
+    assert 'w(10 m/s) = 1.900 ± 0.200 (error +0.100)' in values
+    assert 'error' not in describe_resistance('V-MILS', output, None)[1]
+
+
 def test_parameters_make_every_topic_reliable() -> None:
-    sections = yaml.safe_load(lossless_parameters())
-    assert set(sections) == {'resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'}
+    sections = yaml.safe_load(node_parameters())
+    mission = {'resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'}
+    assert set(sections) == {*mission, 'v_mils_estimator'}
+    algorithms = {name: section['ros__parameters']['algorithm'] for name, section in sections.items()}
+    assert (algorithms['resistance_estimator'], algorithms['v_mils_estimator']) == ('filter-bank', 'V-MILS')
     for section in sections.values():
         topics = section['ros__parameters']['qos_overrides']
         inputs = [topic for topic, entities in topics.items() if 'subscription' in entities]
@@ -121,13 +146,16 @@ def test_bag_without_train_file_is_reported(tmp_path: Path) -> None:
         load_demo_bag(tmp_path)
 
 
+def published(estimate: Any) -> list[tuple[int, int]]:
+    made = Published()
+    assert made.add(Output(5, estimate, Status.VALID, 1, 0, None))
+    return made.digests
+
+
 def test_equal_estimates_have_equal_digests_whatever_holds_their_numbers() -> None:
-    live, replayed = Estimates(), Estimates()
     array: Any = tuple(np.zeros(9))
     for given, estimate in ((replace(RESISTANCE, covariance=array), RESISTANCE), (BRAKE, replace(BRAKE))):
-        assert live.add(5, given, Status.VALID)
-        assert replayed.add(5, estimate, Status.VALID)
-        assert compare(live.of[type(estimate)], replayed.of[type(estimate)]) == Comparison(1, 1, 1, 0, 0)
+        assert compare(published(given), published(estimate)) == Comparison(1, 1, 1, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -135,19 +163,15 @@ def test_equal_estimates_have_equal_digests_whatever_holds_their_numbers() -> No
     [{'a': float(np.nextafter(1.6, 2.0))}, {'covariance': (1e-300,) + (0.0,) * 8}, {'resistance': float('nan')}],
 )
 def test_the_last_bit_counts(change: dict[str, Any]) -> None:
-    live, replayed = Estimates(), Estimates()
-    live.add(5, replace(RESISTANCE, **change), Status.VALID)
-    replayed.add(5, RESISTANCE, Status.VALID)
-    found = compare(live.of[ResistanceEstimate], replayed.of[ResistanceEstimate])
+    found = compare(published(replace(RESISTANCE, **change)), published(RESISTANCE))
     assert (found, found.exact) == (Comparison(1, 1, 0, 0, 0), False)
 
 
 def test_a_repeat_that_reports_missing_input_does_not_count() -> None:
-    live = Estimates()
-    assert not live.add(0, RESISTANCE, Status.STALE)  # before the first input
-    assert live.add(5, RESISTANCE, Status.VALID)
-    assert not live.add(5, RESISTANCE, Status.STALE)
-    assert live.add(6, RESISTANCE, Status.STALE)
+    live = Published()
+    cases = ((0, Status.STALE), (5, Status.VALID), (5, Status.STALE), (6, Status.STALE))  # first before any input
+    counts = [live.add(Output(stamp, RESISTANCE, status, 1, 0, None)) for stamp, status in cases]
+    assert counts == [False, True, False, True]
 
 
 def test_missing_different_and_unexpected_messages_are_counted() -> None:

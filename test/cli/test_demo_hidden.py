@@ -32,8 +32,7 @@ def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_text_shows_the_hidden_and_the_found_effect(
     make_explanation: Callable[..., Explanation], stated: TrainFile
 ) -> None:
-    found = (stated, make_explanation())
-    text = describe_hidden(found, Path('out'))
+    text = describe_hidden(stated, make_explanation(), Path('out'))
     assert text.index(HIDDEN) < text.index('EXPLAINED: The current model lacks local_drag')
-    assert is_found(found)
-    assert not is_found((stated, make_explanation(effects=())))
+    assert is_found(make_explanation())
+    assert not is_found(make_explanation(effects=()))

@@ -50,6 +50,13 @@ NOT_RUN = {
             '-p train_file:=/path/to/train.yaml'
         ): SECURE,
     },
+    'docs/algorithms.md': {
+        (
+            '.venv/bin/trainid run --train config/trains/yizhuang.yaml --node resistance_estimator --ros-args '
+            '-p algorithm:=V-MILS -r __node:=v_mils_estimator -r trainid/resistance:=trainid/v_mils/resistance '
+            '-r trainid/last_valid/resistance:=trainid/v_mils/last_valid'
+        ): LIVE,
+    },
     'docs/controller.md': {
         'colcon build --base-paths src/trainid_ros/msg_defs src/trainid_ros/examples/cpp': 'needs a workspace',
     },

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo end to end on a small bag: three nodes and a player as processes, none of which is left."""
+"""The demo end to end on a small bag: four nodes and a player in three processes, none of which is left."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 
 pytestmark = pytest.mark.ros
 
-TOPICS = 3
+NODES = 4
+PROCESSES = 3
 Start: TypeAlias = Callable[..., subprocess.Popen[str]]
 
 
@@ -80,14 +81,16 @@ def test_quick_demo_end_to_end(start: Start, bag: Path, tmp_path: Path) -> None:
     answer: dict[str, Any] = json.loads(out)
     assert answer['worked'] is True
     chapter = answer['bags'][0]
-    assert len(chapter['live_against_replay']) == TOPICS
+    assert len(chapter['live_against_replay']) == NODES
     for comparison in chapter['live_against_replay'].values():
         assert comparison['equal'] == comparison['replayed'] > 300
         assert comparison['missing'] == comparison['extra'] == 0
     assert chapter['scores']['brake_rate']['outputs'] > 100
+    assert chapter['v_mils']['estimate']['a'] != chapter['resistance']['estimate']['a']
     text = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     assert text.count('<svg') == 7
     assert 'live equals replay to the bit' in text
+    assert '>V-MILS<' in text[text.index('Resistance curve against speed') :]
     assert 'km/h' in err
     assert children_of(process) == []
 
@@ -103,7 +106,7 @@ def test_interrupted_demo_leaves_no_process_behind(
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.05)
-    assert len(children_of(process)) >= TOPICS
+    assert len(children_of(process)) >= PROCESSES
     process.send_signal(number)
     _, err = process.communicate()
     assert process.returncode == 130, err

@@ -26,7 +26,7 @@ from benchmarks.foreign_bag import MAPPING, write_foreign
 from test.hang import HANG_S
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.demo import lossless_parameters
+from trainid_ros.cli.demo import node_parameters
 from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
@@ -189,7 +189,7 @@ def test_live_estimates_equal_the_replay_to_the_bit(
 ) -> None:
     # By default inputs are best effort and may be lost on a busy machine; these nodes lose none.
     lossless = tmp_path / 'lossless.yaml'
-    lossless.write_text(lossless_parameters(), encoding='utf-8')
+    lossless.write_text(node_parameters(), encoding='utf-8')
     ros_args = ('--params-file', str(lossless), '-p', 'use_sim_time:=true')
     nodes = processes.start('run', '--train', str(TRAIN), '--ros-args', *ros_args)
     assert [line.split()[0] for line in wait_for_lines(nodes, 3)] == [

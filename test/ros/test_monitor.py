@@ -124,13 +124,13 @@ def test_a_person_sees_the_train_and_a_killed_node(terminals: list[Terminal], tm
     monitor = open_monitor(terminals, '--ros-args', *clock)
     monitor.until('Nothing is published yet in any namespace', 'trainid run')
     with ProcessGroup(tmp_path) as group:
-        nodes = {name: group.start(name, ['run', '--train', TRAIN, '--node', name, *space, *clock]) for name in NODES}
-        group.start('player', ['play', BAG, '--rate', '2', '--start', '20', '--wait', '3', '--loop', *space])
+        nodes = {name: group.start(name, 'run', '--train', TRAIN, '--node', name, *space, *clock) for name in NODES}
+        group.start('player', 'play', BAG, '--rate', '2', '--start', '20', '--wait', '3', '--loop', *space)
         monitor.until('/train_7', '3 of 3 estimates', 'N/kN w at', 'mass factor', '1 = nominal')
         monitor.until('CONVERGING', 'drive on, it learns at changing speeds')
         monitor.until('/train_7/bag_player', 'km/h', 'used', 'stated ±')
         monitor.until_input('ato/speed', 10.0)
-        nodes['brake_rate_estimator'].process.kill()
+        nodes['brake_rate_estimator'].kill()
         drawn = monitor.received.count(HOME)
         monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate since')
         assert monitor.received.count(HOME) - drawn <= 10  # of 2 s, one every 0.25 s, and two not read
@@ -141,7 +141,7 @@ def test_a_person_sees_the_train_and_a_killed_node(terminals: list[Terminal], tm
 
 def test_without_colours_there_is_a_line_each_second_at_most(terminals: list[Terminal], tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
-        group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
+        group.start('nodes', 'run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7')
         monitor = open_monitor(terminals, '--namespace', 'train_7', '--duration', str(HANG_S), NO_COLOR='1')
         monitor.until('/train_7 ', 'STALE', 'ato/speed never', 'start the node that publishes it')
         seen = monitor.received.count(' UTC /train_7 ')
@@ -158,7 +158,7 @@ def test_without_colours_there_is_a_line_each_second_at_most(terminals: list[Ter
 
 def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal], tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
-        group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
+        group.start('nodes', 'run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7')
         monitor = open_monitor(terminals, '--namespace', '/train_8', '--duration', str(HANG_S), TERM='dumb')
         monitor.until('in the namespace /train_8', 'There are trains in /train_7')
         assert monitor.end(signal.SIGINT) == 0
@@ -189,7 +189,7 @@ def test_a_publisher_that_publishes_nothing_gives_no_answer(terminals: list[Term
 
 def test_a_short_time_is_enough_where_something_is_published(terminals: list[Terminal], tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
-        group.start('player', ['play', BAG, '--wait', '0', '--loop'])
+        group.start('player', 'play', BAG, '--wait', '0', '--loop')
         open_monitor(terminals).until('/bag_player', '5.0 Hz')
         command = [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', '--duration', '1.5']
         forced = os.environ | {'FORCE_COLOR': '1', 'LC_ALL': 'C'}

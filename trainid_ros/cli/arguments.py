@@ -13,7 +13,7 @@ LIVE_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rat
 DEMO_BAGS: Final = {'altrios': 'altrios_manifest', 'yizhuang': 'yizhuang_day'}
 """Chapters of the demo with their bags."""
 DEMO_RATE: Final = 70.0
-"""Rate at which two cores keep up with three nodes, player and listener [x real time]."""
+"""Rate at which two cores keep up with four nodes, player and listener [x real time]."""
 DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
 _MAX_CHUNK_MB: Final = 64

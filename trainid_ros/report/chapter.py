@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
-    from trainid_ros.report.recording import Array, Recording
+    from trainid_ros.report.recording import Array, Recording, Track
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import Davis, TrainFile
 
@@ -46,6 +46,7 @@ class Chapter:
     rejections: tuple[RejectionCounts, ...]  # Rejected samples by estimator
     truth: Truth | None = None  # True parameters, None if unknown
     notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
+    others: tuple[tuple[str, Track], ...] = ()  # Resistance by other algorithms, by name
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
@@ -296,18 +297,16 @@ def _true_w(chapter: Chapter, track: Track, phi: Array) -> Array | None:
 
 
 def resistance_curve(chapter: Chapter) -> str:
-    """Plot w(v) at the end with its band, the prior, the truth, and the driving time at each speed."""
-    track = chapter.recording.resistance
-    if not track.estimates:
+    """Plot w(v) at the end with its band, prior, truth, other algorithms, and the driving time at each speed."""
+    if not chapter.recording.resistance.estimates:
         return ''
     with style.styled_figure(4.6) as figure:
         curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         speeds = np.linspace(0.0, _top_speed(chapter), _CURVE_POINTS)
-        low, high = track.speed_range
-        seen = (speeds >= low) & (speeds <= high) if high > low else np.ones_like(speeds, dtype=bool)
-        w, std = resistance_at(track[-1:].theta[0], speeds), resistance_std(track[-1:].covariance[0], speeds)
-        style.draw_band(curve, KM_H * speeds[seen], w[seen], std[seen])
-        curve.plot(KM_H * speeds, w, color=style.ESTIMATE, linewidth=0.8, alpha=0.6)
+        _draw_curve(curve, speeds, chapter.recording.resistance, style.ESTIMATE)
+        others = [(name, track) for name, track in chapter.others if track.estimates]
+        for _, track in others:
+            _draw_curve(curve, speeds, track, style.TRACTION)
         prior = davis(chapter.train_file.resistance, speeds)
         curve.plot(KM_H * speeds, prior, color=style.MUTED, linestyle=style.PRIOR_DASHES, linewidth=1.4)
         if chapter.truth is not None:
@@ -319,8 +318,18 @@ def resistance_curve(chapter: Chapter) -> str:
         curve.set_ylabel('w [N/kN]')
         curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
         _draw_time_driven(driven, chapter)
-        style.legend_above(figure, _handles(chapter))
+        lines = [Line2D([], [], color=style.TRACTION, label=name) for name, _ in others]
+        style.legend_above(figure, [*lines, *_handles(chapter)])
         return style.to_svg(figure, 'Resistance curve against speed')
+
+
+def _draw_curve(axes: Axes, speeds: Array, track: Track, colour: str) -> None:
+    """Draw w(v) of the last estimate, with its band over the speeds learned from."""
+    low, high = track.speed_range
+    seen = (speeds >= low) & (speeds <= high) if high > low else np.ones_like(speeds, dtype=bool)
+    w, std = resistance_at(track[-1:].theta[0], speeds), resistance_std(track[-1:].covariance[0], speeds)
+    style.draw_band(axes, KM_H * speeds[seen], w[seen], std[seen], colour)
+    axes.plot(KM_H * speeds, w, color=colour, linewidth=0.8, alpha=0.6)
 
 
 def _top_speed(chapter: Chapter) -> float:
