@@ -45,7 +45,7 @@ wheel: setup ## build wheels with compiled modules in out/wheels and try each in
 
 golden: setup ## regenerate expected outputs, config/params.yaml and docs/monitor.svg; review the difference before committing it
 	PYTHONPATH=. tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
-	tools/with_test_env $(PYTHON_IN) -m trainid_ros.setup.params_template > config/params.yaml
+	tools/with_test_env $(PYTHON_IN) -m trainid_ros.setup.params_file > config/params.yaml
 	tools/with_test_env $(PYTHON_IN) -m tools.monitor_picture > docs/monitor.svg
 
 docs: setup .venv-docs/stamp ## build the documentation site in out/site; a broken link is an error

@@ -29,7 +29,7 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
 from trainid_ros.setup.checkpoint import Checkpoint, parse_checkpoint
-from trainid_ros.setup.jobs import JOBS
+from trainid_ros.setup.pipelines import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,9 +120,9 @@ class Campaign:
         self._params = folder / 'params.yaml'
         self._params.write_text(
             ''.join(
-                f'/{job.node_name}: {{ros__parameters: {{checkpoint_period: {_PERIOD_S}, '
-                f'checkpoint_file: {self._states / job.node_name}.json}}}}\n'
-                for job in JOBS
+                f'/{kind.node_name}: {{ros__parameters: {{checkpoint_period: {_PERIOD_S}, '
+                f'checkpoint_file: {self._states / kind.node_name}.json}}}}\n'
+                for kind in KINDS
             ),
             encoding='utf-8',
         )
@@ -138,7 +138,7 @@ class Campaign:
                 self._kill_after(float(rng.uniform(0.0, _LATEST_S)), of_active=bool(k % 4))
             self._stop()
         names = {item.name for item in self._states.iterdir()}
-        self._outcome.strays = names - {f'{job.node_name}.json' for job in JOBS}
+        self._outcome.strays = names - {f'{kind.node_name}.json' for kind in KINDS}
         return self._outcome
 
     def _start(self) -> Nodes:
@@ -200,7 +200,7 @@ class Campaign:
         outcome.unsaved += log.count('would be lost')
         # Estimates of the process before may arrive late.
         seen = {name: [stamp for stamp in stamps if stamp > start_ns] for name, stamps in self._train.take().items()}
-        if all(len(seen.get(job.node_name, ())) * _SAMPLE_S > _SETTLED_S for job in JOBS):
+        if all(len(seen.get(kind.node_name, ())) * _SAMPLE_S > _SETTLED_S for kind in KINDS):
             outcome.active += 1
             for name, stamps in seen.items():
                 outcome.age_s.append((killed_ns - after[name].saved_ns) / NS_PER_S)
@@ -238,7 +238,7 @@ class Nodes:
     def wait_until_active(self) -> None:
         """Wait until all nodes are active."""
         deadline = time.monotonic() + _PATIENCE_S
-        while len(self.active) < len(JOBS) and time.monotonic() < deadline:
+        while len(self.active) < len(KINDS) and time.monotonic() < deadline:
             time.sleep(0.02)
 
     def close(self) -> None:
@@ -262,9 +262,9 @@ class Train:
             for topic in INPUT_TOPICS
         }
         self._estimates: dict[str, list[int]] = {}
-        for job in JOBS:
+        for kind in KINDS:
             self._node.create_subscription(
-                message_class(job.topic), job.topic.name, partial(self._note, job.node_name), estimate_qos()
+                message_class(kind.topic), kind.topic.name, partial(self._note, kind.node_name), estimate_qos()
             )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -278,7 +278,7 @@ class Train:
     @property
     def is_heard(self) -> bool:
         """Whether estimates of all nodes have come since they were taken."""
-        return len(self._estimates) == len(JOBS)
+        return len(self._estimates) == len(KINDS)
 
     def take(self) -> dict[str, list[int]]:
         """Return the stamps of the estimates received since the last call [ns], by the name of the node."""

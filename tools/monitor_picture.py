@@ -34,7 +34,7 @@ from trainid_ros.ros.diagnostics import NodeHealth, estimator_status
 from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.topics import Publishers
-from trainid_ros.setup.jobs import node_setups
+from trainid_ros.setup.params_file import node_setups
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.train_file import load_train_file
 
@@ -74,7 +74,7 @@ def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tup
     """Let the nodes report what they would, and a second publisher of the force beside them."""
     now_s = feed.now_ns / NS_PER_S
     for spec, pipeline, prior in zip(SPECS.values(), pipelines, priors, strict=True):
-        name = f'{_NAMESPACE}/{spec.job.node_name}'.strip('/')
+        name = f'{_NAMESPACE}/{spec.kind.node_name}'.strip('/')
         health = NodeHealth(name, 'active', '', feed.now_ns, '')
         status = estimator_status(health, pipeline, spec.shown, prior, StepTimeSummary(0.0, 0.0, 0.0, 0), ())
         values = {item.key: item.value for item in status.values}

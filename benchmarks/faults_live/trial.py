@@ -25,8 +25,7 @@ from benchmarks.sender import Sending, write_rows
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.records import BRAKE, NS_PER_S, Row
 from trainid_ros.setup.checkpoint import Checkpoint, provenance_of
-from trainid_ros.setup.jobs import JOBS
-from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,7 +96,7 @@ class Trial:
             finally:
                 self._stop()
         log = (self._folder / 'log.txt').read_text(encoding='utf-8', errors='replace')
-        resumed = log.count('continues from') >= len(JOBS)
+        resumed = log.count('continues from') >= len(KINDS)
         return Heard(listener, self._truth, self._begin_ns, self._end_ns, resumed)
 
     def _sleep_until(self, at_s: float) -> None:
@@ -141,16 +140,16 @@ class Trial:
     def _write_state(self, rows: Sequence[Row]) -> None:
         """Write checkpoints after a part of the drive, and the parameters that name them."""
         train, settings = assumed_train(), EstimatorSettings()
-        pipelines = [job.pipeline(train, settings) for job in JOBS]
+        pipelines = [kind.pipeline(train, settings) for kind in KINDS]
         PipelineGroup(pipelines).push_rows(rows)
         lines = []
-        for job, pipeline in zip(JOBS, pipelines, strict=True):
-            path = self._folder / f'{job.node_name}.state.json'
+        for kind, pipeline in zip(KINDS, pipelines, strict=True):
+            path = self._folder / f'{kind.node_name}.state.json'
             stamp_ns = pipeline.current().stamp_ns
-            checkpoint = Checkpoint(provenance_of(job.field, train, settings), stamp_ns, stamp_ns, pipeline.save())
+            checkpoint = Checkpoint(provenance_of(kind.name, train, settings), stamp_ns, stamp_ns, pipeline.save())
             path.write_text(checkpoint.text(), encoding='utf-8')
             values = ', '.join((f'checkpoint_file: {path}', *self._case.parameters))
-            lines.append(f'/{job.node_name}: {{ros__parameters: {{{values}}}}}\n')
+            lines.append(f'/{kind.node_name}: {{ros__parameters: {{{values}}}}}\n')
         self._params.write_text(''.join(lines), encoding='utf-8')
 
     def _write_rows(self, rows: Sequence[Row]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.kills import Campaign
 from trainid_ros.setup.checkpoint import parse_checkpoint
-from trainid_ros.setup.jobs import JOBS
+from trainid_ros.setup.pipelines import KINDS
 
 
 @pytest.mark.ros
@@ -19,6 +19,6 @@ def test_after_a_kill_and_a_sigterm_there_is_one_complete_file_for_each_node(tmp
     assert (outcome.strays, outcome.lost_at_stop) == (set(), 0)
     # Generous: a busy machine may stop the writer for seconds.
     assert max(outcome.age_s, default=0.0) < 20.0
-    for job in JOBS:
-        path = tmp_path / 'states' / f'{job.node_name}.json'
+    for kind in KINDS:
+        path = tmp_path / 'states' / f'{kind.node_name}.json'
         assert parse_checkpoint(path.read_text(encoding='utf-8'), str(path)).stamp_ns > 0

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.interface.results import Status
-from trainid_ros.setup.findings import brake_findings
-from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings, brake_findings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile

@@ -20,8 +20,8 @@ from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.resistance.vmils import VMils
-from trainid_ros.setup.jobs import JOBS, chosen_algorithms
-from trainid_ros.setup.params_template import parameter_file
+from trainid_ros.setup.params_file import parameter_file
+from trainid_ros.setup.pipelines import KINDS, chosen_algorithms
 
 PACKAGE = Path(trainid_ros.__file__).parent
 METRO = PACKAGE.parent / 'config' / 'trains' / 'yizhuang.yaml'
@@ -128,8 +128,8 @@ def test_without_plug_ins_the_built_in_names_are_listed_and_where_others_come_fr
 
 
 def forget_plug_ins() -> None:
-    for job in JOBS:
-        vars(job.algorithms).pop('_plug_ins', None)
+    for kind in KINDS:
+        vars(kind.algorithms).pop('_plug_ins', None)
 
 
 @pytest.fixture
@@ -145,10 +145,10 @@ def unread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures('unread')
 def test_built_in_algorithms_and_the_parameter_file_need_no_plug_in() -> None:
-    for job in JOBS:
-        for name in job.algorithms.built_in:
-            assert chosen_algorithms([name]) == {job.field: name}
-            assert job.algorithms.choose(name).algorithm == name
+    for kind in KINDS:
+        for name in kind.algorithms.built_in:
+            assert chosen_algorithms([name]) == {kind.name: name}
+            assert kind.algorithms.choose(name).algorithm == name
     assert 'V-MILS' in parameter_file()
 
 

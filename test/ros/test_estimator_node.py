@@ -292,7 +292,7 @@ def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: 
 def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     graph: Graph, train_file: str, tmp_path: Path, field: str, factory: Any
 ) -> None:
-    from trainid_ros.setup.jobs import node_setups  # noqa: PLC0415
+    from trainid_ros.setup.params_file import node_setups  # noqa: PLC0415
     from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
 
     path = tmp_path / 'params.yaml'
@@ -306,10 +306,10 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     assert node.bring_up(), node.failure
     published, records = graph.published(node), graph.coasting(150)
     graph.feed(node, records)
-    setups = {item.job.field: item for item in node_setups(load_train_file(train_file), train_file, path)}
+    setups = {item.kind.name: item for item in node_setups(load_train_file(train_file), train_file, path)}
     pipeline, plain = (
         setups[field].pipeline(),
-        node.shared.job.pipeline(load_train_file(train_file), EstimatorSettings()),
+        node.shared.kind.pipeline(load_train_file(train_file), EstimatorSettings()),
     )
     expected, otherwise = ([o for r in records for o in p.push(r)] for p in (pipeline, plain))
     assert repr(published.messages) == repr(expected)
@@ -320,7 +320,7 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
 def test_the_algorithm_is_a_parameter_and_an_unknown_name_is_reported_with_the_choices(
     graph: Graph, train_file: str, factory: Any
 ) -> None:
-    names = graph.make(factory, train_file=train_file).shared.job.algorithms.names
+    names = graph.make(factory, train_file=train_file).shared.kind.algorithms.names
     for name in names:
         chosen = graph.make(factory, arguments=('-p', f'algorithm:={name}'), train_file=train_file)
         assert chosen.bring_up(), chosen.failure
@@ -336,12 +336,12 @@ def test_without_the_laboratory_a_node_runs_and_rejects_other_names(
     graph: Graph, train_file: str, factory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = graph.make(factory, train_file=train_file)
-    monkeypatch.setattr(node.shared.job.algorithms, '_plug_ins', ({}, ''))
+    monkeypatch.setattr(node.shared.kind.algorithms, '_plug_ins', ({}, ''))
     assert node.bring_up(), node.failure
     graph.drop()
     name = graph.make(factory, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
     assert name.trigger_configure() == FAILURE
-    known = ', '.join(node.shared.job.algorithms.built_in)
+    known = ', '.join(node.shared.kind.algorithms.built_in)
     assert name.failure == f"not configured: algorithm = 'RLS' must be one of {known}; others come with research/lab"
 
 

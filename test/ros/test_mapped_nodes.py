@@ -108,7 +108,7 @@ def test_live_estimates_equal_the_replay_of_the_bag_to_the_bit(
         kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
         for log_ns, topic, data in reader.stored():
             group.receive(topics[topic], deserialize_message(data, kinds[topic]), log_ns)
-        pipelines = [node.shared.job.pipeline(load_train_file(train_file), node._settings) for node in nodes]
+        pipelines = [node.shared.kind.pipeline(load_train_file(train_file), node._settings) for node in nodes]
         expected = [[out for record in reader.records() for out in pipeline.push(record)] for pipeline in pipelines]
     assert min(map(len, expected)) > 140
     assert [repr(item.messages) for item in published] == [repr(made) for made in expected]

@@ -54,11 +54,11 @@ DRIVE = f"""
 {IMPORTS}
 import numpy
 from trainid_ros.setup.pipelines import EstimatorSettings
-from trainid_ros.setup.jobs import JOBS
+from trainid_ros.setup.pipelines import KINDS
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 file = load_train_file({str(ROOT / 'config/trains/yizhuang.yaml')!r})
-pipelines = [job.pipeline(file, EstimatorSettings()) for job in JOBS]
+pipelines = [kind.pipeline(file, EstimatorSettings()) for kind in KINDS]
 for record in simulate(Scenario(file, runs=1), numpy.random.default_rng(1)).records:
     for pipeline in pipelines:
         pipeline.push(record)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.errors import InputError, setting_info
-from trainid_ros.setup.jobs import find_mismatch, params_files, read_overrides
 from trainid_ros.setup.parameter_specs import (
     TAKEN,
     ParameterSpec,
@@ -22,7 +21,7 @@ from trainid_ros.setup.parameter_specs import (
     estimator_parameters,
     validate_overrides,
 )
-from trainid_ros.setup.params_template import parameter_file
+from trainid_ros.setup.params_file import find_mismatch, parameter_file, params_files, read_overrides
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
@@ -113,7 +112,7 @@ def test_without_a_train_file_the_missing_parameters_are_named() -> None:
 
 def test_config_params_yaml_is_up_to_date() -> None:
     assert CONFIG.read_text(encoding='utf-8') == parameter_file(), (
-        'run: python -m trainid_ros.setup.params_template > config/params.yaml'
+        'run: python -m trainid_ros.setup.params_file > config/params.yaml'
     )
 
 

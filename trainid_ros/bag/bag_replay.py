@@ -22,11 +22,11 @@ from trainid_ros.interface.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
 )
-from trainid_ros.setup.findings import brake_findings
 from trainid_ros.setup.pipelines import (
     BrakeRatePipeline,
     ResistancePipeline,
     SpeedModelPipeline,
+    brake_findings,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,

@@ -44,8 +44,7 @@ from trainid_ros.report.chapter import (
 )
 from trainid_ros.report.drive_report import SPEEDS, write_report
 from trainid_ros.report.recording import Recorder
-from trainid_ros.setup.jobs import JOBS, RESISTANCE_JOB, Job
-from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings
+from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import Truth, load_truth
 from trainid_ros.train.effects import parse_effects
@@ -80,19 +79,19 @@ class Node(NamedTuple):
     """An estimator node of the demo."""
 
     label: str
-    job: Job
+    kind: EstimatorKind[Any]
     name: str
     topic: str
     settings: EstimatorSettings = EstimatorSettings()
 
 
 BANK, MODEL, RATE = (
-    Node(label, job, job.node_name, job.topic.name)
-    for label, job in zip(('resistance w(v)', 'speed model, mass factor', 'brake rate'), JOBS, strict=True)
+    Node(label, kind, kind.node_name, kind.topic.name)
+    for label, kind in zip(('resistance w(v)', 'speed model, mass factor', 'brake rate'), KINDS, strict=True)
 )
 V_MILS: Final = Node(
     'resistance w(v) by V-MILS',
-    RESISTANCE_JOB,
+    RESISTANCE_KIND,
     'v_mils_estimator',
     'trainid/v_mils/resistance',
     EstimatorSettings(resistance=RESISTANCE.choose('V-MILS')),
@@ -204,13 +203,13 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
     given = ('--train', str(bag.train_path), '--ros-args', '--params-file', str(parameters.absolute()))
     moved = {
         '__node': V_MILS.name,
-        RESISTANCE_JOB.topic.name: V_MILS.topic,
-        RESISTANCE_JOB.topic.last_valid: 'trainid/v_mils/last_valid',
+        RESISTANCE_KIND.topic.name: V_MILS.topic,
+        RESISTANCE_KIND.topic.last_valid: 'trainid/v_mils/last_valid',
     }
     remaps = [word for name, other in moved.items() for word in ('-r', f'{name}:={other}')]
     with ProcessGroup(folder) as group, _subscribed() as (listener, subscriptions):
         group.start('nodes', 'run', *given)
-        group.start(V_MILS.name, 'run', '--node', RESISTANCE_JOB.node_name, *given, *remaps)
+        group.start(V_MILS.name, 'run', '--node', RESISTANCE_KIND.node_name, *given, *remaps)
         deadline = time.monotonic() + _MAX_START_S
         while not all(listener.count_publishers(node.topic) for node in NODES):
             group.check()
@@ -240,7 +239,7 @@ def node_parameters() -> str:
         topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS] + [(node.topic, 'publisher')]
         lossless = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
         qos = {f'/{name}': {entity: dict(lossless)} for name, entity in topics}
-        return {'algorithm': getattr(node.settings, node.job.field).algorithm, 'qos_overrides': qos}
+        return {'algorithm': getattr(node.settings, node.kind.name).algorithm, 'qos_overrides': qos}
 
     return yaml.safe_dump({node.name: {'ros__parameters': parameters(node)} for node in NODES})
 
@@ -263,7 +262,7 @@ def _subscribed() -> Iterator[tuple[Any, Mapping[Node, Any]]]:
         yield (
             listener,
             {
-                node: listener.create_subscription(message_class(node.job.topic), node.topic, lambda _: None, qos)
+                node: listener.create_subscription(message_class(node.kind.topic), node.topic, lambda _: None, qos)
                 for node in NODES
             },
         )
@@ -321,7 +320,7 @@ class Live:
         return count
 
     def _receive(self, node: Node, message: Any) -> bool:
-        kind = node.job.topic.estimate
+        kind = node.kind.topic.estimate
         estimate = kind(**{item.name: _plain(getattr(message, item.name)) for item in fields(kind)})
         counts = int(message.used), int(message.rejected)
         output: Any = Output(stamp_of(message), estimate, status_of(message), *counts, None)
@@ -430,7 +429,7 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
 
 def _conclude(bag: DemoBag, live: Live, duration_s: float) -> Played:
     """Replay a bag off line, compare, and score what the nodes published."""
-    pipelines = {node: node.job.pipeline(bag.train_file, node.settings) for node in NODES}
+    pipelines = {node: node.kind.pipeline(bag.train_file, node.settings) for node in NODES}
     priors = {node: pipeline.current() for node, pipeline in pipelines.items()}
     replayed = {node: Published() for node in NODES}
     share_streams(pipelines.values())

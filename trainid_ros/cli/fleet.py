@@ -24,7 +24,7 @@ from trainid_ros.fleet.run_fleet import known_rows, rows_folder, rows_here, rows
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
-from trainid_ros.setup.jobs import mapping_in
+from trainid_ros.setup.params_file import mapping_in
 
 if TYPE_CHECKING:
     import argparse

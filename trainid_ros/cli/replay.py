@@ -26,8 +26,8 @@ from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.setup.findings import force_findings
-from trainid_ros.setup.jobs import mapping_in
+from trainid_ros.setup.params_file import mapping_in
+from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.report.recording import Recorder, Recording
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.setup.jobs import Setup
+    from trainid_ros.setup.params_file import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -217,7 +217,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
         'input_finding_end_s': outcome.contradiction.end_s,
         'suggested_drive': None if drives.resistance is None else drives.resistance.numbers,
         'suggested_braking': None if drives.brake_rate is None else drives.brake_rate.numbers,
-        'algorithms': {setup.job.field: setup.algorithm for setup in setups},
+        'algorithms': {setup.kind.name: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
     plain: dict[str, Any] = to_plain(body)
@@ -318,7 +318,7 @@ def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
     """Return the algorithms, the consistency of their uncertainty, and the observability of the resistance."""
     results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
     lines = [
-        f'{setup.job.field.replace("_", " ")} by {setup.algorithm}: uncertainty {result.consistency}'
+        f'{setup.kind.name.replace("_", " ")} by {setup.algorithm}: uncertainty {result.consistency}'
         for setup, result in zip(setups, results, strict=True)
     ]
     w, prior = outcome.resistance.output.estimate, outcome.resistance.prior

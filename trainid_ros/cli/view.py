@@ -17,7 +17,7 @@ from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError
 from trainid_ros.report.viewer import RRD_START, ViewRecorder, switch_off_telemetry, write_recording
-from trainid_ros.setup.jobs import mapping_in
+from trainid_ros.setup.params_file import mapping_in
 
 if TYPE_CHECKING:
     import argparse

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes.
+"""Registry of the algorithms for each kind of estimator, by name, and the interface that all estimators have.
 
-Interface of every estimator for its drivers.
-
-Algorithms of other distributions, found through entry points of the group ``trainid_ros.algorithms``.
-
-The name of an entry point is that of the job (``resistance``, ``speed_model`` or ``brake_rate``), its object a tuple
-of :class:`Algorithm`. Reading the entry points takes 40 ms, so nothing here runs until a name is not built in.
+Other distributions add algorithms through entry points of the group ``trainid_ros.algorithms``. The name of an entry
+point is the kind of estimator (``resistance``, ``speed_model`` or ``brake_rate``), its object a tuple of
+:class:`Algorithm`. Reading the entry points takes 40 ms, so none is read until a name is not built in.
 """
 
 from __future__ import annotations
@@ -75,7 +72,7 @@ class PlugIn:
     entry: EntryPoint
 
     def __str__(self) -> str:
-        """Return the names of its distribution, of the job and of its object."""
+        """Return the names of its distribution, of the kind and of its object."""
         entry = self.entry
         return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
 
@@ -87,12 +84,12 @@ class PlugIn:
             raise InputError(f'{self} cannot be loaded: {type(error).__name__}: {error}') from error
 
 
-def plugged_in(job: str) -> tuple[PlugIn, ...]:
-    """Return the plug-ins for a job."""
+def plugged_in(kind: str) -> tuple[PlugIn, ...]:
+    """Return the plug-ins for a kind of estimator."""
     # Imported here because start-up must not pay for it.
     from importlib.metadata import entry_points  # noqa: PLC0415
 
-    return tuple(map(PlugIn, entry_points(group=GROUP, name=job)))
+    return tuple(map(PlugIn, entry_points(group=GROUP, name=kind)))
 
 
 EstimateT = TypeVar('EstimateT', bound='Estimate')
@@ -128,8 +125,8 @@ class Algorithm(Generic[EstimateT]):
 class Algorithms(Generic[EstimateT]):
     """All algorithms for one kind of estimate: the built-in ones, the first of which is the default, and plug-ins."""
 
-    def __init__(self, job: str, *algorithms: Algorithm[EstimateT]) -> None:
-        self.job = job
+    def __init__(self, kind: str, *algorithms: Algorithm[EstimateT]) -> None:
+        self.kind = kind
         self._built_in = {item.name: item for item in algorithms}
 
     @property
@@ -172,7 +169,7 @@ class Algorithms(Generic[EstimateT]):
         """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in; first problem."""
         found: dict[str, Algorithm[EstimateT]] = {}
         problems, twice = [], set()
-        for plug_in in plugged_in(self.job):
+        for plug_in in plugged_in(self.kind):
             try:
                 given = _algorithms(plug_in)
             except InputError as error:

@@ -26,8 +26,8 @@ from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
-from trainid_ros.setup.findings import force_findings
-from trainid_ros.setup.jobs import node_setups
+from trainid_ros.setup.params_file import node_setups
+from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.plan import PlannedBag, Setup
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.setup.jobs import Setup as NodeSetup
+    from trainid_ros.setup.params_file import Setup as NodeSetup
 
 _SPEED: Final = INPUT_TOPICS.index(SPEED_TOPIC)
 _STANDING_SPEED: Final = 0.05  # Below this the train stands [m/s].

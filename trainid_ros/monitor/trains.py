@@ -34,7 +34,7 @@ from trainid_ros.interface.records import (
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.shown_estimates import SHOWN, ShownEstimate, value_text
 from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
-from trainid_ros.setup.jobs import JOBS
+from trainid_ros.setup.pipelines import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -201,7 +201,7 @@ _POINTS: Final = 400
 _ENDED_S: Final = 60.0
 _ACTIVE: Final = ('', 'active')
 _CURRENT: Final = (Status.CONVERGING, Status.VALID, Status.HOLDING)
-_NODES: Final = {job.topic.name: job.node_name for job in JOBS}
+_NODES: Final = {kind.topic.name: kind.node_name for kind in KINDS}
 """Usual name of the node that publishes an estimate, by topic."""
 
 

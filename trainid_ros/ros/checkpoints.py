@@ -71,7 +71,7 @@ class Checkpoints:
             InputError: The parameter ``checkpoint_file`` cannot be used.
         """
         path = str(self._context.parameters.value('checkpoint_file'))
-        self._provenance = provenance_of(self._context.job.field, train_file, settings)
+        self._provenance = provenance_of(self._context.kind.name, train_file, settings)
         self._file = CheckpointFile(Path(path).expanduser()) if path else None
         kept, self._kept, self.problem, self._saved = self._kept, None, '', None
         self._is_wiped = False

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from trainid_ros.ros.foreign_topics import AnyTopic, NodeMapping
     from trainid_ros.ros.input_monitor import InputMonitors
     from trainid_ros.ros.node import ManagedNode, NodeParameters
-    from trainid_ros.setup.jobs import Job
+    from trainid_ros.setup.pipelines import EstimatorKind
 
 NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
 """What arithmetic on an invalid state raises; in old versions of numpy LinAlgError is not a ValueError."""
@@ -65,7 +65,7 @@ class NodeContext:
     """The node, as far as ROS goes, and the state of its work."""
 
     node: ManagedNode  # Clocks, timers, logger, graph and lifecycle state
-    job: Job  # What it estimates
+    kind: EstimatorKind[Any]  # What it estimates
     parameters: NodeParameters
     mapping: NodeMapping
     monitors: InputMonitors

@@ -24,7 +24,7 @@ from trainid_ros.ros.topics import (
     sort_publishers,
     time_message,
 )
-from trainid_ros.setup.findings import brake_findings
+from trainid_ros.setup.pipelines import brake_findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.ros.input_monitor import InputMonitor
     from trainid_ros.ros.inputs import InputGroup
-    from trainid_ros.setup.jobs import Job
+    from trainid_ros.setup.pipelines import EstimatorKind
 
 _LEVELS: Final = {
     Status.UNINITIALIZED: DiagnosticStatus.WARN,
@@ -103,7 +103,7 @@ def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
 class EstimatorSpec:
     """What distinguishes one estimator node from the others."""
 
-    job: Job  # What it estimates
+    kind: EstimatorKind[Any]  # What it estimates
     shown: tuple[ShownValue, ...]  # Values to show in the diagnostics, the most important first
     # Returns further diagnostics, as names and values, for the prior and the current estimate
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details

@@ -32,8 +32,6 @@ from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
-from trainid_ros.setup.findings import force_findings
-from trainid_ros.setup.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB
 from trainid_ros.setup.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
@@ -43,7 +41,13 @@ from trainid_ros.setup.parameter_specs import (
     qos_overrides,
     requested_algorithm,
 )
-from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.setup.pipelines import (
+    BRAKE_RATE_KIND,
+    RESISTANCE_KIND,
+    SPEED_MODEL_KIND,
+    EstimatorSettings,
+    force_findings,
+)
 from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
@@ -52,7 +56,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
     from trainid_ros.ros.foreign_topics import AnyTopic
-    from trainid_ros.setup.jobs import Job
+    from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -74,16 +78,16 @@ class EstimatorNode(ManagedNode):
             inputs: Inputs that the node shares with others of the process, None if it runs alone.
             options: Options of the rclpy node.
         """
-        super().__init__(spec.job.node_name, **options)
+        super().__init__(spec.kind.node_name, **options)
         self._inputs = inputs or SharedInputs()
-        self._message = message_class(spec.job.topic)
+        self._message = message_class(spec.kind.topic)
         mapping = NodeMapping(self)
-        specs = estimator_parameters(spec.job.algorithms, self._requested_algorithm(spec.job))
-        expected = qos_overrides(spec.job.topic, self.resolve_topic_name, mapping.topics)
+        specs = estimator_parameters(spec.kind.algorithms, self._requested_algorithm(spec.kind))
+        expected = qos_overrides(spec.kind.topic, self.resolve_topic_name, mapping.topics)
         parameters = NodeParameters(self, specs, expected=expected)
-        parameters.check_sections(arguments, spec.job.node_name)
+        parameters.check_sections(arguments, spec.kind.node_name)
         self._settings = EstimatorSettings()
-        self.shared = NodeContext(self, spec.job, parameters, mapping, InputMonitors(self._settings.alignment))
+        self.shared = NodeContext(self, spec.kind, parameters, mapping, InputMonitors(self._settings.alignment))
         self._preload_train_file()
         parameters.report()
         parameters.on_live_change = self._retune
@@ -100,10 +104,10 @@ class EstimatorNode(ManagedNode):
         self._diagnostic_timer = self._make_diagnostic_timer()
         self._offer_services()
 
-    def _requested_algorithm(self, job: Job) -> str:
+    def _requested_algorithm(self, kind: EstimatorKind[Any]) -> str:
         overrides = self._parameter_overrides  # rclpy gives no public access to them
         given = {name: parameter.value for name, parameter in overrides.items()}
-        return requested_algorithm(given, job.algorithms)
+        return requested_algorithm(given, kind.algorithms)
 
     @property
     def pipeline(self) -> EstimatorPipeline[Any] | None:
@@ -117,7 +121,7 @@ class EstimatorNode(ManagedNode):
 
     def about(self) -> str:
         """Return what the node does, for the log."""
-        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.job.topic.name)}'
+        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.kind.topic.name)}'
 
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.shared.parameters.value('diagnostic_period'))
@@ -131,9 +135,9 @@ class EstimatorNode(ManagedNode):
         self.failure = ''
         self.shared.parameters.check()
         train_file = self._train_file()
-        settings = build_settings(self.shared.parameters.values(), self.shared.job.algorithms, self.shared.job.field)
+        settings = build_settings(self.shared.parameters.values(), self.shared.kind.algorithms, self.shared.kind.name)
         self._settings = self.shared.mapping.configure(train_file, settings)
-        pipeline = self.shared.job.pipeline(train_file, self._settings)
+        pipeline = self.shared.kind.pipeline(train_file, self._settings)
         self.shared.prior = pipeline.current().estimate
         self.checkpoints.open(pipeline, train_file, self._settings)
         self.shared.pipeline = pipeline
@@ -186,7 +190,7 @@ class EstimatorNode(ManagedNode):
         return build_train_file(self.shared.parameters.values(), frozenset(self.shared.parameters.given), base)
 
     def _open(self) -> None:
-        self._publisher = EstimatePublisher(self, self.shared.job.topic, self.status_changes)
+        self._publisher = EstimatePublisher(self, self.shared.kind.topic, self.status_changes)
         alignment = self._settings.alignment
         group = self._input_group = self._inputs.join(self)
         self.shared.lacking = lambda: group.lacking
@@ -416,7 +420,7 @@ def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
 
 
 RESISTANCE: Final = EstimatorSpec(
-    job=RESISTANCE_JOB,
+    kind=RESISTANCE_KIND,
     shown=(
         ShownValue('resistance', 'N/kN', std='resistance_std'),
         ShownValue('a', 'N/kN', variance=0),
@@ -426,7 +430,7 @@ RESISTANCE: Final = EstimatorSpec(
     details=_details,
 )
 SPEED_MODEL: Final = EstimatorSpec(
-    job=SPEED_MODEL_JOB,
+    kind=SPEED_MODEL_KIND,
     shown=(
         ShownValue('prediction_error', 'm/s'),
         ShownValue('a1', '1/(m/s)', variance=0),
@@ -440,13 +444,13 @@ SPEED_MODEL: Final = EstimatorSpec(
     ),
 )
 BRAKE_RATE: Final = EstimatorSpec(
-    job=BRAKE_RATE_JOB,
+    kind=BRAKE_RATE_KIND,
     shown=(
         ShownValue('brake_rate', '', std='brake_rate_std'),
         ShownValue('effective_particles', ''),
     ),
 )
-SPECS: Final = {spec.job.node_name: spec for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE)}
+SPECS: Final = {spec.kind.node_name: spec for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE)}
 """The nodes by name, in starting order."""
 
 

@@ -28,7 +28,6 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.setup.jobs import find_mismatch, params_files
 from trainid_ros.setup.parameter_specs import (
     LIVE,
     TAKEN,
@@ -43,6 +42,7 @@ from trainid_ros.setup.parameter_specs import (
     taken_values,
     validate_overrides,
 )
+from trainid_ros.setup.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three estimators: the algorithms of each, and its pipeline with the algorithm that the settings choose."""
+"""The three kinds of estimators: their algorithms, settings and pipelines, and what they find wrong in a train file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias
 
 import numpy as np
 
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms, Choice
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.estimators.settings import AmVffRlsConfig, FilterBankConfig, GsmaConfig, VMilsConfig
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.resistance.davis_posterior import is_delay_at_end
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Symmetric, Theta, Tuning
@@ -20,7 +24,11 @@ from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, l
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-from trainid_ros.train.train_file import TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from trainid_ros.train.train_file import TrainFile
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     'resistance',
@@ -92,30 +100,110 @@ class EstimatorSettings:
     seed: int = 1
 
 
+@dataclass(frozen=True, slots=True)
+class EstimatorKind(Generic[EstimateT]):
+    """One kind of estimator, with its node, topic and algorithms."""
+
+    algorithms: Algorithms[EstimateT]  # Available algorithms
+    topic: OutputTopic  # Topic of the estimates
+
+    @property
+    def name(self) -> str:
+        """Its name in EstimatorSettings, in pipelines and results."""
+        return self.algorithms.kind
+
+    @property
+    def node_name(self) -> str:
+        """Name of its node."""
+        return f'{self.name}_estimator'
+
+    def pipeline(self, train_file: TrainFile, settings: EstimatorSettings) -> EstimatorPipeline[EstimateT]:
+        """Return the chosen estimator behind its alignment; each draws from a random generator of its own."""
+        choice: Choice = getattr(settings, self.name)
+        estimator = self.algorithms.make(choice, train_file, np.random.default_rng(settings.seed))
+        stream = SampleStream(StreamConfig(train_file, settings.alignment, settings.pipeline.time_jump_policy))
+        return EstimatorPipeline(estimator, stream, settings.pipeline)
+
+
+RESISTANCE_KIND: Final = EstimatorKind(RESISTANCE, RESISTANCE_TOPIC)
+SPEED_MODEL_KIND: Final = EstimatorKind(SPEED_MODEL, SPEED_MODEL_TOPIC)
+BRAKE_RATE_KIND: Final = EstimatorKind(BRAKE_RATE, BRAKE_RATE_TOPIC)
+KINDS: Final[tuple[EstimatorKind[Any], ...]] = (RESISTANCE_KIND, SPEED_MODEL_KIND, BRAKE_RATE_KIND)
+
 ResistancePipeline: TypeAlias = EstimatorPipeline[ResistanceEstimate]
 SpeedModelPipeline: TypeAlias = EstimatorPipeline[SpeedModelEstimate]
 BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
+resistance_pipeline: Final = RESISTANCE_KIND.pipeline
+speed_model_pipeline: Final = SPEED_MODEL_KIND.pipeline
+brake_rate_pipeline: Final = BRAKE_RATE_KIND.pipeline
 
 
-def resistance_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> ResistancePipeline:
-    """Return the chosen resistance estimator behind its alignment."""
-    return _pipeline(RESISTANCE, settings.resistance, train_file, settings)
+def chosen_algorithms(wanted: Iterable[str]) -> dict[str, str]:
+    """Return the chosen algorithms by kind of estimator.
+
+    Args:
+        wanted: ``NAME``, or ``KIND=NAME`` where several kinds have an algorithm of that name.
+
+    Raises:
+        InputError: A kind or algorithm does not exist, a name is ambiguous, or a kind is given two algorithms.
+    """
+    chosen: dict[str, str] = {}
+    for text in wanted:
+        kind, name = _find(text)
+        if chosen.setdefault(kind, name) != name:
+            raise InputError(f'algorithm: two given for {kind}, {chosen[kind]} and {name}')
+    return chosen
 
 
-def speed_model_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> SpeedModelPipeline:
-    """Return the chosen estimator of the speed model behind its alignment."""
-    return _pipeline(SPEED_MODEL, settings.speed_model, train_file, settings)
+def _find(text: str) -> tuple[str, str]:
+    wanted, equals, name = text.rpartition('=')
+    if equals and wanted not in {kind.name for kind in KINDS}:
+        raise InputError(f'algorithm {text!r}: {wanted!r} must be one of {", ".join(kind.name for kind in KINDS)}')
+    among = [kind for kind in KINDS if kind.name == wanted or not equals]
+    # A built-in name means the same whatever plug-ins are installed.
+    found = [kind.name for kind in among if name in kind.algorithms.built_in]
+    found = found or [kind.name for kind in among if name in kind.algorithms]
+    if len(found) == 1:
+        return found[0], name
+    problem = next((kind.algorithms.problem for kind in among if kind.algorithms.problem), '')
+    if found:
+        msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
+    elif problem:
+        msg = problem
+    else:
+        choices = '; '.join(f'{kind.name}: {", ".join(kind.algorithms.names)}' for kind in among)
+        msg = f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}'
+    raise InputError(msg)
 
 
-def brake_rate_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> BrakeRatePipeline:
-    """Return the chosen brake rate estimator behind its alignment."""
-    return _pipeline(BRAKE_RATE, settings.brake_rate, train_file, settings)
+def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
+    """Return a sentence for the dead time or else the rate over speed, if it is wrong; none for other estimates."""
+    warning = pipeline.stream.brake_delay.warning if isinstance(pipeline.estimator, BrakeRateEstimator) else ''
+    return (warning,) if warning else ()
 
 
-def _pipeline(
-    algorithms: Algorithms[EstimateT], choice: Choice, train_file: TrainFile, settings: EstimatorSettings
-) -> EstimatorPipeline[EstimateT]:
-    """Each estimator draws from a generator of its own."""
-    estimator = algorithms.make(choice, train_file, np.random.default_rng(settings.seed))
-    stream = SampleStream(StreamConfig(train_file, settings.alignment, settings.pipeline.time_jump_policy))
-    return EstimatorPipeline(estimator, stream, settings.pipeline)
+# An error is reported if it differs from zero by this many standard deviations ...
+_SIGNIFICANT: Final = 4.0
+# ... and is large enough to matter: 1 % of the force, half a sample period.
+_MIN_SCALE_ERROR: Final = 0.01
+_MIN_DELAY_S: Final = 0.1
+
+
+def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
+    """Return one sentence per significant error of the reported force; none where it is not estimated."""
+    scale, delay = estimate.force_scale - 1.0, estimate.force_delay
+    found = []
+    if abs(scale) > max(_MIN_SCALE_ERROR, _SIGNIFICANT * estimate.force_scale_std):
+        value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
+        found.append(f'force scale {value}: mass or force of the train file is off')
+    if abs(delay) > max(_MIN_DELAY_S, _SIGNIFICANT * estimate.force_delay_std):
+        sense = 'later' if delay > 0.0 else 'earlier'
+        found.append(f'force delay {_delay(estimate)}: ato/force is stamped {sense} than it acts')
+    return tuple(found)
+
+
+def _delay(estimate: ResistanceEstimate) -> str:
+    delay, std = estimate.force_delay, estimate.force_delay_std
+    if is_delay_at_end(delay):
+        return f'{abs(delay):.1f} s or more, which cannot be estimated'
+    return f'{abs(delay):.2f} ± {std:.2g} s'

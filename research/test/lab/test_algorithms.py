@@ -17,13 +17,20 @@ from trainid_ros.estimators.consistency import ConsistencyVerdict
 from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.interface.records import NS_PER_S, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.setup.jobs import JOBS, chosen_algorithms, node_setups
-from trainid_ros.setup.pipelines import BRAKE_RATE, RESISTANCE, EstimatorSettings, brake_rate_pipeline
+from trainid_ros.setup.params_file import node_setups
+from trainid_ros.setup.pipelines import (
+    BRAKE_RATE,
+    KINDS,
+    RESISTANCE,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    chosen_algorithms,
+)
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
-REGISTRIES: dict[str, Algorithms[Any]] = {job.field: job.algorithms for job in JOBS}
+REGISTRIES: dict[str, Algorithms[Any]] = {kind.name: kind.algorithms for kind in KINDS}
 GIVEN: dict[str, tuple[Algorithm[Any], ...]] = {
     'resistance': RESISTANCES,
     'speed_model': SPEED_MODELS,

@@ -6,25 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
-from trainid_ros.resistance.vmils import VMils
-from trainid_ros.setup import jobs
-from trainid_ros.setup.jobs import (
-    JOBS,
-    Setup,
-    chosen_algorithms,
-    find_mismatch,
-    mapping_in,
-    node_setups,
-    read_overrides,
-)
-from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.setup.params_file import Setup, find_mismatch, mapping_in, node_setups, read_overrides
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.train.train_file import parse_train_file
 
 TRAIN = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')
@@ -40,13 +27,13 @@ def write(folder: Path, text: str) -> Path:
 def setups(folder: Path, text: str, *algorithms: str, namespace: str = '/') -> dict[str, Setup]:
     warnings: list[str] = []
     made = node_setups(TRAIN, 'x', write(folder, text), algorithms, namespace=namespace, warn=warnings.append)
-    return {setup.job.field: setup for setup in made}
+    return {setup.kind.name: setup for setup in made}
 
 
 def test_without_a_file_all_settings_are_defaults() -> None:
     for setup in node_setups(TRAIN, 'x'):
         assert (setup.train_file, setup.settings) == (TRAIN, EstimatorSettings())
-        assert setup.algorithm == setup.job.algorithms.default
+        assert setup.algorithm == setup.kind.algorithms.default
 
 
 def test_values_that_a_dump_took_from_a_train_file_give_way_to_those_of_this_one(tmp_path: Path) -> None:
@@ -117,7 +104,7 @@ def test_parameters_of_ros_itself_are_accepted(tmp_path: Path) -> None:
 
 def test_qos_of_topics_of_the_mapping_may_be_in_the_file(tmp_path: Path) -> None:
     path = write(tmp_path, '/**: {ros__parameters: {qos_overrides: {/odo: {subscription: {depth: 7}}}}}')
-    assert len(node_setups(TRAIN, 'x', path, foreign=('/odo', 'force'))) == len(JOBS)
+    assert len(node_setups(TRAIN, 'x', path, foreign=('/odo', 'force'))) == len(KINDS)
     with pytest.raises(InputError, match='unknown parameter'):
         node_setups(TRAIN, 'x', path)
 
@@ -181,55 +168,6 @@ def test_the_last_of_several_matching_sections_wins(tmp_path: Path) -> None:
     assert read_overrides(write(tmp_path, text), NODE) == {'x': 3, 'y': 1, 'a.b': 2, 'a.c': 2}
     assert read_overrides(write(tmp_path, text), '/t1/resistance_estimator') == {'x': 2, 'a.b': 2, 'a.c': 2}
     assert read_overrides(write(tmp_path, ''), NODE) == {}
-
-
-# Algorithms by name
-
-
-@pytest.fixture
-def many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two jobs that share a name of an algorithm."""
-
-    def algorithm(name: str) -> Algorithm[Any]:
-        return Algorithm(name, '', VMilsConfig(), lambda train_file, config, _: VMils(train_file, config))
-
-    def named(*names: str) -> Algorithms[Any]:
-        return Algorithms('no such job', *map(algorithm, names))
-
-    fields = {'resistance': named('V', 'EKF'), 'speed_model': named('A', 'EKF'), 'brake_rate': named('G')}
-
-    class FakeJob:
-        def __init__(self, field: str) -> None:
-            self.field = field
-            self.algorithms = fields[field]
-
-    monkeypatch.setattr(jobs, 'JOBS', tuple(FakeJob(job.field) for job in JOBS))
-
-
-@pytest.mark.usefixtures('many')
-def test_algorithms_are_found_by_name_or_by_job_and_name() -> None:
-    assert chosen_algorithms(['A', 'resistance=EKF', 'G', 'G']) == {
-        'speed_model': 'A',
-        'resistance': 'EKF',
-        'brake_rate': 'G',
-    }
-
-
-@pytest.mark.usefixtures('many')
-@pytest.mark.parametrize(
-    ('wanted', 'reason'),
-    [
-        (['EKF'], "algorithm 'EKF' is ambiguous: use resistance=EKF or speed_model=EKF"),
-        (['X'], "algorithm 'X' is unknown; there are resistance: V, EKF; speed_model: A, EKF; brake_rate: G"),
-        (['resistance=G'], "algorithm 'G' is unknown; there are resistance: V, EKF"),
-        (['speed=A'], "'speed' must be one of resistance, speed_model, brake_rate"),
-        (['V', 'resistance=EKF'], 'algorithm: two given for resistance, V and EKF'),
-    ],
-)
-def test_invalid_choices_are_reported_with_the_valid_ones(wanted: list[str], reason: str) -> None:
-    with pytest.raises(InputError) as caught:
-        chosen_algorithms(wanted)
-    assert reason in str(caught.value)
 
 
 def test_an_algorithm_of_the_command_line_overrides_that_of_the_file(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files: read the values of a node without ROS, and find sections that do not match, which ROS ignores.
+"""Parameter files: the settings of the three nodes without running them, by the same checks, and the commented file.
 
-The three estimation jobs, and the settings of their nodes without running them: same file, checks and settings.
+Sections that match no node are found, which ROS ignores. The commented file states all parameters that the nodes
+declare; ``python -m trainid_ros.setup.params_file > config/params.yaml`` updates it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import sys
+import textwrap
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,13 +19,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
 from trainid_ros.setup.parameter_specs import (
     ALGORITHM,
     MAPPING_FILE,
+    TAKEN,
     TRAIN_PARAMETERS,
+    ParameterSpec,
+    Value,
     build_settings,
     build_train_file,
     check_fallback,
@@ -33,22 +37,15 @@ from trainid_ros.setup.parameter_specs import (
     requested_algorithm,
     validate_overrides,
 )
-from trainid_ros.setup.pipelines import (
-    BRAKE_RATE,
-    RESISTANCE,
-    SPEED_MODEL,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import KINDS, chosen_algorithms
 from trainid_ros.train.fields import read_text
 from trainid_ros.train.strict_yaml import compose, load
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
-    from trainid_ros.estimators.algorithm_registry import Algorithms
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.setup.pipelines import EstimatorKind, EstimatorSettings
     from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import TrainFile
 
@@ -189,75 +186,6 @@ def _pattern(section: str) -> re.Pattern[str]:
     return re.compile(''.join(wild.get(token, f'/{re.escape(token)}') for token in section.strip('/').split('/')))
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One estimate with its node, topics and algorithms."""
-
-    field: str  # Its name in EstimatorSettings, in pipelines and results
-    node_name: str  # Name of the node
-    topic: OutputTopic  # Topic of the estimates
-    algorithms: Algorithms[Any]  # Available algorithms
-    pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]  # Creates the pipeline
-
-
-RESISTANCE_JOB: Final = Job(
-    'resistance',
-    'resistance_estimator',
-    RESISTANCE_TOPIC,
-    RESISTANCE,
-    resistance_pipeline,
-)
-SPEED_MODEL_JOB: Final = Job(
-    'speed_model', 'speed_model_estimator', SPEED_MODEL_TOPIC, SPEED_MODEL, speed_model_pipeline
-)
-BRAKE_RATE_JOB: Final = Job(
-    'brake_rate',
-    'brake_rate_estimator',
-    BRAKE_RATE_TOPIC,
-    BRAKE_RATE,
-    brake_rate_pipeline,
-)
-JOBS: Final = (RESISTANCE_JOB, SPEED_MODEL_JOB, BRAKE_RATE_JOB)
-
-
-def chosen_algorithms(wanted: Iterable[str]) -> dict[str, str]:
-    """Return the chosen algorithms by the field of their job.
-
-    Args:
-        wanted: ``NAME``, or ``JOB=NAME`` where several jobs have an algorithm of that name.
-
-    Raises:
-        InputError: A job or algorithm does not exist, a name is ambiguous, or a job is given two algorithms.
-    """
-    chosen: dict[str, str] = {}
-    for text in wanted:
-        field, name = _find(text)
-        if chosen.setdefault(field, name) != name:
-            raise InputError(f'algorithm: two given for {field}, {chosen[field]} and {name}')
-    return chosen
-
-
-def _find(text: str) -> tuple[str, str]:
-    field, equals, name = text.rpartition('=')
-    if equals and field not in {job.field for job in JOBS}:
-        raise InputError(f'algorithm {text!r}: {field!r} must be one of {", ".join(job.field for job in JOBS)}')
-    among = [job for job in JOBS if job.field == field or not equals]
-    # A built-in name means the same whatever plug-ins are installed.
-    found = [job.field for job in among if name in job.algorithms.built_in]
-    found = found or [job.field for job in among if name in job.algorithms]
-    if len(found) == 1:
-        return found[0], name
-    problem = next((job.algorithms.problem for job in among if job.algorithms.problem), '')
-    if found:
-        msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
-    elif problem:
-        msg = problem
-    else:
-        choices = '; '.join(f'{job.field}: {", ".join(job.algorithms.names)}' for job in among)
-        msg = f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}'
-    raise InputError(msg)
-
-
 # Parameters that ROS adds to every node.
 _OF_ROS: Final = ('use_sim_time', 'start_type_description_service')
 
@@ -266,18 +194,18 @@ _OF_ROS: Final = ('use_sim_time', 'start_type_description_service')
 class Setup:
     """Train file and settings that one node would run with."""
 
-    job: Job
+    kind: EstimatorKind[Any]
     train_file: TrainFile
     settings: EstimatorSettings
 
     @property
     def algorithm(self) -> str:
         """Name of the algorithm."""
-        return str(getattr(self.settings, self.job.field).algorithm)
+        return str(getattr(self.settings, self.kind.name).algorithm)
 
     def pipeline(self) -> EstimatorPipeline[Any]:
         """Return the pipeline that the node would run."""
-        return self.job.pipeline(self.train_file, self.settings)
+        return self.kind.pipeline(self.train_file, self.settings)
 
     def realigned(self, change: Callable[[AlignmentConfig], AlignmentConfig]) -> Setup:
         """Return the setup with a changed alignment, such as that which fits a mapping."""
@@ -311,12 +239,12 @@ def node_setups(
     chosen = chosen_algorithms(algorithms)
     base = '/' + namespace.strip('/') if namespace.strip('/') else ''
     setups = []
-    for job in JOBS:
-        overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
-        if job.field in chosen:
-            overrides[ALGORITHM] = chosen[job.field]
-        topics = qos_overrides(job.topic, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
-        setups.append(_setup(job, train_file, source, overrides, {*_OF_ROS, *topics}))
+    for kind in KINDS:
+        overrides = {} if params is None else _given(kind, params, f'{base}/{kind.node_name}', warn)
+        if kind.name in chosen:
+            overrides[ALGORITHM] = chosen[kind.name]
+        topics = qos_overrides(kind.topic, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
+        setups.append(_setup(kind, train_file, source, overrides, {*_OF_ROS, *topics}))
     return tuple(setups)
 
 
@@ -329,7 +257,7 @@ def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
     if params is None:
         return None
     base = '/' + namespace.strip('/') if namespace.strip('/') else ''
-    given = (read_overrides(params, f'{base}/{job.node_name}').get(MAPPING_FILE.name) for job in JOBS)
+    given = (read_overrides(params, f'{base}/{kind.node_name}').get(MAPPING_FILE.name) for kind in KINDS)
     found = sorted({str(value or '') for value in given})
     if len(found) > 1:
         raise InputError(
@@ -338,9 +266,9 @@ def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
     return Path(found[0]).expanduser() if found[0] else None
 
 
-def _given(job: Job, params: Path, node: str, warn: Callable[[str], None]) -> dict[str, object]:
+def _given(kind: EstimatorKind[Any], params: Path, node: str, warn: Callable[[str], None]) -> dict[str, object]:
     overrides = read_overrides(params, node)
-    if (found := find_mismatch(params, node, job.node_name)) is not None:
+    if (found := find_mismatch(params, node, kind.node_name)) is not None:
         message, certain = found
         if certain:
             raise InputError(message)
@@ -349,10 +277,14 @@ def _given(job: Job, params: Path, node: str, warn: Callable[[str], None]) -> di
 
 
 def _setup(
-    job: Job, train_file: TrainFile, source: str, overrides: Mapping[str, object], others: Collection[str]
+    kind: EstimatorKind[Any],
+    train_file: TrainFile,
+    source: str,
+    overrides: Mapping[str, object],
+    others: Collection[str],
 ) -> Setup:
-    algorithm = requested_algorithm(overrides, job.algorithms)
-    specs = {spec.name: spec for spec in estimator_parameters(job.algorithms, algorithm)}
+    algorithm = requested_algorithm(overrides, kind.algorithms)
+    specs = {spec.name: spec for spec in estimator_parameters(kind.algorithms, algorithm)}
     given, problems = validate_overrides(overrides, specs, others)
     for name in find_taken(given):
         del given[name]
@@ -361,7 +293,89 @@ def _setup(
         check_problems(problems)
         check_fallback(fallback, specs, source)
         values = {name: spec.default for name, spec in specs.items()} | fallback | given
-        settings = build_settings(values, job.algorithms, job.field)
-        return Setup(job, build_train_file(values, frozenset(given), train_file), settings)
+        settings = build_settings(values, kind.algorithms, kind.name)
+        return Setup(kind, build_train_file(values, frozenset(given), train_file), settings)
     except InputError as error:
-        raise InputError(f'{job.node_name}: {error}') from None
+        raise InputError(f'{kind.node_name}: {error}') from None
+
+
+_WIDTH: Final = 108
+_HEAD: Final = """\
+# All parameters of the three estimator nodes, with default, unit and range.
+# Generated by: python -m trainid_ros.setup.params_file > config/params.yaml
+#
+#   ros2 run trainid_ros resistance_estimator --ros-args --params-file params.yaml -p train_file:=train.yaml
+#   ros2 launch trainid_ros trainid.launch.py params_file:=params.yaml train_file:=train.yaml
+#
+# /**/ before a node's name makes its section apply in every namespace. A node that finds an unknown key,
+# or a section named almost like itself, reports it and does not configure. Changes while a node runs take
+# effect on its next configure. QoS of the topics: qos_overrides.<topic>.subscription.* (history, depth,
+# reliability) and qos_overrides.<topic>.publisher.* (also deadline, lifespan, liveliness and
+# liveliness_lease_duration; durations in ns).
+#
+# While train, resistance, brake and line are commented out, the values of the train file apply; uncomment
+# to override them. The section estimator belongs to the default algorithm; the sections of the other
+# algorithms follow, commented out, each to replace it.
+"""
+
+
+def parameter_file() -> str:
+    """Return the text of the file."""
+    blocks = [_HEAD]
+    for kind in KINDS:
+        lines = (*_section(estimator_parameters(kind.algorithms)), *_other_algorithms(kind))
+        blocks.append('\n'.join((f'/**/{kind.node_name}:', '  ros__parameters:', *lines, '')))
+    return '\n'.join(blocks)
+
+
+def _other_algorithms(kind: EstimatorKind[Any]) -> Iterator[str]:
+    """Yield the estimator sections of the algorithms that are not the default, commented out."""
+    for name in kind.algorithms.built_in[1:]:
+        specs = estimator_parameters(kind.algorithms, name)
+        yield from textwrap.wrap(
+            f'{name}: {kind.algorithms[name].summary}', _WIDTH, initial_indent='    # ', subsequent_indent='    #   '
+        )
+        yield f"    # algorithm: '{name}'"
+        yield from _section(tuple(spec for spec in specs if spec.name.startswith('estimator.')), commented=True)
+
+
+def _section(specs: tuple[ParameterSpec, ...], *, commented: bool = False) -> Iterator[str]:
+    train = {item.name for item in TRAIN_PARAMETERS}
+    group = ''
+    for spec in specs:
+        if spec is TAKEN:
+            continue
+        prefix, _, name = spec.name.rpartition('.')
+        mark = '# ' if commented or spec.name in train else ''
+        if prefix not in ('', group):
+            yield f'    {mark}{prefix}:'
+        group = prefix
+        indent = f'    {mark}  ' if prefix else '    '
+        setting, comment = f'{indent}{name}: {_shown(spec.default)}', f'# {_explained(spec)}'
+        if len(setting) + 2 + len(comment) <= _WIDTH:
+            yield f'{setting}  {comment}'
+        else:
+            yield from textwrap.wrap(comment, _WIDTH, initial_indent=indent, subsequent_indent=f'{indent}#   ')
+            yield setting
+
+
+def _explained(spec: ParameterSpec) -> str:
+    """Return description and range of a parameter; the head of the file states when changes take effect."""
+    text = spec.description.split('; takes effect')[0].split('; overrides')[0]
+    if spec.choices:
+        return f'{text}: {", ".join(spec.choices)}'
+    if isinstance(spec.default, (str, bool)):
+        return text
+    if isinstance(spec.default, int):
+        return f'{text}, {int(spec.low)} to {int(spec.high)}'
+    return f'{text}, {spec.low:g} to {spec.high:g}'
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"'{value}'" if isinstance(value, str) else repr(value)
+
+
+if __name__ == '__main__':
+    sys.stdout.write(parameter_file())
