@@ -73,7 +73,7 @@ def test_a_suspicion_ends_when_the_balance_is_as_before() -> None:
         check.add(5.0, 5.0, INERTIA, SPEED_STD, BLOCK_S, off=False)
         count += 1
     assert 5 < count < 40
-    assert check.has_returned
+    assert check.was_false_alarm
 
 
 def test_a_change_that_stays_is_the_train_as_it_is_now() -> None:
@@ -83,5 +83,5 @@ def test_a_change_that_stays_is_the_train_as_it_is_now() -> None:
         check.add(35.0, 40.0, INERTIA, SPEED_STD, BLOCK_S, off=False)
         suspected += check.is_suspected
     assert 60.0 <= suspected * BLOCK_S < 70.0
-    assert not check.has_returned
+    assert not check.was_false_alarm
     assert check.offset + 40.0 * check.gain == pytest.approx(35.0, abs=0.5)

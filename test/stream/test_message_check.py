@@ -71,32 +71,32 @@ def test_a_stepped_command_does_not_alternate() -> None:
     assert check.finding == ''
 
 
-def reported(height: float, answer: float, count: int = 8) -> SpikeCheck:
+def reported(height: float, specific_impulse: float, count: int = 8) -> SpikeCheck:
     """Return the check after reports that stand out, to a share of which the speed answers [1]."""
     check = SpikeCheck()
     for k in range(10 * count):
         excess = height if k % 10 == 5 else 0.0
         # A report stands for half of the intervals before and after it.
         mean = 40.0 + 0.5 * (excess if k % 10 == 5 else height if k % 10 == 6 else 0.0)
-        check.add(40.0 + excess, mean, (40.0 + answer * (mean - 40.0)) * PERIOD_S, STD, PERIOD_S)
+        check.add(40.0 + excess, mean, (40.0 + specific_impulse * (mean - 40.0)) * PERIOD_S, STD, PERIOD_S)
     return check
 
 
 def test_a_cut_of_traction_is_answered_by_the_speed_and_a_spike_towards_zero_is_not() -> None:
-    assert reported(-40.0, answer=0.0).finding == 'ato/force has spikes'
-    assert reported(-40.0, answer=1.0).finding == ''
-    assert not reported(-40.0, answer=1.0).is_suspected
+    assert reported(-40.0, specific_impulse=0.0).finding == 'ato/force has spikes'
+    assert reported(-40.0, specific_impulse=1.0).finding == ''
+    assert not reported(-40.0, specific_impulse=1.0).is_suspected
 
 
 @pytest.mark.parametrize('height', [30.0, -100.0])
 def test_reports_beyond_their_neighbours_are_spikes_whatever_the_speed_does(height: float) -> None:
-    assert reported(height, answer=math.nan, count=2).is_suspected
-    assert reported(height, answer=math.nan, count=6).finding == 'ato/force has spikes'
+    assert reported(height, specific_impulse=math.nan, count=2).is_suspected
+    assert reported(height, specific_impulse=math.nan, count=6).finding == 'ato/force has spikes'
 
 
 def test_spikes_towards_zero_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:
-    assert reported(-16.0, answer=0.0, count=3).finding == ''
-    assert reported(-40.0, answer=math.nan).finding == ''
+    assert reported(-16.0, specific_impulse=0.0, count=3).finding == ''
+    assert reported(-40.0, specific_impulse=math.nan).finding == ''
 
 
 def test_pulses_of_traction_rise_and_fall_in_more_than_one_report() -> None:
@@ -131,7 +131,7 @@ def test_a_missing_force_is_no_spike() -> None:
 
 
 def test_named_spikes_are_over_after_a_while() -> None:
-    check = reported(60.0, answer=0.0)
+    check = reported(60.0, specific_impulse=0.0)
     for _ in range(500):
         check.add(40.0, 40.0, 8.0, STD, PERIOD_S)
     assert check.finding == ''

@@ -252,12 +252,13 @@ def test_what_was_learned_while_the_distances_differed_is_forgotten(metro: Train
     stream = SampleStream(StreamConfig(metro))
     for record in day[:4000]:
         stream.push(record)
-    assert not stream.has_changed
-    stream._plausibility.state.distance.sudden = 1
-    assert stream.has_changed
-    stream._plausibility.state.distance.sudden = 0
-    assert not stream.has_changed
-    assert stream.has_returned
+    checks = stream._plausibility
+    assert not checks.has_changed
+    checks.state.distance.sudden = 1
+    assert checks.has_changed
+    checks.state.distance.sudden = 0
+    assert not checks.has_changed
+    assert checks.was_false_alarm
 
 
 def test_a_contradiction_ends_when_the_inputs_agree_again(metro: TrainFile, day: tuple[Record, ...]) -> None:

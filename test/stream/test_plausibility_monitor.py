@@ -60,7 +60,7 @@ def test_a_command_that_is_half_is_suspected_in_the_first_second_of_braking_and_
     braking = journey(12.0, brake=lambda t: -0.5 if t > 1.0 else 0.0, noise=0.0)
     followed(monitor, braking)
     assert not monitor.has_changed
-    assert monitor.has_returned
+    assert monitor.was_false_alarm
 
 
 def test_a_command_that_is_double_is_suspected_after_one_short_braking_until_another_fits(
@@ -76,7 +76,7 @@ def test_a_command_that_is_double_is_suspected_after_one_short_braking_until_ano
     assert not monitor.is_trusted
     followed(monitor, samples[110:])
     assert not monitor.has_changed
-    assert monitor.has_returned
+    assert monitor.was_false_alarm
 
 
 def test_a_weak_command_after_a_strong_one_is_no_contradiction(train_file: TrainFile, journey: Journey) -> None:

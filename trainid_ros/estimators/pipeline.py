@@ -7,6 +7,7 @@ computed elsewhere. Pipelines that take in the same records share the streams th
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,6 @@ from typing import Any, ClassVar, Final, Generic
 
 from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record, Row
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
@@ -72,8 +72,11 @@ class Snapshots:
 class EstimatorPipeline(Generic[EstimateT]):
     """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true.
 
-    Pipelines may share a stream, see `pipeline_group`. A pipeline whose records are to be forgotten continues
+    Pipelines may share a stream, see :class:`PipelineGroup`. A pipeline whose records are to be forgotten continues
     with a stream of its own, which leaves those of the others alone.
+
+    Attributes:
+        stale_ns: Time for which inputs may be missing [ns]; longer for a slow topic.
     """
 
     STATE: ClassVar[State] = declare(
@@ -87,14 +90,14 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.estimator = estimator
         self.stream = stream
         self.config = config
-        self._stale_ns = round(config.stale_after * NS_PER_S)
+        self.stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
         self._clear()
 
     def set_stale_after(self, stale_after: float) -> None:
         """Change how long inputs may be missing [s]."""
         self.config = replace(self.config, stale_after=stale_after)
-        self._stale_ns = round(stale_after * NS_PER_S)
+        self.stale_ns = round(stale_after * NS_PER_S)
 
     def _clear(self) -> None:
         self.rejections: Counter[Reason] = Counter()
@@ -165,7 +168,7 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def timeout_ns(self, topic: int) -> int:
         """Return how long a required topic may be missing [ns]; longer for a slow one."""
-        return self.stream.timeout_ns(topic, self._stale_ns)
+        return self.stream.timeout_ns(topic, self.stale_ns)
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take in one record; return an output for each sample it completes."""
@@ -190,7 +193,11 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._count(event)
             else:
                 self._follow_jump(event)
-        if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
+        if (
+            self.stream.behind_ns > self.stale_ns
+            and self._status not in (Status.STALE, Status.FAULT)
+            and self.stream.is_input_missing(self.stale_ns)
+        ):
             self._status = Status.STALE
             self.statuses[Status.STALE] += 1
             if publish is not None:
@@ -279,7 +286,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _keep_snapshots(self, sample: Sample) -> None:
         """Go back to an earlier state once a contradiction of the inputs lasts, or a change has passed again."""
         stream, snapshots = self.stream, self._snapshots
-        contradicted, changed = stream.is_contradicted, stream.has_changed
+        contradicted, changed = stream.is_fault_confirmed, stream.has_changed
         if sample.dt > 0.0 and sample.speed > 0.0:
             snapshots.moved_s += sample.dt
         if changed and not self._changed and snapshots.moved_s < _SUSPECTED_S:
@@ -287,7 +294,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         if contradicted and not self._contradicted:
             snapshots.newest = snapshots.before
             self._go_back()
-        elif self._changed and not changed and stream.has_returned and not stream.finding:
+        elif self._changed and not changed and stream.was_false_alarm and not stream.finding:
             self._go_back()
         elif not contradicted and snapshots.moved_s >= _SNAPSHOT_S and stream.is_trusted:
             snapshots.add(self._snapshot())
@@ -303,7 +310,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
-        if self.stream.is_input_missing(self._stale_ns):
+        if self.stream.behind_ns > self.stale_ns and self.stream.is_input_missing(self.stale_ns):
             return Status.STALE
         if not (self.estimator.converged and self.stream.is_trusted) or self._consistency.refuted:
             return Status.CONVERGING
@@ -359,6 +366,31 @@ class SharedRecord:
         return events
 
 
+@dataclass(slots=True)
+class Contradiction:
+    """The last time that inputs contradicted each other, in time covered by the samples."""
+
+    finding: str = ''  # What contradicted what, empty if nothing ever did
+    begin_s: float = math.nan  # When it began [s], NaN if it never did
+    end_s: float = math.nan  # When it ended [s], NaN while it lasts
+
+    def follow(self, finding: str, now_s: float) -> None:
+        """Update the current fault: a finding after a sample, '' if there is none, replaces the last one."""
+        lasts = self.finding != '' and math.isnan(self.end_s)
+        if finding and not lasts:
+            self.begin_s, self.end_s = now_s, math.nan
+        elif lasts and not finding:
+            self.end_s = now_s
+        self.finding = finding or self.finding
+
+    @property
+    def text(self) -> str:
+        """What contradicted what, and when."""
+        if math.isnan(self.end_s):
+            return f'inputs contradict each other since {self.begin_s:.1f} s: {self.finding}'
+        return f'inputs contradicted each other from {self.begin_s:.1f} to {self.end_s:.1f} s: {self.finding}'
+
+
 class PipelineGroup:
     """Pipelines that take in the same records; those whose streams would give the same samples share one."""
 
@@ -374,21 +406,25 @@ class PipelineGroup:
 
     def push_rows(self, rows: Iterable[Row], publish: Callable[[Output[Any]], object] | None = None) -> int:
         """Take in rows of records; return their number. For ``publish`` see :meth:`EstimatorPipeline.take`."""
+        # Those that were reset have streams of their own since then.
+        streams = list(dict.fromkeys(pipeline.stream for pipeline in self._pipelines))
+        members = [(pipeline, streams.index(pipeline.stream)) for pipeline in self._pipelines]
         count = 0
-        for row in rows:
-            record = SharedRecord(row)
-            for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
+        for topic, stamp_ns, x, y, flag in rows:
+            made = [stream.push_row(topic, stamp_ns, x, y, flag) for stream in streams]
+            for event in made[0]:  # the others have the same stamps
                 if isinstance(event, Sample):
-                    self._cover(event.stamp_ns)
-                    self.contradiction.follow(self._pipelines[0].stream.finding, self.covered_s)
-            for pipeline in self._pipelines:
-                pipeline.take(record.events(pipeline.stream), publish)
+                    self._follow(event.stamp_ns, streams[0].finding)
+            for pipeline, k in members:
+                if made[k] or pipeline.stream.behind_ns > pipeline.stale_ns:
+                    pipeline.take(made[k], publish)
             count += 1
         return count
 
-    def _cover(self, stamp_ns: int) -> None:
+    def _follow(self, stamp_ns: int, finding: str) -> None:
         if stamp_ns < self._newest_ns:
             self._before_ns += self._newest_ns - self._first_ns
             self._first_ns = stamp_ns
         self._first_ns = self._first_ns or stamp_ns
         self._newest_ns = stamp_ns
+        self.contradiction.follow(finding, self.covered_s)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.estimators.contradiction import Contradiction
+from trainid_ros.estimators.pipeline import Contradiction
 from trainid_ros.inspection.suggestion import USUAL_ROTARY, Slope, is_near, partial_slope
 from trainid_ros.interface.records import (
     BRAKE,

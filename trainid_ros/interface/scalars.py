@@ -38,23 +38,23 @@ _LIMITS: tuple[tuple[float, float], ...] = (
     (100.0, 1e9),  # mass [kg]
 )
 # Of positions, which may be NaN [m].
-_FARTHEST: Final = 1e9
+_MAX_POSITION: Final = 1e9
 # Of curves only, straight track has radius 0 [m].
-_SHARPEST_CURVE: Final = 5.0
-_WIDEST_CURVE: Final = 1e9
+_MIN_RADIUS: Final = 5.0
+_MAX_RADIUS: Final = 1e9
 
 
 def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | None:
     """Return why a record, as a row of numbers, must be rejected, or None if it can be used."""
     if stamp_ns <= 0:
         return Rejection(stamp_ns, Reason.ZERO_STAMP, stamp_ns * 1e-9, 0.0)
-    if topic == SPEED and abs(y) > _FARTHEST:
-        return _out_of_range(stamp_ns, y, -_FARTHEST, _FARTHEST)
+    if topic == SPEED and abs(y) > _MAX_POSITION:
+        return _out_of_range(stamp_ns, y, -_MAX_POSITION, _MAX_POSITION)
     low, high = _LIMITS[topic]
     if not low <= x <= high:
         return _out_of_range(stamp_ns, x, low, high)
-    if topic == GRADIENT and y != 0.0 and not _SHARPEST_CURVE <= y <= _WIDEST_CURVE:
-        return _out_of_range(stamp_ns, y, _SHARPEST_CURVE, _WIDEST_CURVE)
+    if topic == GRADIENT and y != 0.0 and not _MIN_RADIUS <= y <= _MAX_RADIUS:
+        return _out_of_range(stamp_ns, y, _MIN_RADIUS, _MAX_RADIUS)
     return None
 
 

@@ -46,7 +46,7 @@ from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several
-from trainid_ros.interface.vectors import append, vec
+from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
     DrivenSpeeds,
@@ -302,10 +302,12 @@ class FilterBank:
         a, c, kappa = now.mean[0], now.mean[2], now.mean[3]
         # [15] A relative wheel diameter error r adds r a to a, -r c to c and a share r to the force scale 1 + kappa.
         wheel = vec[float]([_WHEEL_STD * x for x in (a, 0.0, -c, 1.0 + kappa, 0.0)])
-        covariance = vec[float]()
+        covariance = now.covariance[:]
+        k = 0
         for i in range(N_PUBLISHED):
             for j in range(i, N_PUBLISHED):
-                covariance = append(covariance, factor * now.covariance[len(covariance)] + wheel[i] * wheel[j])
+                covariance[k] = factor * covariance[k] + wheel[i] * wheel[j]
+                k += 1
         return Mixture(now.mean, covariance)
 
     @property

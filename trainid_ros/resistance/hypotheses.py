@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, several
-from trainid_ros.interface.vectors import append, i64, vec
+from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.resistance.davis_posterior import DavisPosterior
 from trainid_ros.resistance.speed_states import (
     DELTA,
@@ -271,13 +271,14 @@ class Bank:
         """
         plain = self._mature_weights()
         # [13]
-        mean, weights, first = vec[float](), _normalised(plain), self.hypotheses[0].filter.x
-        for i in self._states:
+        mean, weights = vec[float]([0.0] * N_PUBLISHED), _normalised(plain)
+        first = self.hypotheses[0].filter.x
+        for k in range(N_PUBLISHED):
             # Relative to one of them, so that identical hypotheses give exactly their common value.
-            apart = 0.0
+            i, apart = self._states[k], 0.0
             for n in range(len(weights)):
                 apart += weights[n] * (self.hypotheses[n].filter.x[i] - first[i])
-            mean = append(mean, first[i] + apart)
+            mean[k] = first[i] + apart
         if young_weight == 1.0:
             # [14]
             return Mixture(mean, self._covariance(mean, weights))
@@ -285,10 +286,12 @@ class Bank:
 
     def _mature_weights(self) -> vec[float]:
         """Return the weights of all hypotheses of the minimum age, 0 of others; of all if those have no weight."""
-        weights, total = vec[float](), 0.0
-        for item in self.hypotheses:
-            weights = append(weights, math.exp(item.log_weight) if item.age >= self.plan.min_age else 0.0)
-            total += weights[len(weights) - 1]
+        weights, total = vec[float]([0.0] * len(self.hypotheses)), 0.0
+        for n in range(len(weights)):
+            item = self.hypotheses[n]
+            if item.age >= self.plan.min_age:
+                weights[n] = math.exp(item.log_weight)
+                total += weights[n]
         if total < _NO_WEIGHT:
             for n in range(len(weights)):
                 weights[n] = math.exp(self.hypotheses[n].log_weight)
@@ -299,14 +302,13 @@ class Bank:
 
         Of a hypothesis below the minimum age counts what it has gained over its weight when it branched off.
         """
-        weights, step = vec[float](), math.exp(self.plan.log_step)
-        for n in range(len(plain)):
-            item, weight = self.hypotheses[n], plain[n]
+        weights, step = plain[:], math.exp(self.plan.log_step)
+        for n in range(len(weights)):
+            item = self.hypotheses[n]
             if item.age < self.plan.min_age:
-                weight = young_weight * max(0.0, math.exp(item.log_weight) - step)
+                weights[n] = young_weight * max(0.0, math.exp(item.log_weight) - step)
             elif item.age < self.plan.young_age:
-                weight *= young_weight
-            weights = append(weights, weight)
+                weights[n] *= young_weight
         return _normalised(weights)
 
     def _covariance(self, mean: vec[float], weights: vec[float]) -> vec[float]:
@@ -357,9 +359,9 @@ class Bank:
 
 def _normalised(weights: vec[float]) -> vec[float]:
     """Return weights divided by their sum."""
-    total, shares = 0.0, vec[float]()
+    total, shares = 0.0, weights[:]
     for weight in weights:
         total += weight
-    for weight in weights:
-        shares = append(shares, weight / total)
+    for n in range(len(shares)):
+        shares[n] /= total
     return shares

@@ -48,7 +48,7 @@ from trainid_ros.setup.pipelines import (
     EstimatorSettings,
     force_findings,
 )
-from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
+from trainid_ros.stream.sample_stream import MAX_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -393,7 +393,7 @@ class EstimatorNode(ManagedNode):
         jumped_s, self._jumped_s = self._jumped_s, 0.0
         self.status_changes.forget_time()
         policy = self._settings.pipeline.time_jump_policy
-        limit_ns = round(LARGEST_STEP_S * NS_PER_S)
+        limit_ns = round(MAX_STEP_S * NS_PER_S)
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns
         if follow:
             pipeline.reset()

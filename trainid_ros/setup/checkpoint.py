@@ -38,7 +38,7 @@ _END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
 _STATE: Final = '"state": '
 # Where a checkpoint, also a damaged one, is recognised [characters]; far more than one file needs [bytes].
 _HEAD: Final = 200
-_LARGEST: Final = 64 * 2**20
+_MAX_BYTES: Final = 64 * 2**20
 _PART: Final = '.part'
 # The newest refused files that are kept.
 _MAX_REFUSED: Final = 5
@@ -190,8 +190,8 @@ class CheckpointFile:
             found = self.path.stat()
             if not stat.S_ISREG(found.st_mode):
                 raise ForeignFileError(f'{self.path}: is not a file')
-            if found.st_size > _LARGEST:
-                raise ForeignFileError(f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_LARGEST}')
+            if found.st_size > _MAX_BYTES:
+                raise ForeignFileError(f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_MAX_BYTES}')
             return parse_checkpoint(self.path.read_text(encoding='utf-8', errors='replace'), str(self.path))
         except FileNotFoundError:
             return None

@@ -18,9 +18,8 @@ with ``command_hold`` set, the last one holds that long, and samples wait ``max_
 
 Direction of travel and last stop, followed sample by sample.
 
-The time base that a step of the stamps forward has left: the stamps may soon come back to it.
-
-A clock that was set wrong for some seconds is set right again. That step back is no other drive, however large it is.
+A clock that was set wrong for some seconds is set right again. That step back to the previous time base is no other
+drive, however large it is.
 """
 
 from __future__ import annotations
@@ -76,14 +75,14 @@ RETURN_NS: Final = 60 * NS_PER_S
 
 
 @dataclass(slots=True)
-class LeftTime:
-    """The time base that was left."""
+class PreviousTimeBase:
+    """The time base before a step forward."""
 
     newest_ns: int = 0  # Its newest stamp [ns]; 0 if none was left
     until_ns: int = 0  # Stamp of the present time base up to which the stamps may return [ns]
 
     def leave(self, newest_ns: int, stamp_ns: int) -> bool:
-        """Follow a step forward; return whether a time base is left that was right until then."""
+        """Follow a step forward; return whether it leaves a time base that was right until then."""
         is_first = not self._may_return(newest_ns)
         if is_first:
             self.newest_ns = newest_ns
@@ -91,7 +90,7 @@ class LeftTime:
         return is_first
 
     def is_return(self, newest_ns: int, stamp_ns: int, slack_ns: int) -> bool:
-        """Return whether a step from the newest stamp back to another leads to the time base that was left."""
+        """Return whether a step from the newest stamp back to another leads to this time base."""
         return self._may_return(newest_ns) and -slack_ns <= stamp_ns - self.newest_ns <= RETURN_NS
 
     def _may_return(self, newest_ns: int) -> bool:
@@ -145,7 +144,7 @@ class Aligner:
     STATE: ClassVar[State] = declare(
         '_force', '_gradient', '_brake', '_mass', '_speed_interval', several('_pending', blank_row), 'newest_ns',
         '_speed_ns', '_agreeing', '_released_ns', '_sample_ns', '_due_ns', '_commands', '_travel',
-        several('_suspects', blank_row), '_left',
+        several('_suspects', blank_row), '_previous',
     )  # fmt: skip
 
     def __init__(self, config: AlignmentConfig, *, reject_jump_back: bool = False) -> None:
@@ -194,7 +193,7 @@ class Aligner:
         self._travel = Travel()
         # Records whose stamps do not fit those before.
         self._suspects: list[TopicRow] = []
-        self._left = LeftTime()
+        self._previous = PreviousTimeBase()
 
     def is_before(self, topic: int, stamp_ns: int, x: float, y: float) -> bool:
         """Return whether a valid record lies farther back than its topic alone can step."""
@@ -274,7 +273,7 @@ class Aligner:
         """Follow a step of all topics: forward after a time without messages, or to another time base."""
         stamp_ns = self._suspects[0].stamp_ns
         step_ns = stamp_ns - self.newest_ns
-        returns = step_ns < 0 and self._left.is_return(self.newest_ns, stamp_ns, self._max_jump_back_ns)
+        returns = step_ns < 0 and self._previous.is_return(self.newest_ns, stamp_ns, self._max_jump_back_ns)
         # A time base that only one topic has shown may itself have been the wrong one.
         if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1 and not returns:
             self._reject_suspects(events)
@@ -282,11 +281,11 @@ class Aligner:
         rows, self._suspects = self._suspects, []
         if not 0 < step_ns <= self._max_jump_ns:
             self._release(events, everything=True)
-            leaves = step_ns > 0 and self._left.leave(self.newest_ns, stamp_ns)
+            leaves = step_ns > 0 and self._previous.leave(self.newest_ns, stamp_ns)
             events.append(TimeJump(stamp_ns, seconds(step_ns), leaves, returns))
-            left = self._left if step_ns > 0 else LeftTime()
+            previous = self._previous if step_ns > 0 else PreviousTimeBase()
             self.reset()
-            self._left = left
+            self._previous = previous
         for row in rows:
             self._admit(row, events)
 

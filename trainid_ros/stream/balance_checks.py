@@ -44,7 +44,7 @@ _SIGMAS: Final = 5.0
 _MIN_LIMIT: Final = 0.04
 _CHANGE_OVER: Final = 0.5
 # Time in motion after which a change is no fault but the train as it is now [s]; its limit may then be higher [1].
-_LONGEST_S: Final = 60.0
+_MAX_SUSPECTED_S: Final = 60.0
 _GROWTH: Final = 1.5
 # A change that is proportional to the traction is no change of the resistance: least change of the gain [1], and of the
 # force in root mean square [N/kN], standard deviations of it [1], time in motion that shows it [s].
@@ -80,9 +80,9 @@ class ChangeCheck:
     blocks: float = 0.0  # Number of blocks since then
 
     @property
-    def has_returned(self) -> bool:
-        """True if the last suspicion ended because all was as before, not because it lasted."""
-        return self.suspected_s <= _LONGEST_S
+    def was_false_alarm(self) -> bool:
+        """True if the last suspected change was a false alarm: it ended before it was confirmed."""
+        return self.suspected_s <= _MAX_SUSPECTED_S
 
     @property
     def ratio(self) -> float:
@@ -160,7 +160,7 @@ class ChangeCheck:
         self.peak = max(self.peak, size)
         self.suspected_s += seconds
         is_over = size < _CHANGE_OVER * limit
-        lasts = self.suspected_s > _LONGEST_S and not self.finding
+        lasts = self.suspected_s > _MAX_SUSPECTED_S and not self.finding
         if is_over or lasts:
             self.is_suspected, self.finding = False, ''
             usual = self.peak / _SIGMAS

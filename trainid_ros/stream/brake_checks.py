@@ -104,7 +104,7 @@ _ENDS: Final = 0.75
 # A braking over a smaller range of p says nothing of a change over speed [1].
 _NARROW: Final = 0.2
 # Fewest blocks of a braking that are compared, and least standard deviation of their residuals [N/kN].
-_FEWEST: Final = 8
+_MIN_BLOCKS: Final = 8
 _RESIDUAL: Final = 2.0
 # Standard deviation from braking to braking of e, and of h, by fade, changes of the brake and gradients [1].
 _SCATTER_E: Final = 0.1
@@ -142,7 +142,7 @@ class ShapeSums:
 
     def information(self) -> ShapeInformation:
         """Return what this braking says of e and h, scatter from braking to braking included; nothing if too short."""
-        if self.count < _FEWEST or not self.moments[0] > 0.0:
+        if self.count < _MIN_BLOCKS or not self.moments[0] > 0.0:
             return ShapeInformation()
         (y0, y1, y2), (x0, x1, x2, x11, x12, x22) = self.products, self.moments
         # Without f (Schur complement): M (e, h)' = r
@@ -247,12 +247,12 @@ class BrakeShapeCheck:
 
     def observe(self, sums: ShapeSums) -> None:
         """Judge a braking that has not ended."""
-        self.is_odd = sums.count >= _FEWEST and sums.information().change(sums.slowest, sums.fastest).contradicts
+        self.is_odd = sums.count >= _MIN_BLOCKS and sums.information().change(sums.slowest, sums.fastest).contradicts
 
     def learn(self, sums: ShapeSums) -> None:
         """Learn from a whole braking."""
         self.is_odd = False
-        if sums.count < _FEWEST:
+        if sums.count < _MIN_BLOCKS:
             return
         self.known.add(sums.information(), _KEPT)
         if sums.fastest - sums.slowest > _NARROW:
@@ -269,7 +269,7 @@ _STEP_S: Final = 0.5
 _SOONER: Final = 7
 _LATER: Final = 20
 _SHIFTS: Final = _SOONER + 1 + _LATER
-_FARTHEST_S: Final = (_LATER - 1) * _STEP_S
+_MAX_DELAY_S: Final = (_LATER - 1) * _STEP_S
 # Forces are compared over blocks, so that the noise of the speed matters little [s].
 _BLOCK_S: Final = 0.6
 # Rounding of the length of a block [s].
@@ -439,7 +439,7 @@ class BrakeDelayCheck:
         if not self.is_wrong:
             return self.shape.warning(self.max_speed)
         later = 'later' if self.mean > 0.0 else 'sooner'
-        beyond = 'at least ' if self.mean > _FARTHEST_S else ''
+        beyond = 'at least ' if self.mean > _MAX_DELAY_S else ''
         return f'the brake acts {beyond}{abs(self.mean):.1f} s {later} than brake.delay of the train file says'
 
     @property
@@ -516,7 +516,7 @@ class BrakeDelayCheck:
         if not done:
             return
         self.waiting = waiting[done:]
-        if self.is_observing and braking.count >= _FEWEST:
+        if self.is_observing and braking.count >= _MIN_BLOCKS:
             shift, std, gain = braking.judge()
             self.is_odd = gain > _GAIN and abs(shift) > max(timing.tolerance, _KNOWN * std)
             self.is_near = abs(shift) + _NEAR_STDS * std < timing.tolerance
@@ -531,7 +531,7 @@ class BrakeDelayCheck:
         self.is_odd = self.is_near = self.shape.is_odd = False
         if not was_observing:
             return None
-        if self.braking.count >= _FEWEST:
+        if self.braking.count >= _MIN_BLOCKS:
             self._learn(timing)
         return self.braking
 

@@ -23,14 +23,14 @@ from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
-from trainid_ros.train.forces import G, specific_force, specific_inertia
+from trainid_ros.train.forces import G, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import TrainFile
 
 _MEMORY: Final = 0.01
 # The learned standard deviation stays within these multiples of the declared one.
-_LOWEST: Final = 0.3
-_HIGHEST: Final = 10.0
+_MIN_FACTOR: Final = 0.3
+_MAX_FACTOR: Final = 10.0
 # A measurement counts for at most this many learned standard deviations: slip and outliers are not noise.
 _LIMIT: Final = 3.0
 # E min(z^2, 1) of a standard normal z.
@@ -74,7 +74,7 @@ class SpeedNoise:
     @property
     def variance(self) -> float:
         """Variance of one speed measurement [(m/s)^2]."""
-        return max(self.learned, self.rounding)
+        return self.learned if self.changed == 1.0 else max(self.learned, self.rounding)
 
     @property
     def std(self) -> float:
@@ -84,7 +84,7 @@ class SpeedNoise:
     @property
     def is_seen(self) -> bool:
         """True if the measurements show noise, as those of an ideal simulator do not."""
-        low = _LOWEST * self.declared_std
+        low = _MIN_FACTOR * self.declared_std
         return self.learned > 2.0 * low * low
 
     @property
@@ -109,7 +109,7 @@ class SpeedNoise:
             square = min(square, self.learned) / _CAPPED_MEAN
         else:
             square = min(square, _LIMIT * _LIMIT * self.learned)
-        low, high = _LOWEST * self.declared_std, _HIGHEST * self.declared_std
+        low, high = _MIN_FACTOR * self.declared_std, _MAX_FACTOR * self.declared_std
         self.learned = min(max(self.learned + _MEMORY * (square - self.learned), low * low), high * high)
 
     def _add_step(self, speed: float, step: float) -> None:
@@ -166,22 +166,23 @@ class KnownForce:
 
     def mass(self, sample: Sample) -> float:
         """Return the weighed mass, or that of the train file if there is none [kg]."""
-        return sample.mass if is_finite(sample.mass) else self._mass
+        return self._mass if math.isnan(sample.mass) else sample.mass
 
     def traction(self, force: float, sample: Sample) -> float:
         """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
-        return specific_force(force, self.mass(sample))
+        mass = self._mass if math.isnan(sample.mass) else sample.mass
+        return force * (1000.0 / (mass * G))
 
     def reject(self, sample: Sample) -> Rejection | None:
         """Return a rejection if force or gradient is missing, or if no train could exert the force; else None."""
         stamp_ns, force = sample.stamp_ns, sample.force_mean
-        if not is_finite(force):
+        if math.isnan(force):
             return Rejection(stamp_ns, Reason.FORCE_MISSING, force, math.nan)
         # No wheel can transmit a force greater than its load, so no train one greater than its weight [N].
         weight = self.mass(sample) * G
         if max(abs(force), abs(sample.force)) > weight:
             return Rejection(stamp_ns, Reason.OUT_OF_RANGE, force, weight)
-        if not is_finite(sample.gradient_mean):
+        if math.isnan(sample.gradient_mean):
             return Rejection(stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
         return None
 

@@ -253,8 +253,8 @@ class SpikeCheck(SpikeCount):
     area: float = stored(0.0, may_be_nan=True)  # Integral of the force over the last interval [N/kN s]
     area_before: float = stored(0.0, may_be_nan=True)  # That over the one before
     # Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known
-    answer: float = math.nan
-    answer_before: float = math.nan  # That over the one before
+    specific_impulse: float = math.nan
+    specific_impulse_before: float = math.nan  # That over the one before
     dt: float = stored(0.0, may_be_nan=True)  # Length of the last interval [s]
     dt_before: float = stored(0.0, may_be_nan=True)  # That of the one before
     passed: int = 0  # Number of samples since the last spike, up to those that may still hold it
@@ -265,13 +265,13 @@ class SpikeCheck(SpikeCount):
         """True while more spikes are to be expected."""
         return self.spikes > _SUSPECTED and self.evidence > 0.0
 
-    def add(self, force: float, mean: float, answer: float, std: float, dt: float) -> None:
+    def add(self, force: float, mean: float, specific_impulse: float, std: float, dt: float) -> None:
         """Add a sample.
 
         Args:
             force: Specific force at its stamp [N/kN], NaN if it is missing.
             mean: Mean since the last one [N/kN].
-            answer: Integral of the force by the change of the speed since then [N/kN s], NaN if a brake may act.
+            specific_impulse: Integral of the force by the change of speed since then [N/kN s], NaN if a brake may act.
             std: Standard deviation of two such integrals [N/kN s].
             dt: Time since the last sample [s].
         """
@@ -281,14 +281,14 @@ class SpikeCheck(SpikeCount):
         area = mean * dt
         self.passed = min(self.passed + 1, _SAMPLES)
         if self.passed == _SAMPLES:
-            self._find(force, area, answer, std, dt)
+            self._find(force, area, specific_impulse, std, dt)
         self.first, self.earlier, self.before, self.last = self.earlier, self.before, self.last, force
         self.area_before, self.area = self.area, area
-        self.answer_before, self.answer = self.answer, answer
+        self.specific_impulse_before, self.specific_impulse = self.specific_impulse, specific_impulse
         self.dt_before, self.dt = self.dt, dt
         self.judge('ato/force', certain=self.evidence > _EVIDENCE)
 
-    def _find(self, force: float, area: float, answer: float, std: float, dt: float) -> None:
+    def _find(self, force: float, area: float, specific_impulse: float, std: float, dt: float) -> None:
         """Look for a spike in the two samples before this one."""
         earlier, before, last = self.earlier, self.before, self.last
         peak = before if abs(before - earlier) > abs(last - earlier) else last
@@ -299,15 +299,16 @@ class SpikeCheck(SpikeCount):
         base = 0.5 * (earlier + force)
         rest = base * (self.dt_before + self.dt + dt)
         area = self.area_before + self.area + area - rest
-        self._weigh(peak, base, area, self.answer_before + self.answer + answer - rest, std)
+        by_speed = self.specific_impulse_before + self.specific_impulse + specific_impulse - rest
+        self._weigh(peak, base, area, by_speed, std)
 
-    def _weigh(self, peak: float, base: float, area: float, answer: float, std: float) -> None:
-        """Count a peak on a base [N/kN] by its area and the answer of the speed: 0, or all of the area."""
+    def _weigh(self, peak: float, base: float, area: float, specific_impulse: float, std: float) -> None:
+        """Count a peak on a base [N/kN] by its area and the impulse by the speed: 0, or all of the area."""
         evidence = 0.0
         if min(peak * base, (base - peak) * base) < 0.0:  # beyond its neighbours, or on the other side: no cut
             evidence = _NO_CUT
-        if not math.isnan(area + answer):
-            by_speed = area * (0.5 * area - answer) / (std * std)
+        if not math.isnan(area + specific_impulse):
+            by_speed = area * (0.5 * area - specific_impulse) / (std * std)
             evidence += min(max(by_speed, -_MAX_EVIDENCE), _MAX_EVIDENCE)
         elif evidence == 0.0:
             return

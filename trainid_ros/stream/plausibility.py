@@ -78,14 +78,14 @@ class Block:
 
     kind: int = NO_BLOCK  # Which of them
     seconds: float = 0.0  # Its length [s]
-    answer: float = 0.0  # Integral of the force by speed, gradient and w(v) [N/kN s]
+    specific_impulse: float = 0.0  # Integral of the force by speed, gradient and w(v) [N/kN s]
     traction: float = 0.0  # Integral of traction [N/kN s]
     command: float = 0.0  # Integral of the brake command [m/s]
 
-    def add(self, dt: float, answer: float, traction: float, command: float) -> None:
-        """Add a sample: its length [s], the integral of the answer, means of traction [N/kN] and command [m/s^2]."""
+    def add(self, dt: float, specific_impulse: float, traction: float, command: float) -> None:
+        """Add a sample: its length [s], the integral of the force, means of traction [N/kN] and command [m/s^2]."""
         self.seconds += dt
-        self.answer += answer
+        self.specific_impulse += specific_impulse
         self.traction += dt * traction
         self.command += dt * command
 
@@ -169,7 +169,7 @@ class PlausibilityState:
 
     @property
     def is_suspected(self) -> bool:
-        """True while the last seconds are improbable by those before."""
+        """True while the last seconds are inconsistent with those before."""
         commands = self.command_spikes.is_suspected or self.releases.is_suspected
         spikes = self.spikes.is_suspected or commands or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
@@ -185,7 +185,7 @@ class PlausibilityState:
         return recent.value if strong else math.nan
 
     def follow_step(self, change: float, dt: float) -> None:
-        """Forget what relates the speed to other inputs where it changes [m/s] as no train does in this time [s]."""
+        """Forget what relates the speed to other inputs where it jumps [m/s] impossibly fast for this time [s]."""
         if abs(change) > _STEP * dt + _STEP_SIGMAS * self.noise.std:
             self.recent = Regression()
             self.distance.forget_ratio()
@@ -240,7 +240,7 @@ _DRIVING: Final = 10.0
 # Multiple of the noise of the speed that is hardly ever exceeded [1], and error of a force by the change of the speed
 # over two samples besides that noise [N/kN].
 _SIGMAS: Final = 4.0
-_ANSWER_STD: Final = 3.0
+_IMPULSE_STD: Final = 3.0
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
 # Decay of a sudden residual while nothing can be compared [s].
@@ -296,7 +296,7 @@ class PlausibilityMonitor:
         return self.state.last
 
     @property
-    def is_lasting(self) -> bool:
+    def is_fault_confirmed(self) -> bool:
         """True once a finding has lasted for some motion: what was learned just before it may be wrong."""
         return self.state.lasting_s >= _LASTING_S
 
@@ -307,16 +307,16 @@ class PlausibilityMonitor:
 
     @property
     def has_changed(self) -> bool:
-        """True while forces, commands or distances are improbable together by what they were before."""
+        """True while forces, commands or distances are inconsistent with recent history."""
         state = self.state
         forces = state.change.is_suspected or state.effort.is_suspected or state.balance.is_drifting
         return forces or state.distance.is_suspected
 
     @property
-    def has_returned(self) -> bool:
-        """True if it is as it was before the last such change, which was then no change of the train."""
+    def was_false_alarm(self) -> bool:
+        """True if the last such change was a false alarm."""
         state = self.state
-        return state.change.has_returned and not (state.effort.has_stayed or state.balance.has_stayed)
+        return state.change.was_false_alarm and not (state.effort.has_stayed or state.balance.has_stayed)
 
     @property
     def is_trusted(self) -> bool:
@@ -433,23 +433,23 @@ class PlausibilityMonitor:
         if sample.speed < STANDING:
             state.change.stand(weighed=is_finite(sample.mass))
             state.stopped = state.driven
-        force, traction, answer = known.traction(sample.force, sample), math.nan, math.nan
+        force, traction, specific_impulse = known.traction(sample.force, sample), math.nan, math.nan
         if is_finite(sample.gradient_mean) and is_finite(sample.force_mean):
             traction = known.traction(sample.force_mean, sample)
             resistance = davis(known.train_file.resistance, sample.speed)
-            answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
-        std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
+            specific_impulse = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
+        std = known.inertia * math.sqrt(2.0) * state.noise.std + _IMPULSE_STD * 2.0 * dt
         self._check_command(sample, force)
         state.gradient_spikes.add(sample.gradient, dt)
-        state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
-        if kind == NO_BLOCK or math.isnan(answer):
+        state.spikes.add(force, traction, specific_impulse if kind == RELEASED else math.nan, std, dt)
+        if kind == NO_BLOCK or math.isnan(specific_impulse):
             self._interrupt()
             state.balance.decay(math.exp(-dt / _RESIDUAL_S))
             return
         block = state.block
         if block.kind != kind:
             block = state.block = Block(kind)
-        block.add(dt, answer, traction, sample.brake_command)
+        block.add(dt, specific_impulse, traction, sample.brake_command)
         state.moved_s += dt
         if block.seconds >= _BLOCK_S:
             self._close(block, sample)
@@ -484,7 +484,7 @@ class PlausibilityMonitor:
     def _close(self, block: Block, sample: Sample) -> None:
         """Take in a full block."""
         state, inertia, seconds = self.state, self._known.inertia, block.seconds
-        y, traction = block.answer / seconds, block.traction / seconds
+        y, traction = block.specific_impulse / seconds, block.traction / seconds
         noise = inertia * max(_SIGMAS * state.noise.std, state.noise.quantum) / seconds
         resistance = davis(self._known.train_file.resistance, sample.speed)
         if block.kind == RELEASED:

@@ -230,7 +230,7 @@ def most_repeats(noise: SpeedNoise) -> int:
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
-LARGEST_STEP_S: Final = 3600.0
+MAX_STEP_S: Final = 3600.0
 """A clock is set back by at most this time [s]; a larger step back is another drive, but for a return."""
 # A brake has followed a command longer ago than this, whatever its lag [ns].
 _FOLLOWED_NS: Final = 60 * NS_PER_S
@@ -262,11 +262,17 @@ class SampleStream:
     Attributes:
         config: What shapes it.
         is_new: True until the first record.
+        finding: What contradicts what in the inputs, empty if nothing does.
+        is_fault_confirmed: True once a finding has lasted for some motion: what was learned just before may be wrong.
+        has_changed: True while forces, commands or distances are inconsistent with recent history.
+        was_false_alarm: True if the last such change was a false alarm.
+        is_trusted: True if an estimate from these inputs may be valid: they agree, or cannot be compared.
     """
 
     STATE: ClassVar[State] = declare(
         '_aligner', '_history', '_correction', '_stuck', '_plausibility', '_is_skipping',
-        several('_skipped', BrakeCommandChange), '_first_ns', '_behind_ns',
+        several('_skipped', BrakeCommandChange), '_first_ns', 'behind_ns', 'finding', 'is_fault_confirmed',
+        'has_changed', 'was_false_alarm', 'is_trusted',
     )  # fmt: skip
 
     def __init__(self, config: StreamConfig) -> None:
@@ -299,7 +305,17 @@ class SampleStream:
         self._skipped: list[BrakeCommandChange] = []
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
-        self._behind_ns = 0
+        self.behind_ns = 0
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """Keep what the checks of the inputs say after a sample, for all who ask."""
+        checks = self._plausibility
+        self.finding = checks.finding
+        self.is_fault_confirmed = checks.is_fault_confirmed
+        self.has_changed = checks.has_changed
+        self.was_false_alarm = checks.was_false_alarm
+        self.is_trusted = checks.is_trusted
 
     def equals(self, other: SampleStream) -> bool:
         """Return whether both have taken in nothing yet and would make the same samples of the same records."""
@@ -319,39 +335,14 @@ class SampleStream:
         return stream
 
     @property
-    def finding(self) -> str:
-        """What contradicts what in the inputs, empty if nothing does."""
-        return self._plausibility.finding
-
-    @property
-    def is_contradicted(self) -> bool:
-        """True once a finding has lasted for some motion: what was learned just before it may be wrong."""
-        return self._plausibility.is_lasting
-
-    @property
     def brake_delay(self) -> BrakeDelayCheck:
         """Check of the dead time of the brake: where it is wrong, no brake rate is valid."""
         return self._plausibility.brake_delay
 
     @property
-    def has_changed(self) -> bool:
-        """True while forces, commands or distances are improbable together by what they were before."""
-        return self._plausibility.has_changed
-
-    @property
-    def has_returned(self) -> bool:
-        """True if it is as it was before the last such change, which was then no change of the train."""
-        return self._plausibility.has_returned
-
-    @property
     def last_finding(self) -> str:
         """The last contradiction found, empty if there never was one."""
         return self._plausibility.last_finding
-
-    @property
-    def is_trusted(self) -> bool:
-        """True if an estimate from these inputs may be valid: they agree, or cannot be compared."""
-        return self._plausibility.is_trusted
 
     @property
     def newest_ns(self) -> int:
@@ -365,7 +356,7 @@ class SampleStream:
     def is_input_missing(self, timeout_ns: int) -> bool:
         """Return whether a required topic is behind the others by more than a timeout [ns] or has not started."""
         # A slow topic is behind the others until its next record: that is checked only if the first test fails.
-        return self._behind_ns > timeout_ns and self._aligner.is_behind(timeout_ns + self._skew_ns)
+        return self.behind_ns > timeout_ns and self._aligner.is_behind(timeout_ns + self._skew_ns)
 
     def push(self, record: Record) -> list[StreamEvent]:
         """Take in one record; return the samples it completes, why records were rejected, and jumps of the stamps.
@@ -386,9 +377,9 @@ class SampleStream:
                 self._follow(event)
             elif isinstance(event, TimeJump):
                 self._jump(event)
-        newest_ns = self.newest_ns
+        newest_ns = self._aligner.newest_ns
         self._first_ns = self._first_ns or newest_ns
-        self._behind_ns = newest_ns - (self._aligner.complete_ns or self._first_ns) - self._skew_ns
+        self.behind_ns = newest_ns - (self._aligner.complete_ns or self._first_ns) - self._skew_ns
         return events
 
     def _begin(self, topic: int, stamp_ns: int, x: float, y: float) -> None:
@@ -409,10 +400,11 @@ class SampleStream:
         changed = self.has_changed
         stuck, contradiction = self._stuck.reject(sample, self._plausibility.noise), self._plausibility.follow(sample)
         sample.rejection = contradiction if stuck is None else stuck
+        self._conclude()
         if sample.rejection is not None:
             self._skip(sample)
-        # Estimators go back where all is as it was before a change, so for them the sample follows a gap.
-        elif self._is_skipping or (changed and not self.has_changed and self.has_returned):
+        # Estimators go back after a false alarm, so for them the sample follows a gap.
+        elif self._is_skipping or (changed and not self.has_changed and self.was_false_alarm):
             self._resume(sample)
 
     def _skip(self, sample: Sample) -> None:
@@ -443,4 +435,4 @@ class SampleStream:
 
 def is_reset_by(jump: TimeJump, policy: TimeJumpPolicy) -> bool:
     """Return whether everything starts over after a jump of the stamps; a clock set right again loses nothing."""
-    return jump.step_s < -LARGEST_STEP_S and not jump.returns and policy is TimeJumpPolicy.RESET
+    return jump.step_s < -MAX_STEP_S and not jump.returns and policy is TimeJumpPolicy.RESET

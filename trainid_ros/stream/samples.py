@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.interface.results import Rejection
-from trainid_ros.interface.scalars import is_finite
 from trainid_ros.train.forces import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
@@ -111,7 +110,7 @@ class Sample:
     @property
     def weighed(self) -> bool:
         """True if the present load was weighed; a mass from before the last stop is that of other passengers."""
-        return is_finite(self.mass) and not self.stood_since_weighing
+        return not math.isnan(self.mass) and not self.stood_since_weighing
 
     @property
     def curvature(self) -> float:

@@ -308,7 +308,7 @@ def _brake_text(slope: float, by_position: float) -> str:
 
 # Length of a segment [m]; longest one, where the position stands still [m].
 _SEGMENT: Final = 100.0
-_LONGEST: Final = 1000.0
+_MAX_M: Final = 1000.0
 # Number of segments whose mean error counts, and of those it needs.
 _DISTANCE_MEMORY: Final = 7.0
 _MIN_COUNT: Final = 4.0
@@ -407,7 +407,7 @@ class DistanceCheck:
         self._follow_position(by_speed, by_position)
         # While the direction is not known, positions seem to run back; slowly, they do by their noise.
         back = by_position < -0.5 * by_speed
-        if back or not by_position <= 3.0 * (self.by_speed + by_speed) + _JUMP or self.by_speed > _LONGEST:
+        if back or not by_position <= 3.0 * (self.by_speed + by_speed) + _JUMP or self.by_speed > _MAX_M:
             self.interrupt()
             return
         keep = math.exp(-by_speed / _RATIO_WAY)
@@ -425,11 +425,11 @@ class DistanceCheck:
         """Look for a position that stands still or leaps."""
         if by_position == 0.0:
             self.still += by_speed
-            most = min(max(_STILL, _STILL_FACTOR * self.longest_still), _LONGEST) if self.has_moved else _LONGEST
+            most = min(max(_STILL, _STILL_FACTOR * self.longest_still), _MAX_M) if self.has_moved else _MAX_M
             if self.still > most:
                 self._name('the position in ato/speed stands still while the train moves')
         elif not math.isnan(by_position):
-            if self.still <= _LONGEST:
+            if self.still <= _MAX_M:
                 self.longest_still = max(self.longest_still, self.still)
             self.has_moved, self.still = True, 0.0
             self.leaps += 1.0 if is_leap(by_speed, by_position) else 0.0

@@ -20,7 +20,7 @@ from trainid_ros.interface.state import State, declare, several, unknown
 from trainid_ros.train.forces import BrakeCommandChange
 
 _WINDOW: Final = 16
-_FEWEST: Final = 4
+_MIN_INTERVALS: Final = 4
 # Jitter makes no interval shorter than this share of the median; one lost record makes the others half of it.
 _SPREAD: Final = 0.75
 # 5 Hz with jitter of 50 ms; the limits of the settings suit topics as fast as this.
@@ -71,7 +71,7 @@ class LearnedInterval:
             added_ns = stamp_ns - stamps[-2]
             if dropped_ns <= self._shortest_ns != added_ns or added_ns < self._shortest_ns:
                 self._find_shortest()
-        elif len(stamps) > _FEWEST:
+        elif len(stamps) > _MIN_INTERVALS:
             self._find_shortest()
         self._outdated = True
 
@@ -94,7 +94,7 @@ class LearnedInterval:
     def _typical(self) -> int:
         # A late record may have been seen after later ones.
         intervals = sorted(after - before for before, after in pairwise(sorted(self._stamps)))
-        if len(intervals) < _FEWEST:
+        if len(intervals) < _MIN_INTERVALS:
             return 0
         short, median = intervals[len(intervals) // 8], intervals[(len(intervals) - 1) // 2]
         if short <= FAST_NS:
