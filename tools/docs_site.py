@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hooks of mkdocs.yml: files of the repository that the pages link to are part of the site.
+"""Hooks of mkdocs.yml: the API reference, and files of the repository that the pages link to, are part of the site.
 
 On GitHub a page links to ``../bags/README.md``; in the site that file lies at ``repository/bags/README.md``. So the
 strict build finds every broken link, and the site needs no other server.
@@ -10,6 +10,7 @@ from __future__ import annotations
 import posixpath
 from typing import TYPE_CHECKING, Final
 
+from tools.api_reference import PAGES, api_page
 from tools.documents import DOCS, ROOT, links, resolve, rewrite
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _OTHERS: Final = 'repository'
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the files of the repository that pages link to, and those that these link to."""
+    """Add the files of the repository that pages link to, those that these link to, and the API reference."""
     from mkdocs.structure.files import File  # noqa: PLC0415 (its own environment)
 
     waiting = [f'{DOCS}/{file.src_uri}' for file in files.documentation_pages()]
@@ -34,6 +35,8 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
                 files.append(File.generated(config, place, abs_src_path=str(ROOT / name)))
                 if name.endswith('.md'):
                     waiting.append(name)
+    for name in PAGES:
+        files.append(File.generated(config, f'api/{name}.md', content=api_page(name)))
     return files
 
 
