@@ -15,8 +15,11 @@ _CLAIM: Final = re.compile(r'^\|.*\| *(met\?|target|verdict) *\|', re.MULTILINE)
 # A part without such a table shows its first table if it is at most this long.
 _SHORT: Final = 40
 _REVISION: Final = re.compile(r'^Revision ([^;\s]+);.*$', re.MULTILINE)
-_QUOTE: Final = re.compile(r'<!-- quoted from (\w+) -->\n+(.*?)(?:\n\n|\Z)', re.DOTALL)
-_FIGURE: Final = re.compile(r'\d+(?:\.\d+)?')
+# PART: its claims in RESULTS.md; results/PART: its full tables.
+_QUOTE: Final = re.compile(r'<!-- quoted from (results/)?(\w+) -->\n+(.*?)(?:\n\n|\Z)', re.DOTALL)
+_FIGURE: Final = re.compile(r'\d*\.?\d+')
+# Code, targets of links and separators of thousands.
+_NO_FIGURE: Final = re.compile(r'`[^`]*`|\]\([^)]*\)|(?<=\d)[,\u202f](?=\d{3})')
 
 
 def summary(folder: Path, names: Sequence[str]) -> str:
@@ -36,13 +39,21 @@ def revisions(text: str) -> list[str]:
     return _REVISION.findall(text)
 
 
-def missing_quotes(document: str, results: str) -> list[str]:
-    """Return the figures in blocks marked ``<!-- quoted from PART -->`` that no figure of the part rounds to."""
+def missing_quotes(document: str, results: str, folder: Path) -> list[str]:
+    """Return the figures in blocks marked ``<!-- quoted from PART -->`` that no figure of the part rounds to.
+
+    Args:
+        document: Text of a document; a block ends at a blank line.
+        results: Text of RESULTS.md.
+        folder: Folder of the full tables, for blocks marked ``<!-- quoted from results/PART -->``.
+
+    """
     return [
         f'{name}: {figure}'
-        for name, block in _QUOTE.findall(document)
-        for figure in _FIGURE.findall(block)
-        if not any(_rounds_to(own, figure) for own in _FIGURE.findall(_section(results, name)))
+        for full, name, block in _QUOTE.findall(document)
+        for text in [(folder / f'{name}.md').read_text('utf-8') if full else _section(results, name)]
+        for figure in _figures(block)
+        if not any(_rounds_to(own, figure) for own in _figures(text))
     ]
 
 
@@ -59,6 +70,10 @@ def _part(name: str, text: str) -> str:
 def _section(results: str, name: str) -> str:
     found = re.search(rf'^## {name}\n(.*?)(?=^## |\Z)', results, re.MULTILINE | re.DOTALL)
     return found.group(1) if found else ''
+
+
+def _figures(text: str) -> list[str]:
+    return _FIGURE.findall(_NO_FIGURE.sub('', text))
 
 
 def _rounds_to(own: str, figure: str) -> bool:

@@ -32,13 +32,16 @@ def test_all_parts_are_of_one_revision() -> None:
     'path', [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))], ids=lambda path: path.name
 )
 def test_quoted_figures_are_in_the_results(path: Path) -> None:
-    assert missing_quotes(path.read_text('utf-8'), RESULTS) == []
+    assert missing_quotes(path.read_text('utf-8'), RESULTS, ROOT / 'benchmarks' / 'results') == []
 
 
-def test_a_figure_that_is_not_in_its_part_is_found() -> None:
+def test_a_figure_that_is_not_in_its_part_is_found(tmp_path: Path) -> None:
+    (tmp_path / 'one.md').write_text('| a | 2.94 | 1000 | .30 |\n', encoding='utf-8')
     results = '## one\n\n| a | 2.94 |\n\n## two\n\n| b | 7 |\n'
-    document = '<!-- quoted from one -->\n2.9 and 7\n\n8, which is not quoted\n'
-    assert missing_quotes(document, results) == ['one: 7']
+    document = '<!-- quoted from one -->\n2.9 and 7 on [page 5](8.md) of `9`\n\n8, which is not quoted\n'
+    assert missing_quotes(document, results, tmp_path) == ['one: 7', 'one: 5']
+    document = '<!-- quoted from results/one -->\n2.9, 1,000, 0.30 and 5\n'
+    assert missing_quotes(document, results, tmp_path) == ['one: 5']
 
 
 def test_a_run_without_time_measures_nothing_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
