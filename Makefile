@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel golden docs bench research research-test research-peers lock clean
+.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel wheels golden docs bench research research-test research-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -40,8 +40,11 @@ typecheck: setup ## static types, strict
 colcon-smoke: setup ## build the workspace with colcon, start an installed node, stop it
 	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py
 
-wheel: setup ## build wheels with compiled modules in out/wheels and try each in a clean environment
-	$(PYTHON_IN) tools/wheel_smoke.py --out out/wheels
+wheel: setup ## build a wheel with compiled modules in out/wheels and try it in a clean environment
+	tools/with_test_env $(PYTHON_IN) tools/wheel_smoke.py --out out/wheels
+
+wheels: setup ## the same for each Python 3.11 and 3.12 of this machine
+	tools/with_test_env $(PYTHON_IN) tools/wheel_smoke.py --out out/wheels --all
 
 golden: setup ## regenerate expected outputs, config/params.yaml and docs/monitor.svg; review the difference before committing it
 	PYTHONPATH=. tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build wheels with compiled modules, one per interpreter, and replay a bag with each in a clean environment.
+"""Build a wheel with compiled modules and replay a bag with it in a clean environment.
 
-The interpreters are those of Python 3.11 and 3.12 that this machine has; 3.11 or 3.12 of the project's environment is
-always among them; its wheel takes over what `make setup` has compiled. Each wheel gets the oldest manylinux tag that
-auditwheel finds it to satisfy. The replay must give the same numbers as the sources in this repository do.
+It is built for the interpreter of the project's environment and takes over what `make setup` has compiled; with --all,
+another is compiled for each other interpreter of Python 3.11 and 3.12 on this machine. Each wheel gets the oldest
+manylinux tag that auditwheel finds it to satisfy. The replay must give the same numbers as the sources do.
 """
 
 from __future__ import annotations
@@ -49,13 +49,16 @@ def main() -> int:
     """
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
     parser.add_argument('--out', type=Path, help='keep the wheels in this folder')
-    out = parser.parse_args().out
+    parser.add_argument('--all', action='store_true', help='for all interpreters, not only that of the environment')
+    arguments = parser.parse_args()
+    out = arguments.out
+    pythons = interpreters() if arguments.all else [VENV / 'bin' / 'python']
     with tempfile.TemporaryDirectory(prefix='trainid_wheel_') as folder:
         scratch = Path(folder)
         try:
             expected = replayed(VENV / 'bin' / 'trainid', TRAINID_COMPILED='0')
             with ThreadPoolExecutor() as pool:
-                wheels = list(pool.map(lambda python: checked(python, scratch, expected), interpreters()))
+                wheels = list(pool.map(lambda python: checked(python, scratch, expected), pythons))
             if out:
                 out.mkdir(parents=True, exist_ok=True)
                 for wheel in wheels:
