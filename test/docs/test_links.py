@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -35,6 +36,27 @@ def test_every_page_is_in_the_navigation_and_linked_from_the_readme() -> None:
 
 def test_the_readme_fits_on_a_page() -> None:
     assert len((ROOT / 'README.md').read_text(encoding='utf-8').splitlines()) <= 100
+
+
+def test_files_and_names_of_the_code_exist() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding='utf-8')
+        for name in re.findall(r'`((?:trainid_ros|test|benchmarks|research|config|msg_defs|bags|docs)/[\w/.]+)`', text):
+            assert (ROOT / name).exists(), f'{page.name}: {name}'
+        for names, name in re.findall(r'((?:`\w+`(?: and )?)+) in `(trainid_ros/[\w/]+\.py)`', text):
+            source = (ROOT / name).read_text(encoding='utf-8')
+            for one in re.findall(r'`(\w+)`', names):
+                assert re.search(rf'\b{one}\b', source), f'{page.name}: {one} in {name}'
+
+
+def test_modules_named_in_docstrings_exist() -> None:
+    sources = [
+        path for folder in ('trainid_ros', 'research', 'benchmarks', 'tools') for path in (ROOT / folder).rglob('*.py')
+    ]
+    modules = {path.stem for path in sources} | {path.parent.name for path in sources}
+    for path in sources:
+        named = re.findall(r':mod:`~?([\w.]+)`', path.read_text(encoding='utf-8'))
+        assert {name.rpartition('.')[2] for name in named} <= modules, path
 
 
 def test_links_in_code_are_no_links() -> None:

@@ -3,7 +3,7 @@
 
 After Liu et al. 2018. (n) is an equation of the paper, whose multi-innovation equations have no numbers: "MILS" are
 those of section 3, "V-MILS" those of section 4.2. [n] marks the same step in the code: here and in
-:mod:`window_learner`, :mod:`speed_window`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
+:mod:`window_learner`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
 kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
 
     [1]  theta = theta(0), P = P(0): the regularisation                                   (7): lambda I = P(0)^-1

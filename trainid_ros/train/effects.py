@@ -5,8 +5,8 @@ Every effect is expressed as an *equivalent extra resistance* in the specific ba
 ``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``, where T is the reported traction and B the braking
 force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
 
-A new effect is one EffectKind, in ``physical`` or ``sensor`` here, or one file that defines ``EFFECT`` in a folder
-listed in TRAINID_EFFECTS.
+A new effect is one EffectKind in :mod:`effect_terms`, or one file that defines ``EFFECT`` in a folder listed in
+TRAINID_EFFECTS.
 
 Effects by name, built in and of users, and the effects of a train file: parsed, checked and bound for evaluation.
 """
@@ -25,8 +25,7 @@ from types import MappingProxyType, ModuleType
 from typing import Final
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train import effect_terms as physical
-from trainid_ros.train import effect_terms as sensor
+from trainid_ros.train import effect_terms
 from trainid_ros.train.effect_kinds import EffectKind, Parameter, Parameters, Resistance, Twin
 from trainid_ros.train.effect_point import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
 from trainid_ros.train.fields import did_you_mean
@@ -77,7 +76,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
 
 @lru_cache(maxsize=8)
 def _kinds(folders: str) -> Mapping[str, EffectKind]:
-    built_in = (kind for module in (physical, sensor) for kind in vars(module).values() if isinstance(kind, EffectKind))
+    built_in = (kind for kind in vars(effect_terms).values() if isinstance(kind, EffectKind))
     found = {kind.name: kind for kind in sorted(built_in, key=attrgetter('name'))}
     for path in _user_files(folders):
         kind = _user_kind(path)

@@ -30,7 +30,7 @@ NOTHING: Final[Information] = (0.0,) * 9
 def mils_step(
     state: MilsState, oldest: Information, v: float, s: float, y: float, R: float, slow: float, eps: float, p: int
 ) -> tuple[MilsState, Information, float, float]:
-    """Make one step of multi-innovation least squares with the soft gate of :mod:`robust`.
+    """Make one step of multi-innovation least squares with the soft gate of :mod:`normal`.
 
     Args:
         state: Information before the step, then the mean information of the last p observations: 18 floats.
