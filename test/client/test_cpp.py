@@ -16,8 +16,7 @@ from statistics import NormalDist
 
 import pytest
 
-from test.client.test_bounds import LEARNED, UNKNOWN
-from test.client.test_stopping import EMU, TRAIN, shape
+from test.client.test_stopping import EMU, LEARNED, TRAIN, UNKNOWN, shape
 from trainid_ros.client import TrainModel
 from trainid_ros.client.stopping import DELAY, GRADIENT, LAG, Braking, StoppingBounds, StopPosterior
 from trainid_ros.estimators.settings import GsmaConfig

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers of the client without ROS: values, units, sources, and refusals of what cannot be asked."""
+"""Answers of the client without ROS: values, units, sources, refused arguments, and clocks that go back."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from test.calls import count_in_sources
 from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.client import TrainModel, Value
+from trainid_ros.client.train_model import COMMAND, SPEED, ForwardClock, checked_direction, distance_to
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import RESISTANCE_TOPIC
@@ -473,3 +475,56 @@ def test_a_resistance_that_no_train_has_is_not_used(wrong: dict[str, Any]) -> No
     model = TrainModel(None, FILE)
     model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, **wrong), 1)
     assert model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'
+
+
+@pytest.mark.parametrize('number', [np.float32(3.0), np.float64(3.0), np.int16(3), Fraction(3), 3, 3.0])
+def test_any_number_becomes_a_float(number: Any) -> None:
+    assert SPEED.checked(number) == 3.0
+    assert type(SPEED.checked(number)) is float
+
+
+@pytest.mark.parametrize('value', [None, '5', '', [5.0], 5.0 + 0.0j, np.array(5.0), object()])
+def test_what_is_no_number_is_named(value: Any) -> None:
+    with pytest.raises(InputError, match=r'^speed = .* must be a number in m/s$'):
+        SPEED.checked(value)
+
+
+@pytest.mark.parametrize('value', [10**400, -(10**400), math.nan, math.inf, -1.0, 151.0])
+def test_what_is_out_of_range_is_named(value: float) -> None:
+    with pytest.raises(InputError, match=r'^speed = .* m/s is outside \[0, 150\]$'):
+        SPEED.checked(value)
+
+
+def test_the_ends_of_a_range_are_inside() -> None:
+    assert [COMMAND.checked(x) for x in (-20.0, -1e-3)] == [-20.0, -1e-3]
+
+
+def test_a_distance_is_that_in_the_direction_of_travel() -> None:
+    assert [distance_to(100.0, at, way) for at, way in ((60.0, 1), (160.0, -1), (160.0, 1))] == [40.0, 60.0, 0.0]
+    with pytest.raises(InputError, match=r'^position = '):
+        distance_to(100.0, math.nan, 1)
+
+
+@pytest.mark.parametrize('direction', [0, 2, -1.5, None, '1'])
+def test_a_direction_is_1_or_minus_1(direction: Any) -> None:
+    assert [checked_direction(way) for way in (1, -1)] == [1, -1]
+    with pytest.raises(InputError, match=r'^direction = .* must be 1 or -1'):
+        checked_direction(direction)
+
+
+def test_time_goes_on_from_where_the_clock_went_back() -> None:
+    readings = iter([79.0, 80.0, 81.0, 5.0, 5.5, 4.0, 6.0, 90.0])
+    clock = ForwardClock(lambda: next(readings))
+    assert [clock.now() for _ in range(7)] == [80.0, 81.0, 81.0, 81.5, 81.5, 83.5, 167.5]
+
+
+@pytest.mark.parametrize('clock', [None, 5.0, 'clock'])
+def test_a_clock_that_is_no_function_is_named(clock: Any) -> None:
+    with pytest.raises(InputError, match=r'^clock = .* must be a function'):
+        ForwardClock(clock)
+
+
+@pytest.mark.parametrize('reading', [None, 'now', float('nan')])
+def test_a_clock_that_returns_no_number_is_named(reading: Any) -> None:
+    with pytest.raises(InputError, match=r'^clock\(\) = '):
+        ForwardClock(lambda: reading)

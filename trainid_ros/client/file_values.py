@@ -14,7 +14,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
-from trainid_ros.client.channel import Normal, Parameter
+from trainid_ros.client.live_estimate import Normal, Parameter
 from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, RateShape
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
@@ -186,5 +186,5 @@ class FileValues:
         if speed is None:
             return self.effects.brake_share(self._speeds[len(_SHARES) // 2]), 0.0
         shape, config = self._shape, self.config
-        by_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
-        return shape.table(speed), by_speed
+        over_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
+        return shape.table(speed), over_speed

@@ -148,7 +148,7 @@ class Stop:
 
     def __init__(self) -> None:
         self.distance = 0.0
-        self.by_speed = 0.0
+        self.dD_dv = 0.0
         self.gradient = [0.0] * PARAMETERS
 
 
@@ -305,7 +305,7 @@ class Braking:
             self._add_lag(gradient, -0.5 * width * costate, speeds[k], times[k] - delay)
             if k == self._dead_steps:
                 gradient[DELAY] = speeds[k] - costate * self._deceleration(speeds[k], self._applied)
-        out.by_speed = costate
+        out.dD_dv = costate
 
     def _stiffness(self, t: float, v: float) -> float:
         """Return the derivative of the deceleration by speed [1/s]."""
@@ -382,7 +382,7 @@ class Bound:
 
     distance: float
     std: float
-    by_speed: float
+    dD_dv: float  # noqa: N815 - as in the equations
     gradient: list[float]
 
 
@@ -451,16 +451,16 @@ class StoppingBounds:
         if math.isinf(at_mean.distance) or not self._least.is_positive(speed):
             return Bound(math.inf, math.inf, math.inf, [])
         std = self._posterior.std(at_mean.gradient)
-        found = self._beside(speed, at_mean.gradient)
+        found = self.design_point_step(speed, at_mean.gradient)
         for _ in range(_REFINEMENTS):
             if math.isinf(found.distance):
                 break
-            before, found = found.distance, self._beside(speed, found.gradient)
+            before, found = found.distance, self.design_point_step(speed, found.gradient)
             if abs(found.distance - before) <= _CONVERGED * before:
-                return Bound(found.distance, std, found.by_speed, found.gradient)
+                return Bound(found.distance, std, found.dD_dv, found.gradient)
         return Bound(math.inf, std, math.inf, [])
 
-    def _beside(self, speed: float, gradient: list[float]) -> Stop:
+    def design_point_step(self, speed: float, gradient: list[float]) -> Stop:
         """Return the stop z standard deviations from the mean along a gradient."""
         spread, std = self._posterior.spread(gradient), self._posterior.std(gradient)
         step = self._z / std if std > 0.0 else 0.0
@@ -497,7 +497,7 @@ class StoppingBounds:
     @staticmethod
     def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
         """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
-        following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
+        following = speed - excess / found.dD_dv if 0.0 < found.dD_dv < math.inf else -math.inf
         if following >= high == MAX_SPEED:
             return MAX_SPEED
         return following if low < following < high else 0.5 * (low + high)
@@ -505,7 +505,7 @@ class StoppingBounds:
     def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
         if speed > _STANDING:
             # Of a stiff balance, which no train has, the derivative may have any sign.
-            return speed, found.std / abs(found.by_speed)
+            return speed, found.std / abs(found.dD_dv)
         if math.isinf(self.at(_SLOWEST).distance):
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0

@@ -31,7 +31,7 @@ class Receiver(Protocol):
     ) -> None:
         """Take in an estimate."""
 
-    def lose(self, topic: OutputTopic, reason: str) -> None:
+    def mark_lost(self, topic: OutputTopic, reason: str) -> None:
         """Take in why a topic sends nothing any more."""
 
 
@@ -47,7 +47,7 @@ def _subscribe_live(node: Any, receiver: Receiver, topic: OutputTopic) -> Any:
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        receiver.lose(topic, f'its publisher has an incompatible quality of service ({policy})')
+        receiver.mark_lost(topic, f'its publisher has an incompatible quality of service ({policy})')
 
     events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.name, take, estimate_qos(), event_callbacks=events)
@@ -59,7 +59,7 @@ def _subscribe_latched(node: Any, receiver: Receiver, topic: OutputTopic) -> Any
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:
-            receiver.lose(topic, _GONE)
+            receiver.mark_lost(topic, _GONE)
 
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.last_valid, take, latched_qos(), event_callbacks=events)

@@ -19,8 +19,8 @@ from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel, Normal
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
+from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
@@ -195,9 +195,9 @@ class TrainModel:
         check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
         self._file, self._clock, self._lock = FileValues(known, prior, brake), ForwardClock(clock), Lock()
-        self._resistance = Channel(self._file.resistance(), max_age)
-        self._brake_rate = Channel(self._file.brake_rate(), max_age)
-        self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
+        self._resistance = LiveEstimate(self._file.resistance(), max_age)
+        self._brake_rate = LiveEstimate(self._file.brake_rate(), max_age)
+        self._estimates = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
         if node is not None:
@@ -234,24 +234,24 @@ class TrainModel:
 
         A latched copy is that of the last valid estimate.
         """
-        channel = self._channels.get(topic)
-        if channel is None:
+        live = self._estimates.get(topic)
+        if live is None:
             return
         is_resistance = topic is RESISTANCE_TOPIC
         values = resistance_values(estimate) if is_resistance else brake_rate_values(estimate)
         with self._lock:
             now = self._clock.now()
-            if latched and not channel.take_latched(status, values, now):
+            if latched and not live.take_latched(status, values, now):
                 return
             if not latched:
-                channel.take_new(status, values, now, stamp_ns)
+                live.take_new(status, values, now, stamp_ns)
             if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
-    def lose(self, topic: OutputTopic, reason: str) -> None:
+    def mark_lost(self, topic: OutputTopic, reason: str) -> None:
         """Say why an estimate does not come any more: the train file applies, at once or when the next is overdue."""
         with self._lock:
-            self._channels[topic].lose(reason, self._clock.now())
+            self._estimates[topic].mark_lost(reason, self._clock.now())
 
     def resistance(self, speed: float, *, direction: int = 1) -> Value:
         """Return the running resistance w(v) = a + b v + c v^2 + x(v) [N/kN] at a speed [m/s].
@@ -454,9 +454,9 @@ class TrainModel:
         config, (delay_std, lag_std) = file.config, file.timing_stds
         map_std = file.train_file.line.gradient_std
         mean = (rate.mean[0], 0.0, 0.0, *davis.mean, gradient, file.brake.delay, file.brake.time_constant)
-        by_speed = (config.slope_std**2, config.blend_std**2)
+        over_speed = (config.slope_std**2, config.blend_std**2)
         rest = (map_std**2, delay_std**2, lag_std**2)
-        return StopPosterior(mean, (rate.covariance[0], *by_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
+        return StopPosterior(mean, (rate.covariance[0], *over_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
 
     def _resistance_at(self, speed: float, direction: int) -> Value:
         w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
@@ -468,9 +468,9 @@ class TrainModel:
         return Value(w + extra, math.sqrt(variance), live, reason)
 
     def _brake_rate_at(self, speed: float | None) -> Value:
-        table, by_speed = self._file.rate_direction(speed)
+        table, over_speed = self._file.rate_direction(speed)
         factor, variance = self._brake_rate.normal(BRAKE_RATE).along((1.0,))
-        std = table * math.hypot(math.sqrt(variance), by_speed)
+        std = table * math.hypot(math.sqrt(variance), over_speed)
         return Value(table * factor, std, *_state(self._brake_rate))
 
     def _go_on(self) -> None:
@@ -485,9 +485,9 @@ def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, 
     return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
 
 
-def _state(channel: Channel) -> tuple[bool, str]:
-    """Return whether the values of a channel are live, and its reason."""
-    return channel.is_live, channel.reason()
+def _state(estimate: LiveEstimate) -> tuple[bool, str]:
+    """Return whether the values of an estimate are live, and its reason."""
+    return estimate.is_live, estimate.reason()
 
 
 def _both(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:

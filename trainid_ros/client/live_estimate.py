@@ -98,7 +98,7 @@ def _difference_of(start: Normal, target: Normal) -> tuple[float, ...]:
     return tuple(map(_difference, start.covariance, target.covariance))
 
 
-class Gradual:
+class RateLimitedValue:
     """Follows the newest distribution.
 
     Args:
@@ -222,7 +222,7 @@ class Parameter:
         return False
 
 
-class Channel:
+class LiveEstimate:
     """Parameters of one estimate, by name.
 
     Args:
@@ -235,7 +235,7 @@ class Channel:
         self._parameters = parameters
         self._file = {name: parameter.file for name, parameter in parameters.items()}
         self._valid = self._file
-        self._gradual = {name: Gradual(x.file, x.probes) for name, x in parameters.items()}
+        self._values = {name: RateLimitedValue(x.file, x.probes) for name, x in parameters.items()}
         self._max_age_s = max_age_s
         self._heard_s = self._now_s = self._moving_until_s = -math.inf
         self._stamp_ns = -1
@@ -279,8 +279,8 @@ class Channel:
         else:
             self._problem = ''
             self._valid = {name: values.get(name, self._file[name]) for name in self._file}
-            for name, gradual in self._gradual.items():
-                gradual.go_to(self._valid[name], self._now_s)
+            for name, value in self._values.items():
+                value.go_to(self._valid[name], self._now_s)
             self._note_move()
 
     def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
@@ -307,16 +307,16 @@ class Channel:
 
     def _note_move(self) -> None:
         """Note until when values move to the live ones; small moves, as of each estimate, are none."""
-        left_s = max(gradual.left_s(self._now_s) for gradual in self._gradual.values())
+        left_s = max(value.left_s(self._now_s) for value in self._values.values())
         if left_s > _LONG_WAY_S or self._now_s < self._moving_until_s:
             self._moving_until_s = self._now_s + left_s - FALL_BACK_S
 
     def _suspect(self) -> None:
         """Keep the last valid values, or the way to them, with the uncertainty of the train file."""
-        for name, gradual in self._gradual.items():
-            gradual.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
+        for name, value in self._values.items():
+            value.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
 
-    def lose(self, reason: str, time_s: float) -> None:
+    def mark_lost(self, reason: str, time_s: float) -> None:
         """Say why estimates will not come any more; the train file applies once the next one is overdue.
 
         The event may be of another publisher, so it does not end what is still heard.
@@ -335,13 +335,13 @@ class Channel:
 
     def _fall_back(self, reason: str, time_s: float) -> None:
         if self.is_live:
-            for name, gradual in self._gradual.items():
-                gradual.go_to(self._file[name], max(time_s, self._now_s), FALL_BACK_S)
+            for name, value in self._values.items():
+                value.go_to(self._file[name], max(time_s, self._now_s), FALL_BACK_S)
         self._problem = reason
 
     def normal(self, name: str) -> Normal:
         """Return a parameter now."""
-        return self._gradual[name].at(self._now_s)
+        return self._values[name].at(self._now_s)
 
     def reason(self) -> str:
         """Return why the values are those of the train file, or how the live ones are."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which estimates are used, and how soon the train file replaces them."""
+"""Which estimates are used, how fast their values move, and how soon the train file replaces them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, MAX_RATE, Channel, Normal, Parameter
+from trainid_ros.client.live_estimate import (
+    FALL_BACK_S,
+    MAX_AGE_S,
+    MAX_RATE,
+    LiveEstimate,
+    Normal,
+    Parameter,
+    RateLimitedValue,
+)
 from trainid_ros.interface.results import Status
 
 FILE = Normal((1.0,), (0.04,))
@@ -16,26 +24,26 @@ LIVE = {'rate': Normal((0.8,), (1e-4,))}
 UNSURE = {'rate': Normal((0.3,), (0.04,))}
 
 
-def channel(until_s: float = 0.0) -> Channel:
-    """Return a channel that has had a VALID estimate at 5 Hz from 0 s until a time."""
-    out = Channel({'rate': Parameter(FILE, ((1.0,),), 0.01, 10.0)}, MAX_AGE_S)
+def estimate(until_s: float = 0.0) -> LiveEstimate:
+    """Return an estimate that has had a VALID estimate at 5 Hz from 0 s until a time."""
+    out = LiveEstimate({'rate': Parameter(FILE, ((1.0,),), 0.01, 10.0)}, MAX_AGE_S)
     for k in range(round(until_s / 0.2) + 1 if until_s else 0):
         out.take(Status.VALID, LIVE, 0.2 * k)
     return out
 
 
 def test_the_train_file_applies_until_an_estimate_comes() -> None:
-    new = channel()
+    new = estimate()
     new.go_on(5.0)
     assert (new.normal('rate'), new.is_live) == (FILE, False)
     assert new.reason() == 'train file: no estimate yet'
 
 
 def test_an_estimate_is_approached_and_then_followed() -> None:
-    one = channel(1.0)
+    one = estimate(1.0)
     assert 0.8 < one.normal('rate').mean[0] < 1.0
     assert one.reason() == 'VALID, moving to the live value'
-    one = channel(10.0)
+    one = estimate(10.0)
     assert (one.normal('rate'), one.is_live, one.reason()) == (LIVE['rate'], True, 'VALID')
     one.take(Status.HOLDING, LIVE, 10.2)
     assert one.reason() == 'HOLDING'
@@ -43,7 +51,7 @@ def test_an_estimate_is_approached_and_then_followed() -> None:
 
 @pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.STALE, Status.FAULT])
 def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Status) -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(status, LIVE, 10.2)
     assert not one.is_live
     assert one.reason().startswith(f'train file: {status.name}, ')
@@ -52,7 +60,7 @@ def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Stat
 
 
 def test_a_suspected_estimate_stands_with_the_uncertainty_of_the_train_file() -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     for k in range(1, 4):
         one.take(Status.CONVERGING, UNSURE, 10.0 + 0.2 * k)
     assert one.is_live
@@ -67,7 +75,7 @@ def test_a_suspected_estimate_stands_with_the_uncertainty_of_the_train_file() ->
 
 
 def test_a_suspicion_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
-    one = channel(1.0)
+    one = estimate(1.0)
     values, stds = [], []
     for k in range(1, 40):
         if k % 4 == 1:
@@ -84,7 +92,7 @@ def test_a_suspicion_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
 
 @pytest.mark.parametrize('suspected_first', [False, True])
 def test_a_late_joiner_gets_the_last_valid_value_whatever_came_first(*, suspected_first: bool) -> None:
-    one = channel()
+    one = estimate()
     if suspected_first:
         one.take(Status.CONVERGING, UNSURE, 0.0)
         assert not one.is_live
@@ -98,7 +106,7 @@ def test_a_late_joiner_gets_the_last_valid_value_whatever_came_first(*, suspecte
 
 @pytest.mark.parametrize('status', [Status.VALID, Status.STALE, Status.FAULT])
 def test_a_latched_estimate_does_not_count_beside_what_was_heard(status: Status) -> None:
-    one, other = channel(), channel()
+    one, other = estimate(), estimate()
     for item in (one, other):
         item.take(status, LIVE, 0.0)
     assert not one.take_latched(Status.VALID, {'rate': Normal((0.5,), (1e-4,))}, 0.1)
@@ -108,7 +116,7 @@ def test_a_latched_estimate_does_not_count_beside_what_was_heard(status: Status)
 
 
 def test_the_small_moves_of_each_estimate_are_not_said() -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     for k in range(1, 30):
         one.take(Status.VALID, {'rate': Normal((0.8 + 0.02 * (k % 2),), (1e-4,))}, 10.0 + 0.2 * k)
         assert one.reason() == 'VALID'
@@ -122,7 +130,7 @@ def test_the_small_moves_of_each_estimate_are_not_said() -> None:
 
 
 def test_an_estimate_that_was_never_valid_is_not_used() -> None:
-    one = channel()
+    one = estimate()
     one.take(Status.CONVERGING, LIVE, 0.0)
     one.go_on(0.5)
     assert (one.normal('rate'), one.reason()) == (FILE, 'train file: CONVERGING, not fit to use')
@@ -130,7 +138,7 @@ def test_an_estimate_that_was_never_valid_is_not_used() -> None:
 
 @pytest.mark.parametrize('asked_at', [(10.7, 10.8, 10.85), (10.85,)])
 def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: tuple[float, ...]) -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     for time_s in asked_at:
         one.go_on(time_s)
     assert one.reason() == 'train file: no new estimate for more than 0.75 s'
@@ -141,8 +149,8 @@ def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: t
 
 
 def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate() -> None:
-    one = channel(10.0)
-    one.lose('its node is gone', 10.1)
+    one = estimate(10.0)
+    one.mark_lost('its node is gone', 10.1)
     one.go_on(11.0)
     assert (one.normal('rate'), one.reason()) == (FILE, 'train file: its node is gone')
     one.take(Status.VALID, LIVE, 12.0)
@@ -162,7 +170,7 @@ def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate(
     ],
 )
 def test_an_impossible_value_is_not_used(value: float, variance: float, said: str) -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(Status.VALID, {'rate': Normal((value,), (variance,))}, 10.2)
     one.go_on(11.0)
     assert one.normal('rate') == FILE
@@ -170,7 +178,7 @@ def test_an_impossible_value_is_not_used(value: float, variance: float, said: st
 
 
 def test_a_step_of_a_live_value_is_gradual_too() -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(Status.VALID, {'rate': Normal((0.6,), (1e-4,))}, 10.2)
     now = one.normal('rate')
     assert now.mean == (0.8,)
@@ -178,7 +186,7 @@ def test_a_step_of_a_live_value_is_gradual_too() -> None:
 
 
 def test_a_clock_that_goes_back_stands_still() -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.go_on(9.0)
     assert one.normal('rate') == LIVE['rate']
     assert one.is_heard(10.0)
@@ -187,7 +195,7 @@ def test_a_clock_that_goes_back_stands_still() -> None:
 
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(Status.CONVERGING, {'rate': Normal((0.8 + side * 0.029,), (1e-4,))}, 10.2)
     assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
     for k in range(1, 5):
@@ -203,7 +211,7 @@ def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -
 
 @pytest.mark.parametrize('variance', [-1e-4, math.nan, math.inf])
 def test_an_impossible_estimate_refutes_nothing(variance: float) -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(Status.CONVERGING, {'rate': Normal((0.3,), (variance,))}, 10.2)
     assert one.is_live
 
@@ -211,15 +219,15 @@ def test_an_impossible_estimate_refutes_nothing(variance: float) -> None:
 def test_a_resistance_is_refuted_at_any_speed_of_its_probes() -> None:
     valid, file = Normal((1.0, 0.05), (0.01, 0.0, 0.0, 1e-4)), Normal((1.0, 0.1), (1.0, 0.0, 0.0, 0.01))
     for b, is_live in ((0.07, True), (0.1, False)):  # at 20 m/s, 0.4 and 1.0 N/kN from the valid value, std 0.22
-        one = Channel({'w': Parameter(file, ((1.0, 0.0), (1.0, 20.0)))}, MAX_AGE_S)
+        one = LiveEstimate({'w': Parameter(file, ((1.0, 0.0), (1.0, 20.0)))}, MAX_AGE_S)
         one.take(Status.VALID, {'w': valid}, 0.0)
         one.take(Status.CONVERGING, {'w': Normal((1.0, b), (0.01, 0.0, 0.0, 1e-4))}, 0.2)
         assert one.is_live is is_live
 
 
 def test_a_lost_publisher_does_not_end_what_another_one_sends() -> None:
-    one = channel(10.0)
-    one.lose('its node is gone', 10.1)
+    one = estimate(10.0)
+    one.mark_lost('its node is gone', 10.1)
     assert (one.is_live, one.reason()) == (True, 'VALID')
     one.take(Status.VALID, LIVE, 10.2)
     one.go_on(11.5)
@@ -227,7 +235,7 @@ def test_a_lost_publisher_does_not_end_what_another_one_sends() -> None:
 
 
 def test_a_repeated_stamp_is_no_news() -> None:
-    one = channel()
+    one = estimate()
     for k in range(20):
         one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=7)
     one.go_on(3.9)
@@ -239,7 +247,7 @@ def test_a_repeated_stamp_is_no_news() -> None:
 
 
 def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
-    one = channel(10.0)
+    one = estimate(10.0)
     one.take(Status.STALE, LIVE, 10.2)
     bounds = []
     for k in range(11):
@@ -251,7 +259,7 @@ def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
 
 
 def test_a_repeated_suspicion_is_no_news() -> None:
-    one = channel()
+    one = estimate()
     one.take_new(Status.VALID, LIVE, 0.0, stamp_ns=7)
     one.take_new(Status.CONVERGING, LIVE, 0.2, stamp_ns=7)  # says that the last must not be used any more
     assert one.reason().startswith('CONVERGING')
@@ -259,3 +267,119 @@ def test_a_repeated_suspicion_is_no_news() -> None:
         one.take_new(Status.CONVERGING, LIVE, 0.2 * k, stamp_ns=7)
     one.go_on(3.9)
     assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+
+
+LEARNED = Normal((0.8,), (1e-4,))
+PROBES = ((1.0, 0.0), (1.0, 20.0))
+DAVIS_FILE = Normal((1.5, 0.02), (0.64, 0.0, 0.0, 4e-4))
+DAVIS_LIVE = Normal((2.0, 0.03), (0.01, -4e-4, -4e-4, 2e-5))
+
+
+def std(normal: Normal, direction: tuple[float, ...] = (1.0,)) -> float:
+    return math.sqrt(normal.along(direction)[1])
+
+
+def test_a_weighted_sum_has_its_mean_and_variance() -> None:
+    mean, variance = DAVIS_LIVE.along((1.0, 10.0))
+    assert mean == pytest.approx(2.3)
+    assert variance == pytest.approx(0.01 - 2 * 10.0 * 4e-4 + 100.0 * 2e-5)
+
+
+def test_values_and_stds_change_at_most_at_the_stated_rate() -> None:
+    values = RateLimitedValue(DAVIS_FILE, PROBES)
+    values.go_to(DAVIS_LIVE, 10.0)
+    dt, end = 0.05, 10.0 + values.left_s(10.0)
+    assert 2.0 < end - 10.0 < 6.0
+    times = [10.0 + dt * k for k in range(round((end - 10.0) / dt) + 2)]
+    for probe in PROBES:
+        limit = 1.001 * MAX_RATE * dt * std(DAVIS_FILE, probe)
+        steps = [values.at(t) for t in times]
+        for before, after in pairwise(steps):
+            assert abs(after.along(probe)[0] - before.along(probe)[0]) <= limit
+            assert abs(std(after, probe) - std(before, probe)) <= 2.0 * limit
+    assert values.at(end) == DAVIS_LIVE
+
+
+@pytest.mark.parametrize(('start', 'target'), [(FILE, LEARNED), (LEARNED, FILE), (LEARNED, Normal((1.4,), (1e-4,)))])
+def test_the_std_covers_what_is_left_of_the_way(start: Normal, target: Normal) -> None:
+    values = RateLimitedValue(start, ((1.0,),))
+    values.go_to(target, 0.0)
+    duration = values.left_s(0.0)
+    for share in (0.0, 0.01, 0.3, 0.7, 0.99, 1.0):
+        now = values.at(share * duration)
+        assert std(now) >= 0.999 * math.hypot(target.mean[0] - now.mean[0], std(target))
+
+
+def test_the_std_at_any_speed_covers_no_more_than_what_is_left() -> None:
+    """A learned covariance has other proportions than that of the train file."""
+    values = RateLimitedValue(DAVIS_LIVE, PROBES)
+    values.go_to(DAVIS_FILE, 0.0)
+    for probe in ((1.0, 0.0), (1.0, 7.0), (1.0, 15.0), (1.0, 20.0)):
+        for share in (0.0, 0.1, 0.5, 0.95):
+            now = values.at(share * values.left_s(0.0))
+            left = DAVIS_FILE.along(probe)[0] - now.along(probe)[0]
+            assert std(now, probe) == pytest.approx(math.hypot(std(DAVIS_FILE, probe), left), rel=1e-6)
+
+
+def test_the_std_falls_gradually_in_every_direction() -> None:
+    values = RateLimitedValue(DAVIS_FILE, PROBES)
+    values.go_to(DAVIS_LIVE, 0.0)
+    for probe in ((1.0, 0.0), (1.0, 7.0), (1.0, 15.0), (0.0, 1.0)):
+        assert std(values.at(0.0), probe) >= 0.999999 * std(DAVIS_FILE, probe)
+
+
+def test_a_value_without_uncertainty_moves_gradually_too() -> None:
+    values = RateLimitedValue(Normal((1.0,), (0.0,)), ((1.0,),))
+    values.go_to(Normal((1.01,), (1e-6,)), 0.0)
+    assert values.at(2.0).mean[0] == pytest.approx(1.005)
+    assert values.left_s(0.0) == pytest.approx(4.0)
+
+
+def test_values_do_not_depend_on_when_they_are_asked_for() -> None:
+    asked, other = RateLimitedValue(FILE, ((1.0,),)), RateLimitedValue(FILE, ((1.0,),))
+    for values in (asked, other):
+        values.go_to(LEARNED, 0.0)
+    for k in range(30):
+        asked.at(0.1 * k)
+    assert asked.at(3.0) == other.at(3.0)
+
+
+def test_repeating_the_same_value_does_not_lengthen_the_way() -> None:
+    once, repeated = RateLimitedValue(FILE, ((1.0,),)), RateLimitedValue(FILE, ((1.0,),))
+    once.go_to(LEARNED, 0.0)
+    for k in range(40):
+        repeated.go_to(LEARNED, 0.2 * k)
+        assert repeated.at(0.2 * k).mean[0] == pytest.approx(once.at(0.2 * k).mean[0], abs=0.02)
+    assert repeated.at(8.0) == LEARNED
+
+
+def test_a_move_may_have_a_longest_duration() -> None:
+    values = RateLimitedValue(LEARNED, ((1.0,),))
+    values.go_to(Normal((3.0,), (0.04,)), 5.0, 0.2)
+    assert values.at(5.2) == Normal((3.0,), (0.04,))
+
+
+@pytest.mark.parametrize('bad', [((math.nan,), (1.0,)), ((1.0,), (math.inf,)), ((1.0,), (-1.0,)), ((1e9,), (1.0,))])
+def test_absurd_numbers_are_not_possible(bad: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
+    assert not Normal(*bad).is_possible()
+    assert not Normal((1.0, 2.0), (1.0,)).is_possible()
+    assert FILE.is_possible()
+
+
+@pytest.mark.parametrize(
+    'bad',
+    [
+        (1.0, 1.5, 1.5, 1.0),  # a correlation above 1: the difference has a negative variance
+        (1.0, 0.5, -0.5, 1.0),
+        (0.0, 0.1, 0.1, 1.0),
+        (1e-320, 1e-3, 1e-3, 1.0),
+        (1.0, -0.9, -0.9, -0.9, 1.0, -0.9, -0.9, -0.9, 1.0),  # each pair alone could be
+    ],
+)
+def test_a_matrix_that_is_no_covariance_is_not_possible(bad: tuple[float, ...]) -> None:
+    assert not Normal((0.0,) * round(len(bad) ** 0.5), bad).is_possible()
+
+
+@pytest.mark.parametrize('good', [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0), (4e-9, -2e-6, -2e-6, 1e-3)])
+def test_a_covariance_of_parameters_that_are_known_together_is_possible(good: tuple[float, ...]) -> None:
+    assert Normal((0.0, 0.0), good).is_possible()
