@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of the train file at a speed: the estimators remove them from their estimates, the client adds them again.
+"""Values of the train file with the standard deviations of the estimators, and its effects at a speed.
 
-Of a speed alone, place, time and history are not known. So effects are evaluated on level, open, straight track, long
+The estimators remove these effects from their estimates; the client adds them again. Place, time and history are not
+known there. So effects are evaluated on level, open, straight track, long
 after the last brake release, with warm bearings and at the start of the record: what depends on anything else adds
 nothing. The exception is a hot brake, which is the worst case of a bound.
-
-What the train file says of a train before anything is estimated, with the standard deviations of the estimators.
 """
 
 from __future__ import annotations

@@ -6,9 +6,8 @@ valid values are kept, but their uncertainty is raised at once to that of the tr
 present estimate refutes them. Otherwise the train file applies: at most ``FALL_BACK_S`` after the reason for it, such
 as a status, silence, or the end of the node.
 
-Values that never jump: a normal distribution that moves to each new one at a bounded rate.
-
-On its way from (m0, P0) to (m, P), with the share g of the way done, d = m - m0 and q = (1 - g)^2,
+Values never jump: a normal distribution moves to each new one at a bounded rate. On its way from (m0, P0) to (m, P),
+with the share g of the way done, d = m - m0 and q = (1 - g)^2,
 
     mean = m0 + g d,        covariance = P + q (d d' + R),        R = positive part of P0 - P - d d'.
 

@@ -20,11 +20,9 @@ calculated backwards from l = v / (-dv/dt):
 The trapezoidal rule is used for both, so a derivative is up to 7 % too small if the train stops while the brake builds
 up.
 
-Upper bounds of the stopping distance at a stated confidence, and the speed from which a bound is met.
-
-The parameters p of a stop are normal with mean p0 and covariance S. The bound at confidence P is the distance at the
-design point of the first-order reliability method: of all p that are z = Phi^-1(P) standard deviations from p0, the
-one with the longest distance,
+Upper bounds of the distance are stated at a confidence. The parameters p of a stop are normal with mean p0 and
+covariance S. The bound at confidence P is the distance at the design point of the first-order reliability method: of
+all p that are z = Phi^-1(P) standard deviations from p0, the one with the longest distance,
 
     p* = p0 + z S D' / sqrt(D'^T S D'),        D' = dD/dp at p*,
 

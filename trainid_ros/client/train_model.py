@@ -2,12 +2,6 @@
 """The train as it is today: answers for an autopilot from live estimates, else from the train file.
 
 Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
-
-Arguments of the client: names, units and ranges.
-
-A time that never goes back, from a clock that may, as simulated time does when a bag starts again.
-
-Parameters in the fields of an estimate, which may be a message.
 """
 
 from __future__ import annotations

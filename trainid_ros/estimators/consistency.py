@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Select the samples that inform the running resistance: moving, complete, and with the brake off.
+"""Samples that inform the running resistance, and the online check of the published uncertainty.
 
-The braking force is not known well enough to learn the resistance from: the brake rate is itself unknown.
+The resistance is learned from complete samples in motion with the brake off, because the brake rate is itself unknown.
 
-Online consistency check of the published uncertainty: squared innovations against the variances stated for them.
-
-If the stated variance is correct, the normalised innovation squared (NIS) has mean 1. Over N updates N times the mean
-NIS has a chi-squared distribution with N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
-Autocorrelated innovations carry less information: with the correlation rho between neighbours, and rho^k at lag k, the
-mean of squares varies like that of N (1 - rho^2) / (1 + rho^2) independent ones.
+The check compares squared innovations with the variances stated for them. If the stated variance is correct, the
+normalised innovation squared (NIS) has mean 1. Over N updates N times the mean NIS has a chi-squared distribution with
+N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Autocorrelated innovations carry less information:
+with the correlation rho between neighbours, and rho^k at lag k, the mean of squares varies like that of N (1 - rho^2) /
+(1 + rho^2) independent ones.
 """
 
 from __future__ import annotations

@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prior uncertainty of the Davis parameters of the train file.
-
-Settings of the resistance estimators.
-
-Settings of the estimators of the speed model.
-
-Settings of brake rate estimators.
-"""
+"""Settings of the estimators: prior uncertainty of a, b, c; then resistance, speed model and brake rate."""
 
 from __future__ import annotations
 

@@ -18,9 +18,8 @@ long memory. Hypotheses count only after ``min_age`` observations, longer than a
 hypothesis follows it shows in weights that stay low; the long memory then restarts from a robust fit of the latest
 observations.
 
-Robust batch fit of y = phi' theta, insensitive to up to 45 % outliers.
-
-Used to start an estimate from bad data and to restart one that has diverged. Least trimmed squares finds the 55 % of
+A robust batch fit of y = phi' theta, insensitive to up to 45 % outliers, starts an estimate from bad data and restarts
+one that has diverged. Least trimmed squares finds the 55 % of
 the observations that agree best, by concentration steps from many small subsets (Rousseeuw and Van Driessen 2006);
 least squares over all observations near that fit gives the estimate.
 """

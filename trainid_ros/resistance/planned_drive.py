@@ -5,7 +5,7 @@ A drive starts at a stop, on level track: full traction, then coasting or holdin
 resistance is learned. Speeds follow ``m dv/dt = kappa T - a - b v - c v^2`` with the reported specific traction T
 [N/kN], its scale kappa [1] and m = 1000 (1 + gamma) / g.
 
-What a bank of hypotheses would know after drives that have not been made: its recursion over planned runs.
+The recursion of a bank of hypotheses over planned runs gives what it would know after them.
 """
 
 from __future__ import annotations

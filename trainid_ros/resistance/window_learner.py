@@ -10,12 +10,11 @@ The tracker is updated with it. Window and tracker need noise levels: that of th
 disturbances (gusts, map errors) add to one observation and to the mean of many. All are learned online, within bounds
 around the declared values.
 
-Resistance from a short window of speed: least-squares slope of the speed minus the effect of the known force.
-
-Differenced 5 Hz speed is too noisy (Liu et al. 2018, Fig. 1), so a line is fitted through a window. The paper's
-acceleration of that line assumes constant forces within the window; here the speed v_u that the known force alone
-would give is subtracted first. The remainder, ``v - v_u = v0 - (1/m) * integral of w(v)``, depends on the resistance
-only, and its slope is exact even if traction or gradient change within the window.
+An observation is the least-squares slope of the speed minus the effect of the known force. Differenced 5 Hz speed is
+too noisy (Liu et al. 2018, Fig. 1), so a line is fitted through a window. The paper's acceleration of that line assumes
+constant forces within the window; here the speed v_u that the known force alone would give is subtracted first. The
+remainder, ``v - v_u = v0 - (1/m) * integral of w(v)``, depends on the resistance only, and its slope is exact even if
+traction or gradient change within the window.
 """
 
 from __future__ import annotations

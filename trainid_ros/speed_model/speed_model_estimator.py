@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an estimator of the speed model estimates beside its algorithm.
-
-Estimator of the speed model: admits samples, computes the known forces, runs an algorithm, returns the estimate.
-"""
+"""Estimator of the speed model: admits samples, computes the known forces, runs an algorithm, returns the estimate."""
 
 from __future__ import annotations
 

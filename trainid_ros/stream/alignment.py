@@ -16,8 +16,6 @@ have passed, in the order of stamps, so the order of arrival does not matter. Wh
 between two of them counts from the middle on, since its time is unknown. Commands may also be published only on change:
 with ``command_hold`` set, the last one holds that long, and samples wait ``max_lag`` for a change that is on its way.
 
-Direction of travel and last stop, followed sample by sample.
-
 A clock that was set wrong for some seconds is set right again. That step back to the previous time base is no other
 drive, however large it is.
 """

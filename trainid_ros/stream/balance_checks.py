@@ -6,11 +6,8 @@ resistance are off, and the gain R, by which mass and force are. What they leave
 forgetting, to the change of the speed that is not explained. It stays within a few standard deviations of what it was
 before, whatever the train; beyond that something has changed, in the train or in one of the inputs.
 
-Residual of the balance of forces: sudden ones, and its mean over a longer time.
-
-Gradient of the topic against the line of the train file.
-
-Steps of the acceleration against earlier and later steps of the traction: which of them is late.
+Further checks: the residual of the balance, sudden and on average; the gradient of the topic against the line of the
+train file; and steps of the acceleration against those of the traction, of which one may be late.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The brake command after the lag, and its integral at earlier times.
+"""Checks of the brake against the train file: its rate over speed, and its dead time and lag.
 
-Whether the brake rate changes over speed as the train file says.
-
-While a brake holds its level, its specific force is, with the rate r(v) of the train file and the lagged command z,
+Rate over speed: while a brake holds its level, its specific force is, with the rate r(v) of the train file and the
+lagged command z,
 
     y = x (f + e p + h q),    x = r(v) z,    p = min(v / v_max, 1) - 1/2,    q = p^2 - 1/12.
 
@@ -13,11 +12,9 @@ largest change of e p + h q between two speeds of the last braking.
 
 Estimators learn small changes by themselves, but take large ones for changes of the brake from one moment to the next.
 
-When the brake acts, against dead time and time constant of the train file.
-
-A brake rate is learned from the retardation while the brake should act; where the dead time is wrong by much, the rate
-is wrong too. So the specific force y of each braking is compared with the lagged command z, which acts after the dead
-time T of the train file and a shift d,
+Dead time: a brake rate is learned from the retardation while the brake should act; where the dead time is wrong by
+much, the rate is wrong too. So the specific force y of each braking is compared with the lagged command z, which acts
+after the dead time T of the train file and a shift d,
 
     y(t) = f r(v) z(t - T - d),
 
@@ -25,8 +22,7 @@ with the brake rate r(v) of the train file and a factor f for each braking. The 
 shifts has its minimum at the shift of this braking, and its curvature gives the standard deviation. The mean over the
 last brakings is the error of the dead time (that of the time constant adds to it).
 
-The blocks during which the command holds, so that no such error matters, show whether r(v) is right; see
-``brake_shape_check``.
+The blocks during which the command holds, so that no such error matters, show whether r(v) is right.
 """
 
 from __future__ import annotations

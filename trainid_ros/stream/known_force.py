@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Known part of the specific force balance: traction, gradient and modelled effects.
+"""Known part of the specific force balance (traction, gradient, modelled effects), and noise of the measured speed.
 
-Noise of the measured speed, estimated from the measurements alone.
-
-Tachometers of trains differ by a factor of ten. Second differences of equally spaced speeds contain the noise (with
-variance 6 sigma^2) and almost none of the motion, whose jerk is small.
+The noise is estimated from the measurements alone. Tachometers of trains differ by a factor of ten. Second differences
+of equally spaced speeds contain the noise (with variance 6 sigma^2) and almost none of the motion, whose jerk is small.
 
 They do not show the rounding error of a speed measured in coarse steps. While the train coasts, a speed in whole km/h
 stays the same for seconds and then jumps. Its error has the variance q^2/12, but all samples between two jumps share

@@ -12,8 +12,6 @@ resistance differ from those of the train file by some ten per cent, wrong units
 distances, the gradient with the line, and the times of steps. What is found lasts until it is certainly mended; the
 stream rejects all samples meanwhile. A sample whose last two seconds contradict the balance by more than any resistance
 is rejected at once. While a change is only suspected, samples are used, but no estimate is trusted.
-
-State of the checks of inputs against each other.
 """
 
 from __future__ import annotations

@@ -5,13 +5,7 @@ Records are corrected for sensor errors that the train file states, aligned to t
 history of the drive where effects depend on it, and checked for a stuck speed sensor and for contradictions.
 Estimators with the same train file and settings can share one stream.
 
-Correct records for sensor errors in the train file: a wrong wheel diameter, delayed stamps of the force.
-
-History of the drive that effects depend on: time, distance, brake response and brake heat.
-
-Detect a stuck speed sensor.
-
-A speed is stuck that stays the same to the last bit although traction or brake must change it, or for longer than noisy
+A stuck speed stays the same to the last bit although traction or brake must change it, or for longer than noisy
 measurements do: two of them with noise sigma, in steps of q, are equal with probability q / (2 sqrt(pi) sigma).
 Estimators would otherwise learn a brake without effect, or a resistance as large as the traction.
 """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slope of the acceleration over traction or brake, and what a wrong slope looks like.
+"""Slope of the acceleration over traction or brake, and distance by the speed over distance by the position.
 
-Distance by the speed against distance by the position, segment by segment.
+A wrong slope tells what an input looks like; distances are compared segment by segment.
 """
 
 from __future__ import annotations

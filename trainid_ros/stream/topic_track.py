@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records of one topic in stamp order: values interpolated to a stamp, and means between two.
+"""The records of one topic in stamp order: values at a stamp, means between two, and their learned interval.
 
-Brake commands by stamp: which one is in force, since when, and up to when that is known.
-
-Commands come all the time, or only when they change: then the last one holds for a declared time.
-
-The interval between the records of one topic, learned from their stamps.
+Brake commands come all the time, or only when they change: then the last one holds for a declared time.
 """
 
 from __future__ import annotations
