@@ -100,7 +100,11 @@ def test_the_autopilot_never_loses_its_brake_command(speed: float, gradient: flo
 
 
 def test_the_methods_of_the_client_are_described() -> None:
-    public = {name for name in vars(TrainModel) if not name.startswith('_')} - {'from_replay', 'lose', 'take_message'}
+    public = {name for name in vars(TrainModel) if not name.startswith('_')} - {
+        'from_replay',
+        'mark_lost',
+        'take_message',
+    }
     text = text_of('docs/controller.md') + text_of('docs/client_reference.md')
     assert {name for name in public if f'`{name}(' in text} == public
 
