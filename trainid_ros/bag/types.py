@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
-    from trainid_ros.interface.records import OutputLike
+    from trainid_ros.interface.results import Output
 
 
 PACKAGE: Final = 'trainid_msgs'
@@ -145,7 +145,7 @@ def message_from_record(record: Record) -> Any:
     return _build(input_topic(record).message, record.stamp_ns, record_values(record))
 
 
-def estimate_message(output: OutputLike) -> Any:
+def estimate_message(output: Output[Any]) -> Any:
     """Return the message of an estimator output, as the rosbags class of its type."""
     return _build(output_topic(output.estimate).message, output.stamp_ns, output_values(output))
 

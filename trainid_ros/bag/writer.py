@@ -41,7 +41,8 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.bag.reader import LoggedRecord
-    from trainid_ros.interface.records import OutputLike, Record
+    from trainid_ros.interface.records import Record
+    from trainid_ros.interface.results import Output
 
 _CRC: Final = struct.Struct('<I')
 _IN_CHUNK: Final = HEAD.size + 24  # after two log times and the size
@@ -175,7 +176,7 @@ class BagWriter:
         logged_ns = record.stamp_ns if log_ns is None else log_ns
         self.write_message(topic.name, topic.message, logged_ns, message_from_record(record))
 
-    def write_estimate(self, output: OutputLike, log_ns: int | None = None) -> None:
+    def write_estimate(self, output: Output[Any], log_ns: int | None = None) -> None:
         """Write an estimator output, and its latched copy if it is valid, logged at a time [ns] or at its stamp."""
         topic, message = output_topic(output.estimate), estimate_message(output)
         logged_ns = output.stamp_ns if log_ns is None else log_ns

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Replay
     from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
-    from trainid_ros.interface.records import OutputLike, OutputTopic
-    from trainid_ros.interface.results import Status
+    from trainid_ros.interface.records import OutputTopic
+    from trainid_ros.interface.results import Output, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +217,7 @@ class TrainModel:
         now = 1e9  # all moves are done
         return model
 
-    def take(self, output: OutputLike) -> None:
+    def take(self, output: Output[Any]) -> None:
         """Take in an output of an estimator that has just arrived; those of the speed model are not needed."""
         self.take_message(output_topic(output.estimate), output.status, output.estimate, output.stamp_ns)
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
     Estimate,
-    Rejection,
+    Output,
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
@@ -191,34 +191,6 @@ _FIELDS: Final[dict[type[Any], tuple[tuple[str, Callable[[Any], Any]], ...]]] = 
 }
 
 
-class OutputLike(Protocol):
-    """Output of an estimator after a sample: the estimate, its status, and counts of used and rejected samples."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the newest sample used [ns]."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """The estimate itself."""
-
-    @property
-    def status(self) -> Status:
-        """Status of the estimate."""
-
-    @property
-    def used(self) -> int:
-        """Samples used since the last reset."""
-
-    @property
-    def rejected(self) -> int:
-        """Samples not used since the last reset."""
-
-    @property
-    def last_rejection(self) -> Rejection | None:
-        """Last rejection, None before the first."""
-
-
 def output_topic(estimate: Estimate) -> OutputTopic:
     """Return the topic of an estimate."""
     return _OUTPUT_OF[type(estimate)]
@@ -246,7 +218,7 @@ def record_values(record: Record) -> dict[str, Value]:
     return {name: cast(getattr(record, name)) for name, cast in _FIELDS[type(record)][1:]}
 
 
-def output_values(output: OutputLike) -> dict[str, Value]:
+def output_values(output: Output[Any]) -> dict[str, Value]:
     """Return the fields of the message of an output, but for its header; a number that is not finite makes it FAULT."""
     estimate, rejection = output.estimate, output.last_rejection
     values: dict[str, Value] = {name: cast(getattr(estimate, name)) for name, cast in _FIELDS[type(estimate)]}

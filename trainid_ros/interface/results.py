@@ -83,46 +83,25 @@ class Rejection:
 
 @dataclass(slots=True)
 class ResistanceEstimate:
-    """Running resistance w(v) = a + b v + c v^2 [N/kN, v in m/s].
+    """Running resistance w(v) = a + b v + c v^2 [N/kN, v in m/s]."""
 
-    Attributes:
-        a: Davis parameter a [N/kN].
-        b: Davis parameter b [N/kN per m/s].
-        c: Davis parameter c [N/kN per (m/s)^2].
-        covariance: Of (a, b, c), 3x3, row-major.
-        resistance: w at ``speed`` [N/kN].
-        resistance_std: Standard deviation of ``resistance`` [N/kN].
-        speed: Current speed [m/s].
-        innovation: Innovation of the last update [N/kN].
-        innovation_variance: Its variance [(N/kN)^2]; 0 before the first update.
-        test_ratio: Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected.
-        speed_min: Slowest speed learned from [m/s].
-        speed_max: Fastest speed learned from [m/s]; 0 before the first.
-        resistance_std_max: Largest standard deviation of w at the speeds learned from and at ``speed`` [N/kN].
-        force_scale: Actual over reported specific force (force over weight) [1]; NaN if not estimated.
-        force_scale_std: Standard deviation of ``force_scale`` [1]; NaN if not estimated.
-        force_delay: Delay of the stamps of the force [s], > 0 if stamped too late; NaN if not estimated.
-        force_delay_std: Standard deviation of ``force_delay`` [s]; NaN if not estimated.
-
-    """
-
-    a: float
-    b: float
-    c: float
-    covariance: tuple[float, ...]
-    resistance: float
-    resistance_std: float
-    speed: float
-    innovation: float
-    innovation_variance: float
-    test_ratio: float
-    speed_min: float
-    speed_max: float
-    resistance_std_max: float
-    force_scale: float = math.nan
-    force_scale_std: float = math.nan
-    force_delay: float = math.nan
-    force_delay_std: float = math.nan
+    a: float  # Davis parameter a [N/kN]
+    b: float  # Davis parameter b [N/kN per m/s]
+    c: float  # Davis parameter c [N/kN per (m/s)^2]
+    covariance: tuple[float, ...]  # Of (a, b, c), 3x3, row-major
+    resistance: float  # w at ``speed`` [N/kN]
+    resistance_std: float  # Standard deviation of ``resistance`` [N/kN]
+    speed: float  # Current speed [m/s]
+    innovation: float  # Innovation of the last update [N/kN]
+    innovation_variance: float  # Its variance [(N/kN)^2]; 0 before the first update
+    test_ratio: float  # Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected
+    speed_min: float  # Slowest speed learned from [m/s]
+    speed_max: float  # Fastest speed learned from [m/s]; 0 before the first
+    resistance_std_max: float  # Largest standard deviation of w at the speeds learned from and at ``speed`` [N/kN]
+    force_scale: float = math.nan  # Actual over reported specific force (force over weight) [1]; NaN if not estimated
+    force_scale_std: float = math.nan  # Standard deviation of ``force_scale`` [1]; NaN if not estimated
+    force_delay: float = math.nan  # Delay of the stamps of the force [s], > 0 if stamped too late; NaN if not estimated
+    force_delay_std: float = math.nan  # Standard deviation of ``force_delay`` [s]; NaN if not estimated
 
     def __init__(
         self,
@@ -165,38 +144,21 @@ class ResistanceEstimate:
 
 @dataclass(slots=True)
 class SpeedModelEstimate:
-    """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and the physical values derived from it.
+    """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and the physical values derived from it."""
 
-    Attributes:
-        a1: Coefficient of the squared speed [1/(m/s)].
-        a2: Coefficient of the speed [1].
-        b1: Coefficient of the specific force [m/s per N/kN].
-        d0: Constant [m/s].
-        covariance: Of (a1, a2, b1, d0), 4x4, row-major.
-        forgetting_factor: In (0, 1] [1].
-        predicted_speed: Prediction one step ahead of the previous sample [m/s].
-        prediction_error: Measured minus predicted speed [m/s].
-        a: Davis parameter a derived from the model [N/kN].
-        b: Davis parameter b derived from the model [N/kN per m/s].
-        c: Davis parameter c derived from the model [N/kN per (m/s)^2].
-        mass_factor: (M / M_nominal)(1 + gamma) derived from the model [1].
-        prediction_variance: Variance of ``prediction_error`` as stated before the measurement [(m/s)^2];
-            0 if the algorithm states none.
-
-    """
-
-    a1: float
-    a2: float
-    b1: float
-    d0: float
-    covariance: tuple[float, ...]
-    forgetting_factor: float
-    predicted_speed: float
-    prediction_error: float
-    a: float
-    b: float
-    c: float
-    mass_factor: float
+    a1: float  # Coefficient of the squared speed [1/(m/s)]
+    a2: float  # Coefficient of the speed [1]
+    b1: float  # Coefficient of the specific force [m/s per N/kN]
+    d0: float  # Constant [m/s]
+    covariance: tuple[float, ...]  # Of (a1, a2, b1, d0), 4x4, row-major
+    forgetting_factor: float  # In (0, 1] [1]
+    predicted_speed: float  # Prediction one step ahead of the previous sample [m/s]
+    prediction_error: float  # Measured minus predicted speed [m/s]
+    a: float  # Davis parameter a derived from the model [N/kN]
+    b: float  # Davis parameter b derived from the model [N/kN per m/s]
+    c: float  # Davis parameter c derived from the model [N/kN per (m/s)^2]
+    mass_factor: float  # (M / M_nominal)(1 + gamma) derived from the model [1]
+    # Variance of ``prediction_error`` as stated before the measurement [(m/s)^2]; 0 if the algorithm states none
     prediction_variance: float = 0.0
 
     def __init__(
@@ -232,34 +194,19 @@ class SpeedModelEstimate:
 
 @dataclass(slots=True)
 class BrakeRateEstimate:
-    """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state.
+    """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state."""
 
-    Attributes:
-        brake_rate: Brake rate [1].
-        brake_rate_std: Its standard deviation [1].
-        position: Filtered position along the line [m], NaN if unknown.
-        speed: Filtered speed [m/s].
-        control_acceleration: Present acceleration by the brake [m/s^2, <= 0].
-        filtered_target: Command after delay and lag of a nominal brake [m/s^2, <= 0].
-        effective_particles: Inverse of the sum of squared weights [1].
-        observable: True while braking provides information on the brake rate.
-        innovation: Speed innovation of the last update [m/s].
-        innovation_variance: Its variance [(m/s)^2]; 0 before the first update.
-        test_ratio: Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected.
-
-    """
-
-    brake_rate: float
-    brake_rate_std: float
-    position: float
-    speed: float
-    control_acceleration: float
-    filtered_target: float
-    effective_particles: float
-    observable: bool
-    innovation: float
-    innovation_variance: float
-    test_ratio: float
+    brake_rate: float  # Brake rate [1]
+    brake_rate_std: float  # Its standard deviation [1]
+    position: float  # Filtered position along the line [m], NaN if unknown
+    speed: float  # Filtered speed [m/s]
+    control_acceleration: float  # Present acceleration by the brake [m/s^2, <= 0]
+    filtered_target: float  # Command after delay and lag of a nominal brake [m/s^2, <= 0]
+    effective_particles: float  # Inverse of the sum of squared weights [1]
+    observable: bool  # True while braking provides information on the brake rate
+    innovation: float  # Speed innovation of the last update [m/s]
+    innovation_variance: float  # Its variance [(m/s)^2]; 0 before the first update
+    test_ratio: float  # Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected
 
     def __init__(
         self,

@@ -197,8 +197,23 @@ class SpeedFilter:
 
     def predict(self, over: SpeedTransition) -> None:
         """Predict to the end of an interval."""
-        self._move(over)
-        P, f, fP, decay = self.P, self._f, self._row, over.decay
+        x, P, f, fP, h, decay = self.x, self.P, self._f, self._row, over.h, over.decay
+        v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]
+        T, slope = over.traction(x[DELTA])
+        # [4] (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
+        pull = scale * T - over.track - over.curve * x[KAPPA_R] - x[A] - x[GUST] - x[MAP]
+        vm = v + 0.5 * h * (pull - v * (b + c * v))
+        x[V] = v + h * (pull - vm * (b + c * vm))
+        x[GUST] *= decay[GUST]
+        x[MAP] *= decay[MAP]
+        # Row v of the Jacobian F.
+        f[V] = 1.0 - h * (b + 2.0 * c * vm)
+        f[A] = f[GUST] = f[MAP] = -h
+        f[B] = -h * vm
+        f[C] = -h * vm * vm
+        f[KAPPA] = h * T
+        f[DELTA] = h * scale * slope
+        f[KAPPA_R] = -h * over.curve
         # [5] P = F P F' + Q, where F is the decay but for its row f of v.
         for i in range(STATES):
             fP[i] = 0.0
@@ -222,25 +237,6 @@ class SpeedFilter:
         P[V] = variance
         P[_GUST_GUST] += self.gust_var * (1.0 - decay[GUST] * decay[GUST])
         P[_MAP_MAP] += self.map_var * (1.0 - decay[MAP] * decay[MAP])
-
-    def _move(self, over: SpeedTransition) -> None:
-        """Move the mean by (1), and set row v of the Jacobian."""
-        x, f, h = self.x, self._f, over.h
-        v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]
-        T, slope = over.traction(x[DELTA])
-        # [4] (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
-        pull = scale * T - over.track - over.curve * x[KAPPA_R] - x[A] - x[GUST] - x[MAP]
-        vm = v + 0.5 * h * (pull - v * (b + c * v))
-        x[V] = v + h * (pull - vm * (b + c * vm))
-        x[GUST] *= over.decay[GUST]
-        x[MAP] *= over.decay[MAP]
-        f[V] = 1.0 - h * (b + 2.0 * c * vm)
-        f[A] = f[GUST] = f[MAP] = -h
-        f[B] = -h * vm
-        f[C] = -h * vm * vm
-        f[KAPPA] = h * T
-        f[DELTA] = h * scale * slope
-        f[KAPPA_R] = -h * over.curve
 
     def correct(self, speed: float, R: float, outliers: float) -> tuple[float, float]:
         """Correct with a measured speed [m/s] of variance R [(m/s)^2]; a likely outlier has less weight.

@@ -27,12 +27,11 @@ from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
     InputTopic,
-    OutputLike,
     Record,
     output_values,
     record_values,
 )
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.setup.parameter_specs import QOS_POLICIES
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class SerializedEstimate(NamedTuple):
     data: bytes
 
 
-def fill_estimate(message: Any, output: OutputLike) -> Any:
+def fill_estimate(message: Any, output: Output[Any]) -> Any:
     """Copy an output into its message and return it; a non-finite estimate gets status FAULT."""
     return _fill(message, output.stamp_ns, output_values(output))
 
