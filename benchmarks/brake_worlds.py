@@ -26,7 +26,7 @@ from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.setup.pipelines import BRAKE_RATE
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.sample_stream import DriveHistoryTracker
+from trainid_ros.stream.sample_stream import DriveHistory
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import CommandHistory, davis
 
@@ -164,7 +164,7 @@ def score_drive(world: str, condition: str, seed: int) -> dict[str, Score]:
 
 def data_of(driven: Drive) -> Data:
     """Return the aligned samples of a drive and the truth at each."""
-    aligner, motion, truth = Aligner(AlignmentConfig()), DriveHistoryTracker(driven.train_file), driven.truth
+    aligner, motion, truth = Aligner(AlignmentConfig()), DriveHistory(driven.train_file), driven.truth
     events = (event for record in driven.records for event in aligner.push(record))
     samples = tuple(replace(event, motion=motion.follow(event)) for event in events if isinstance(event, Sample))
     at = np.array([truth.index_at(sample.stamp_ns) for sample in samples])

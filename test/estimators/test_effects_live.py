@@ -23,7 +23,7 @@ from trainid_ros.setup.pipelines import (
     speed_model_pipeline,
 )
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
-from trainid_ros.stream.sample_stream import DriveHistoryTracker
+from trainid_ros.stream.sample_stream import DriveHistory
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import TrainFile
@@ -194,7 +194,7 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
 
 def test_a_fit_uses_the_drive_history_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
-    collector, rejected, history = PieceCollector(true, 1.0, 2.0), Counter[Reason](), DriveHistoryTracker(true)
+    collector, rejected, history = PieceCollector(true, 1.0, 2.0), Counter[Reason](), DriveHistory(true)
     for i in range(200):  # 3 m each
         moved = sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2))
         moved.motion = history.follow(moved)

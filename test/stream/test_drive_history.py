@@ -11,7 +11,7 @@ import pytest
 
 from trainid_ros.interface.state import encode, restore
 from trainid_ros.sim.plant import Plant
-from trainid_ros.stream.sample_stream import DriveHistoryTracker
+from trainid_ros.stream.sample_stream import DriveHistory
 from trainid_ros.stream.samples import NO_HISTORY, Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED
 from trainid_ros.train.forces import BrakeCommandChange
@@ -27,7 +27,7 @@ def test_time_distance_heat_and_brake_are_those_of_the_train(train_file: TrainFi
     file = replace(train_file, line=Line(stops=(0.0, 1e5)))
     train = Plant(file, LineProfile(file.line, 100.0), START, 1.0)
     train.speed = 22.0
-    tracker = DriveHistoryTracker(file)
+    tracker = DriveHistory(file)
     released = math.inf
     for i in range(300):
         changes: tuple[BrakeCommandChange, ...] = ()
@@ -47,20 +47,20 @@ def test_time_distance_heat_and_brake_are_those_of_the_train(train_file: TrainFi
 
 
 def test_a_restored_state_continues_to_the_bit(train_file: TrainFile, sample: Make) -> None:
-    first, second = DriveHistoryTracker(train_file), DriveHistoryTracker(train_file)
+    first, second = DriveHistory(train_file), DriveHistory(train_file)
     for i in range(20):
         first.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 10**8, -0.01 * i),)))
     restore(second, encode(first))
     for i in range(20, 30):
         assert first.follow(sample(i)) == second.follow(sample(i))
-    assert first.state == second.state
+    assert encode(first) == encode(second)
 
 
 def test_a_night_in_the_depot_cools_the_brake_and_adds_no_distance(train_file: TrainFile, sample: Make) -> None:
-    tracker = DriveHistoryTracker(train_file)
+    tracker = DriveHistory(train_file)
     for i in range(50):
         tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START, -0.5),) if i == 0 else ()))
-    before = tracker.state.motion
+    before = tracker.motion
     assert before.heat > 10.0
     tracker.follow(sample(50, brake_changes=(BrakeCommandChange(START + 50 * 10**9 // 5, 0.0),)))
     after = tracker.follow(sample(5 * 36_000))
@@ -70,13 +70,13 @@ def test_a_night_in_the_depot_cools_the_brake_and_adds_no_distance(train_file: T
 
 
 def test_another_time_base_keeps_the_motion_and_forgets_commands(train_file: TrainFile, sample: Make) -> None:
-    tracker = DriveHistoryTracker(train_file)
+    tracker = DriveHistory(train_file)
     for i in range(100, 110):
         tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 2 * 10**8, -0.5),)))
-    before = tracker.state.motion
+    before = tracker.motion
     after = tracker.follow(sample(3))
     assert (after.time_s, after.distance_run, after.heat) == (before.time_s, before.distance_run, before.heat)
-    assert not tracker.state.commands.changes
+    assert not tracker._commands.changes
     tracker.reset()
     assert tracker.follow(sample(4)) == Motion(time_s=0.0, distance_run=0.0)
 

@@ -42,7 +42,7 @@ from trainid_ros.stream.topic_track import (
     insert_row,
 )
 
-# Farther than odometer noise, shorter than any run between stops [m].
+# Distance that shows the direction of travel [m]: above odometer noise, below any run between stops.
 _TURNING_DISTANCE: Final = 5.0
 
 
@@ -95,10 +95,11 @@ class PreviousTimeBase:
         return self.newest_ns > 0 and newest_ns <= self.until_ns
 
 
-# Records in a row by which one topic shows a step of the stamps, and another number among which one topic has as many.
+# Records of one topic that show a step of the stamps, and number of records among which one topic has as many.
 _CONFIRMATIONS: Final = 3
 _MAX_SUSPECTS: Final = (_CONFIRMATIONS - 1) * len(INPUT_TOPICS) + 1
-_THINNING_SHARE: Final = 0.4
+# Share of the period by which a sample may be early [1]: with jitter, speeds at the period are not thinned.
+_MAX_EARLY: Final = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,14 +149,13 @@ class Aligner:
     def __init__(self, config: AlignmentConfig, *, reject_jump_back: bool = False) -> None:
         self.config = config
         self._reject_jump_back = reject_jump_back
-        self._max_dt = config.max_dt
         self._max_gap_ns = round(config.max_gap * NS_PER_S)
         self._lag_ns = round(config.max_lag * NS_PER_S)
         self._patience_ns = self._max_gap_ns + self._lag_ns
         self._max_jump_ns = round(config.max_jump * NS_PER_S)
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
         self._period_ns = round(config.period * NS_PER_S)
-        self._early_ns = round(_THINNING_SHARE * self._period_ns)
+        self._early_ns = round(_MAX_EARLY * self._period_ns)
         longest_ns = round(config.max_interval * NS_PER_S)
         self._force = TopicTrack(self._max_gap_ns, longest_ns)
         self._gradient = TopicTrack(self._max_gap_ns, longest_ns)
@@ -383,7 +383,7 @@ class Aligner:
         """Return the time since the last sample [s]; NaN for the first and after a gap."""
         elapsed_ns = now_ns - self._sample_ns
         dt = seconds(elapsed_ns)
-        if self._sample_ns == 0 or (dt > self._max_dt and elapsed_ns > ONE_LOST * self._speed_interval.ns):
+        if self._sample_ns == 0 or (dt > self.config.max_dt and elapsed_ns > ONE_LOST * self._speed_interval.ns):
             return math.nan
         return dt
 

@@ -19,32 +19,31 @@ from typing import Final
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import stored
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import STANDING, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import TrainFile
 
-_MEMORY: Final = 0.01
-# The learned standard deviation stays within these multiples of the declared one.
+# Weight of a new square in the learned variance: a memory of 100 samples [1].
+_WEIGHT: Final = 0.01
+# Range of the learned standard deviation, as multiples of the declared one [1]: tachometers differ by a factor of ten.
 _MIN_FACTOR: Final = 0.3
 _MAX_FACTOR: Final = 10.0
-# A measurement counts for at most this many learned standard deviations: slip and outliers are not noise.
-_LIMIT: Final = 3.0
+# Limit of a second difference in learned standard deviations [1]: slip and outliers are not noise.
+_MAX_Z: Final = 3.0
 # E min(z^2, 1) of a standard normal z.
 _CAPPED_MEAN: Final = 0.51606
+# Number of speeds in a second difference, and relative difference of their two steps that still counts as equal [1].
 _POINTS: Final = 3
-# Steps that differ by a larger share are not equally spaced.
-_SPACING: Final = 0.1
-
-# A slower train may be at rest, where a constant speed is not informative [m/s].
-_MIN_SPEED: Final = 0.5
-# The quantum is the smallest step seen; it is forgotten slowly, since one message may have been wrong.
-_FORGETTING: Final = 1.01
-# A larger step is slip or an outlier [m/s]; whole mph are 0.45 m/s.
+_MAX_UNEVENNESS: Final = 0.1
+# Growth of the quantum, the smallest step seen, at each step [1]: one message may have been wrong.
+_QUANTUM_GROWTH: Final = 1.01
+# Limit of the quantum [m/s]: whole mph are 0.45 m/s, larger steps are slip or outliers.
 _MAX_QUANTUM: Final = 0.5
-_ROUNDING_MEMORY: Final = 0.04
-# Smallest share used: a speed constant for more than 50 samples is stuck.
+# Weight of a new sample in the share of changed speeds: a memory of 25 samples [1].
+_CHANGED_WEIGHT: Final = 0.04
+# Lower limit of that share where it is used [1]: a speed constant for more than 50 samples is stuck.
 _MIN_CHANGED: Final = 0.02
 
 
@@ -99,34 +98,32 @@ class SpeedNoise:
         self.count = 1 if math.isnan(dt) else self.count + 1
         if self.count > 1:
             self._add_step(speed, abs(speed - last))
-        if self.count < _POINTS or abs(dt - last_dt) > _SPACING * dt:
+        if self.count < _POINTS or abs(dt - last_dt) > _MAX_UNEVENNESS * dt:
             return
         second = speed - 2.0 * last + before
         square = second * second / 6.0
         if self.robust:
             square = min(square, self.learned) / _CAPPED_MEAN
         else:
-            square = min(square, _LIMIT * _LIMIT * self.learned)
+            square = min(square, _MAX_Z * _MAX_Z * self.learned)
         low, high = _MIN_FACTOR * self.declared_std, _MAX_FACTOR * self.declared_std
-        self.learned = min(max(self.learned + _MEMORY * (square - self.learned), low * low), high * high)
+        self.learned = min(max(self.learned + _WEIGHT * (square - self.learned), low * low), high * high)
 
     def _add_step(self, speed: float, step: float) -> None:
         """Learn the quantum from a step [m/s] between two consecutive speeds that ends at ``speed`` [m/s]."""
-        if speed < _MIN_SPEED:
+        if speed < STANDING:
             return
         if step == 0.0:
-            self.changed = (1.0 - _ROUNDING_MEMORY) * self.changed
+            self.changed = (1.0 - _CHANGED_WEIGHT) * self.changed
             return
         if step <= _MAX_QUANTUM:
-            longest = _FORGETTING * self.quantum if self.quantum > 0.0 else _MAX_QUANTUM
-            self.quantum = min(longest, step)
-        self.changed += _ROUNDING_MEMORY * (1.0 - self.changed)
+            self.quantum = min(_QUANTUM_GROWTH * self.quantum if self.quantum > 0.0 else _MAX_QUANTUM, step)
+        self.changed += _CHANGED_WEIGHT * (1.0 - self.changed)
 
 
-# Reference brake force where no brake acts [N/kN]: effects are nearly linear in it.
+# Braking force at which effects are evaluated where no brake acts [N/kN]: they are nearly linear in it.
 _REFERENCE_BRAKE: Final = -1.0
-
-# After this many time constants a released brake is below 0.04 % of its initial force.
+# Time constants until a released brake is certainly off [1]: exp(-8) = 0.03 % of its force are left.
 _SETTLING: Final = 8.0
 
 

@@ -26,7 +26,7 @@ from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.brake_checks import BrakeDelayCheck
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.plausibility import PlausibilityMonitor
-from trainid_ros.stream.samples import Motion, Sample
+from trainid_ros.stream.samples import STANDING, Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
 from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, actuator_response, davis
 from trainid_ros.train.train_file import TrainFile
@@ -80,45 +80,37 @@ class SensorCorrection:
         return speed / self._ratio, self.stop_position + (position - self.stop_position) / self._ratio
 
 
-# During a longer gap the train may have stood still.
+# Time between samples over which the speed is taken as linear [s]: in a longer one the train may have stood still.
 _MAX_GAP_S: Final = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class DriveHistoryState:
-    """State of the tracker: newest stamp [ns], speed [m/s] and motion there, and commands that may still act."""
+class DriveHistory:
+    """Follows a drive sample by sample, with the brake of the train file."""
 
-    stamp_ns: int = 0
-    speed: float = 0.0
-    motion: Motion = field(default_factory=lambda: Motion(time_s=0.0, distance_run=0.0))
-    commands: CommandHistory = field(default_factory=CommandHistory)
-
-
-class DriveHistoryTracker:
-    """Tracks a drive sample by sample, with the brake of the train file."""
-
-    STATE: ClassVar[State] = declare('state')
+    STATE: ClassVar[State] = declare('_stamp_ns', '_speed', 'motion', '_commands')
 
     def __init__(self, train_file: TrainFile) -> None:
         self._brake = train_file.brake
         self._delay_ns = round(self._brake.delay * NS_PER_S)
-        self.state = DriveHistoryState()
+        self.reset()
 
     def reset(self) -> None:
         """Start a new drive."""
-        self.state = DriveHistoryState()
+        self._stamp_ns, self._speed = 0, 0.0
+        self.motion = Motion(time_s=0.0, distance_run=0.0)
+        # Commands that may still act.
+        self._commands = CommandHistory()
 
     def follow(self, sample: Sample) -> Motion:
         """Take in a sample; return the motion of the drive up to its stamp."""
-        state = self.state
-        same_drive = 0 < state.stamp_ns <= sample.stamp_ns
-        start_ns = state.stamp_ns if same_drive else sample.stamp_ns
-        commands = state.commands if same_drive else CommandHistory()
-        commands.follow(sample.brake_changes)
-        before, elapsed = state.motion, seconds(sample.stamp_ns - start_ns)
-        speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
+        start_ns, before = self._stamp_ns, self.motion
+        if not 0 < start_ns <= sample.stamp_ns:  # another drive
+            start_ns, self._commands = sample.stamp_ns, CommandHistory()
+        self._commands.follow(sample.brake_changes)
+        elapsed = seconds(sample.stamp_ns - start_ns)
+        speed = 0.5 * (self._speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
         brake, brake_integral = actuator_response(
-            commands,
+            self._commands,
             start_ns,
             sample.stamp_ns,
             before.brake,
@@ -127,79 +119,67 @@ class DriveHistoryTracker:
         )
         rate = self._brake.rate_at(speed)
         heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
-        motion = Motion(
+        self.motion = Motion(
             time_s=before.time_s + elapsed,
             distance_run=before.distance_run + speed * elapsed,
             since_release=0.0 if brake < BRAKE_APPLIED else before.since_release + elapsed,
             heat=heat,
             brake=brake,
         )
-        commands.prune(sample.stamp_ns - self._delay_ns)
-        self.state = DriveHistoryState(sample.stamp_ns, sample.speed, motion, commands)
-        return motion
+        self._commands.prune(sample.stamp_ns - self._delay_ns)
+        self._stamp_ns, self._speed = sample.stamp_ns, sample.speed
+        return self.motion
 
 
-# A slower train may be at rest, where a constant speed is no fault [m/s].
-_MIN_SPEED: Final = 0.5
-# More than any quantum, and more than the train file's error of the resistance adds up to while cruising [m/s].
+# Change of speed that the forces give and a sensor does not miss [m/s]: more than any quantum, and more than the train
+# file's error of the resistance adds up to while cruising.
 _MAX_MISSING: Final = 0.5
-# Density of the difference of two equal measurements, times sigma: 1 / (2 sqrt(pi)).
+# Density of the difference of two equal measurements at zero, times sigma: 1 / (2 sqrt(pi)), rounded.
 _EQUAL: Final = 0.2821
-# Coarser steps hide the noise: then repeats say nothing [1].
+# Probability of a repeat above which coarse steps hide the noise, so that repeats say nothing [1].
 _MAX_REPEAT_PROBABILITY: Final = 0.4
-# A brake has followed a command after its dead time and this many time constants.
+# Time constants after the dead time until a brake has followed a command to 1 - exp(-2) = 86 %.
 _FOLLOWED: Final = 2.0
-# Probability of repeats that never happen, fewest of them, and speeds that show the noise before.
-_NEVER: Final = 1e-9
-_FEWEST: Final = 5
-_SEEN: Final = 100
-
-
-@dataclass(slots=True)
-class StuckSpeedState:
-    """State of the check."""
-
-    speed: float = math.nan  # Last measured speed [m/s], NaN before the first
-    missing: float = 0.0  # Expected change of speed since the measured speed last changed [m/s]
-    repeats: int = 0  # Number of times that the last speed has come again
-    most: int = 0  # Most repeats of a noisy speed, as known when it changed last; 0 if repeats say nothing
-    changes: int = 0  # Number of changes in motion, up to those that show the noise
-    braked_s: float = 0.0  # Time for which the brake has been applied [s]
+# Probability below which so many repeats are no chance [1]: once in 6 years at 5 Hz. At least this many are needed, and
+# this many speeds before, which show the noise.
+_MIN_PROBABILITY: Final = 1e-9
+_MIN_REPEATS: Final = 5
+_MIN_CHANGES: Final = 100
 
 
 class StuckSpeed:
-    """Checks the speed sample by sample.
+    """Checks the speed sample by sample."""
 
-    Attributes:
-        state: State of the check.
-    """
-
-    STATE: ClassVar[State] = declare('state')
+    STATE: ClassVar[State] = declare(unknown('_speed'), '_missing', '_repeats', '_max_repeats', '_changes', '_braked_s')
 
     def __init__(self, known: KnownForce) -> None:
         self._known = known
         brake = known.train_file.brake
         self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
-        self.state = StuckSpeedState()
+        self._speed = math.nan  # Last measured speed [m/s], NaN before the first
+        self._missing = 0.0  # Expected change of speed since the measured speed last changed [m/s]
+        self._repeats = 0  # Number of times that the last speed has come again
+        self._max_repeats = 0  # Limit for a noisy speed, as known when it changed last; 0 if repeats say nothing
+        self._changes = 0  # Number of changes in motion, up to those that show the noise
+        self._braked_s = 0.0  # Time for which the brake has been applied [s]
 
     def reject(self, sample: Sample, noise: SpeedNoise) -> Rejection | None:
         """Return why the speed of a sample is rejected, or None if it is accepted; ``noise`` is that until then."""
-        state = self.state
-        state.braked_s = state.braked_s + sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 else 0.0
-        if sample.speed != state.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
-            if sample.speed >= _MIN_SPEED and sample.speed != state.speed:
-                state.changes = min(state.changes + 1, _SEEN)
-                state.most = most_repeats(noise) if state.changes == _SEEN else 0
-            state.speed, state.missing, state.repeats = sample.speed, 0.0, 0
+        self._braked_s = self._braked_s + sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 else 0.0
+        if sample.speed != self._speed or sample.speed < STANDING or math.isnan(sample.dt):
+            if sample.speed >= STANDING and sample.speed != self._speed:
+                self._changes = min(self._changes + 1, _MIN_CHANGES)
+                self._max_repeats = max_repeats(noise) if self._changes == _MIN_CHANGES else 0
+            self._speed, self._missing, self._repeats = sample.speed, 0.0, 0
             return None
-        state.repeats += 1
+        self._repeats += 1
         expected = self._acceleration(sample) * sample.dt
         if is_finite(expected):
-            state.missing += expected
-        if abs(state.missing) > _MAX_MISSING:
-            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, state.missing, _MAX_MISSING)
-        if 0 < state.most < state.repeats:
-            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, float(state.repeats), float(state.most))
+            self._missing += expected
+        if abs(self._missing) > _MAX_MISSING:
+            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, self._missing, _MAX_MISSING)
+        if 0 < self._max_repeats < self._repeats:
+            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, float(self._repeats), float(self._max_repeats))
         return None
 
     def _acceleration(self, sample: Sample) -> float:
@@ -208,25 +188,29 @@ class StuckSpeed:
         It is NaN while the brake need not have followed the command yet.
         """
         if sample.brake_command < 0.0:
-            return sample.brake_command if self.state.braked_s > self._followed_s else math.nan
+            return sample.brake_command if self._braked_s > self._followed_s else math.nan
         known = self._known
         resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
         return (known.traction(max(sample.force_mean, 0.0), sample) - resistance) / known.inertia
 
 
-def most_repeats(noise: SpeedNoise) -> int:
+def max_repeats(noise: SpeedNoise) -> int:
     """Return how often in a row a noisy speed may come again, 0 if any number is possible."""
     repeated = max(_EQUAL * noise.quantum / noise.std, 1.0 - noise.changed)
     if repeated >= _MAX_REPEAT_PROBABILITY or not noise.is_seen:
         return 0
-    return max(_FEWEST, math.ceil(math.log(_NEVER) / math.log(repeated))) if repeated > 0.0 else _FEWEST
+    return (
+        max(_MIN_REPEATS, math.ceil(math.log(_MIN_PROBABILITY) / math.log(repeated)))
+        if repeated > 0.0
+        else _MIN_REPEATS
+    )
 
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
 MAX_STEP_S: Final = 3600.0
 """A clock is set back by at most this time [s]; a larger step back is another drive, but for a return."""
-# A brake has followed a command longer ago than this, whatever its lag [ns].
+# Age of a command that a brake has followed whatever its dead time and lag, which are seconds [ns].
 _FOLLOWED_NS: Final = 60 * NS_PER_S
 
 
@@ -280,7 +264,7 @@ class SampleStream:
             self._correction.widen(config.alignment),
             reject_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE,
         )
-        self._history = DriveHistoryTracker(config.train_file)
+        self._history = DriveHistory(config.train_file)
         self._has_effects = bool(config.train_file.effects)
         self._rejects_faults = config.rejects_faults
         self._skew_ns = round(abs(self._correction.skew_s) * NS_PER_S)

@@ -11,6 +11,7 @@ from trainid_ros.interface.results import Rejection
 from trainid_ros.train.forces import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
+"""Default time between samples [s]."""
 STANDING: Final = 0.5
 """A train slower than this may stand [m/s]: passengers change, and with them the mass."""
 

@@ -15,18 +15,21 @@ from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, several, unknown
 from trainid_ros.train.forces import BrakeCommandChange
 
+# Number of intervals whose median is taken, and of those from which on it is known.
 _WINDOW: Final = 16
 _MIN_INTERVALS: Final = 4
-# Jitter makes no interval shorter than this share of the median; one lost record makes the others half of it.
-_SPREAD: Final = 0.75
-# 5 Hz with jitter of 50 ms; the limits of the settings suit topics as fast as this.
+# Share of the median that jitter leaves of an interval [1]; one lost record makes the others half of the median.
+_MIN_JITTERED: Final = 0.75
 FAST_NS: Final = NS_PER_S // 4
+"""Interval of 5 Hz with jitter of 50 ms [ns]; the limits of the settings suit topics as fast as this."""
 ONE_LOST: Final = 2.5
 """Longest time between records when one in a row is lost, in intervals; the half is for jitter."""
 NONE_LOST: Final = 1.5
 """The same when none is lost."""
+# Shortest time in which a record may be missing, in tenths of the shortest interval; with one in between it is 20.
 _ROOM_TENTHS: Final = 18
-"""Shortest time in which a record may be missing, in tenths of the shortest interval; with one in between it is 20."""
+# Rows kept of each topic: 14 min at 5 Hz, should no speed come that lets them be dropped.
+_CAPACITY: Final = 4096
 
 
 class LearnedInterval:
@@ -95,11 +98,8 @@ class LearnedInterval:
         short, median = intervals[len(intervals) // 8], intervals[(len(intervals) - 1) // 2]
         if short <= FAST_NS:
             return 0
-        interval_ns = median if short > _SPREAD * median else short
+        interval_ns = median if short > _MIN_JITTERED * median else short
         return interval_ns if interval_ns <= self._longest_ns else 0
-
-
-_CAPACITY: Final = 4096
 
 
 class TopicRow:
