@@ -38,9 +38,16 @@ def test_the_readme_fits_on_a_page() -> None:
     assert len((ROOT / 'README.md').read_text(encoding='utf-8').splitlines()) <= 100
 
 
+FOLDERS = ('trainid_ros', 'research', 'benchmarks', 'config', 'examples', 'test', 'tools')
+
+
 def test_files_and_names_of_the_code_exist() -> None:
+    sources = [*ROOT.glob('*.py'), *(path for folder in FOLDERS for path in (ROOT / folder).rglob('*.py'))]
+    modules = {path.as_posix() for path in sources}
     for page in PAGES:
         text = page.read_text(encoding='utf-8')
+        for name in re.findall(r'`([\w/]+\.py)`', text):  # from the root of the repository, or the end of a path
+            assert any(path.endswith(f'/{name}') for path in modules), f'{page.name}: {name}'
         for name in re.findall(r'`((?:trainid_ros|test|benchmarks|research|config|msg_defs|bags|docs)/[\w/.]+)`', text):
             assert (ROOT / name).exists(), f'{page.name}: {name}'
         for names, name in re.findall(r'((?:`\w+`(?: and )?)+) in `(trainid_ros/[\w/]+\.py)`', text):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LIMIT = 30  # words
 WHOLE = 40  # words of a sentence with what follows its colons
-PAGES = documents()
+PAGES = (*documents(), ROOT / 'bags' / 'README.md', *sorted((ROOT / 'research').glob('*.md')))
 
 
 def sentences(text: str, ends: str) -> list[str]:
