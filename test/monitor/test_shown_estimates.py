@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 
 from test.monitor.conftest import MODEL, RESISTANCE
-from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.monitor.shown_estimates import mass_factor, reference_speed, resistance_at, value_text
+from trainid_ros.resistance.davis_posterior import resistance_std
 
 
 @pytest.mark.parametrize('speeds', [(math.nan, math.inf), (-math.inf, math.inf), (5.0, math.nan), (20.0, 5.0)])

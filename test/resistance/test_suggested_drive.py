@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_drive

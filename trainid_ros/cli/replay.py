@@ -16,7 +16,6 @@ from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
-from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.input_check import brake_sign
@@ -25,6 +24,7 @@ from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
+from trainid_ros.resistance.davis_posterior import observe, resistance_std
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.setup.params_file import mapping_in
 from trainid_ros.setup.pipelines import force_findings

@@ -19,13 +19,13 @@ from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.fleet.plan import LABELS, day_of
 from trainid_ros.fleet.table_file import SPEEDS, Row, empty_row, reason_column, share_column
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Status
+from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.train.train_file import load_train_file

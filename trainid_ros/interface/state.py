@@ -51,7 +51,7 @@ class Field:
     """A part of a state."""
 
     name: str = ''  # Name of the attribute
-    # What the items of a collection are, or the keys of a counter, or what is not always there: a dataclass, an
+    # Kind of the items of a collection, the keys of a counter, or an optional part: a dataclass, an
     # enumeration, or a function that makes an item to be restored in place
     kind: Callable[..., Any] | None = None
     may_be_nan: bool = False  # Whether its numbers are not finite while unknown
@@ -67,7 +67,7 @@ def declare(*names: str | Field) -> State:
 
 
 def several(name: str, kind: Callable[..., Any]) -> Field:
-    """Declare a collection, or what is not always there; see :class:`Field` for the kind."""
+    """Declare a collection or an optional part; see :class:`Field` for the kind."""
     return Field(name, kind)
 
 
@@ -82,7 +82,7 @@ def definite(name: str) -> Field:
 
 
 def stored(default: Any = MISSING, *, kind: Callable[..., Any] | None = None, may_be_nan: bool = False) -> Any:
-    """Declare a field of a dataclass of which more is to be said: compiled classes keep no type of items."""
+    """Declare a dataclass field with its kind and range: compiled classes keep no type of items."""
     return field(default=default, metadata={_DECLARED: Field(kind=kind, may_be_nan=may_be_nan)})
 
 
@@ -101,7 +101,7 @@ def _declared(value: object) -> State | None:
 
 
 def _field_of(item: dataclasses.Field[Any]) -> Field:
-    """Return what is said of a field of a dataclass; one that begins as NaN or infinite may stay so."""
+    """Return the declaration of a dataclass field; one that begins as NaN or infinite may stay so."""
     stated: Field = item.metadata.get(_DECLARED, Field())
     begins_unknown = isinstance(item.default, float) and not math.isfinite(item.default)
     return replace(stated, name=item.name, may_be_nan=stated.may_be_nan or begins_unknown)
@@ -161,7 +161,7 @@ def restore(state: object, text: str) -> None:
     """Restore an object whose class declares its state, from the text that :func:`encode` has made of another.
 
     Raises:
-        InputError: The text does not fit; the message names the field, and the object is as it was before.
+        InputError: The text does not fit; the message names the field, and the object is unchanged.
     """
     restoring = _Restoring()
     restoring.read(text, type(state).__name__, lambda data, name: restoring.fill(state, data, name))
@@ -169,7 +169,7 @@ def restore(state: object, text: str) -> None:
 
 
 def decode(text: str, kind: type[T]) -> T:
-    """Return a dataclass of which :func:`encode` has made a text; InputError, naming the field, if it does not fit."""
+    """Return the dataclass in a text of :func:`encode`; InputError, naming the field, if it does not fit."""
     restoring = _Restoring()
     restored: T = restoring.read(text, kind.__name__, lambda data, name: restoring.make(kind, data, name))
     restoring.finish()
@@ -298,7 +298,7 @@ def _plain(item: Field, like: Any, data: Any, name: str) -> Any:
 
 
 def _plain_items(item: Field, data: Any, name: str) -> Any:
-    """Return a list of plain values; what is a list in it becomes a tuple."""
+    """Return a list of plain values; inner lists become tuples."""
     if isinstance(data, dict):
         return _array(item, None, data, name).tolist()
     _check_is(data, list, name)

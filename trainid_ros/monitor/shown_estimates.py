@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, KM_H, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
 from trainid_ros.interface.results import Status
+from trainid_ros.resistance.davis_posterior import resistance_std
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

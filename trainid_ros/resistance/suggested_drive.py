@@ -13,7 +13,7 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.estimators.observability import SEEN_SHARE, resistance_std
+from trainid_ros.resistance.davis_posterior import SEEN_SHARE, resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, planned_runs, top_speed
 from trainid_ros.resistance.vmils import VMils

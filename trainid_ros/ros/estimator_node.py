@@ -19,10 +19,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from trainid_ros.estimators.observability import observe
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, Status
+from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
 from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec, ShownValue

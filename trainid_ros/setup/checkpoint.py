@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoint files: the complete state of one estimator, what it was learned with, and a digest over both.
+"""Checkpoint files: the complete state of one estimator, its provenance, and a digest over both.
 
 A file is replaced atomically, so that a process may be killed at any time. It is valid JSON in three lines: what the
 state fits, the state, and the digest of both. What is being written is locked until it is complete: a temporary file
@@ -60,7 +60,7 @@ class ForeignFileError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a saved state was learned with, and what it fits."""
+    """What a saved state was learned with, and so fits."""
 
     version: str  # Version of the package
     estimate: str  # What is estimated, as in EstimatorSettings
@@ -263,7 +263,7 @@ class CheckpointFile:
         return [int(match[1]) for item in self.path.parent.iterdir() if (match := name.fullmatch(item.name))]
 
     def _identity(self) -> tuple[int, int] | None:
-        """Return what tells the present file from all others, None if there is none."""
+        """Return the identity of the present file, None if there is none."""
         try:
             return _identity_of(self.path.stat())
         except OSError:

@@ -88,7 +88,7 @@ class ChangeCheck:
 
     @property
     def limit(self) -> float:
-        """Change that is hardly ever exceeded [m/s]."""
+        """Limit of normal changes [m/s]."""
         return max(_SIGMAS * math.sqrt(self.square), _MIN_LIMIT)
 
     def stand(self, *, weighed: bool) -> None:
@@ -223,7 +223,7 @@ class BalanceCheck:
 
     @property
     def is_suspected(self) -> bool:
-        """True while the last residuals, or their mean, are hardly to be explained by a resistance."""
+        """True while no resistance plausibly explains the last residuals, or their mean."""
         return self.is_sudden or self.is_drifting or abs(self.mean) > _SUSPECTED * self.mean_limit
 
     @property

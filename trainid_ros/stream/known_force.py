@@ -183,7 +183,7 @@ class KnownForce:
 
     def track(self, sample: Sample) -> float:
         """Return the sum of gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
-        return sample.gradient_mean + self.extra(sample)
+        return sample.gradient_mean + (self.extra(sample) if self._terms else 0.0)
 
     def extra(self, sample: Sample) -> float:
         """Return the resistance of the train file's effects, evaluated without brake force [N/kN]."""

@@ -127,7 +127,7 @@ class Slope(Regression):
 
     @property
     def is_suspected(self) -> bool:
-        """True while the slope is hardly to be explained."""
+        """True while the slope is not plausibly explained."""
         return self.excess > _SUSPECTED * self.offset
 
     @property

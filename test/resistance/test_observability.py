@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.observability import Observability, observe, resistance_std
+from trainid_ros.resistance.davis_posterior import Observability, observe, resistance_std
 
 Speeds: TypeAlias = NDArray[np.float64]
 PRIOR_STD = (0.9, 0.025, 0.003)
