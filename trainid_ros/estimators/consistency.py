@@ -25,7 +25,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
-# Force noise while coasting stays above this [N/kN]; deliberate braking is far below.
+# Specific force below which the brake is requested [N/kN]: noise while coasting stays above, braking is far below.
 _BRAKE_FORCE: Final = -1.5
 
 
@@ -86,15 +86,16 @@ class Admission:
 
 
 WINDOW: Final = 200
+"""Number of updates judged: 40 s of driving at 5 Hz."""
+# Updates from which on there is a verdict: the mean of fewer varies too much.
 _MIN_UPDATES: Final = 30
-# Probability that the mean NIS of a window lies in its band.
-_CONFIDENCE: Final = 0.99
-_QUANTILE: Final = NormalDist().inv_cdf(0.5 + 0.5 * _CONFIDENCE)
-# Limit on a single normalised innovation; it also keeps the running sums accurate.
+# Normal quantile of a two-sided band of 99 % [std].
+_QUANTILE: Final = NormalDist().inv_cdf(0.995)
+# Limit of a single normalised innovation [std]; it also keeps the running sums accurate.
 _MAX_Z: Final = 10.0
-# Mean NIS above which an estimate is not fit for use: errors are twice as large as stated.
-_REFUTED: Final = 4.0
-# A higher correlation is not that of noise; and some degrees of freedom must remain for the test.
+# Mean NIS above which an estimate is not valid [1]: errors are twice as large as stated.
+_MAX_NIS: Final = 4.0
+# Limit of the correlation of neighbours [1]: that of noise is lower, and some degrees of freedom must remain.
 _MAX_CORRELATION: Final = 0.9
 
 
@@ -195,7 +196,7 @@ class ConsistencyMonitor:
     @property
     def refuted(self) -> bool:
         """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
-        return self._consecutive >= WINDOW and self._ratio > _REFUTED
+        return self._consecutive >= WINDOW and self._ratio > _MAX_NIS
 
     def current(self) -> Consistency:
         """Return the current outcome."""

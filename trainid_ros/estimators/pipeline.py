@@ -26,7 +26,7 @@ from trainid_ros.stream.samples import Sample
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
 _SNAPSHOT_S: Final = 120.0
-# Time in motion within which a change of the inputs is suspected [s].
+# Time in motion within which a changed input is suspected [s]: a newer snapshot may hold what was wrong.
 _SUSPECTED_S: Final = 20.0
 
 

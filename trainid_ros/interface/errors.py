@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors a caller may catch; every message names the file, topic or field at fault.
+"""Errors a caller may catch, and settings declared once: default, unit, range and description in one place.
 
-Settings declared once: default, unit, range and description in one place.
-
-Estimator configurations are frozen dataclasses whose fields are made by :func:`setting`.
-The same metadata validates a configuration, declares the ROS parameters and documents them.
+Every message names the file, topic or field at fault. Configurations are frozen dataclasses with fields made by
+:func:`setting`; the same metadata validates a configuration, declares the ROS parameters and documents them.
 """
 
 from __future__ import annotations

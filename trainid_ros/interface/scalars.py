@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Functions of single numbers that are fast, and exact to the last bit, in compiled modules too.
-
-Check single records: finite, stamped, physically possible.
-"""
+"""Functions of single numbers and records that are fast, and exact to the last bit, in compiled modules too."""
 
 from __future__ import annotations
 
 import math
 from typing import Final
 
-from trainid_ros.interface.records import GRADIENT, SPEED
+from trainid_ros.interface.records import GRADIENT, NS_PER_S, SPEED
 from trainid_ros.interface.results import Reason, Rejection
 
-_NS_PER_S: Final = 1_000_000_000
 # A float holds all integers up to here.
 _EXACT: Final = 2**53
 
@@ -25,11 +21,11 @@ def is_finite(x: float) -> bool:
 def seconds(ns: int) -> float:
     """Return nanoseconds as seconds; compiled, a quotient of larger integers would be rounded twice."""
     if -_EXACT < ns < _EXACT:
-        return ns / _NS_PER_S
-    return float(ns // _NS_PER_S) + float(ns % _NS_PER_S) / _NS_PER_S
+        return ns / NS_PER_S
+    return float(ns // NS_PER_S) + float(ns % NS_PER_S) / NS_PER_S
 
 
-# Wider than any railway, so that only impossible values are rejected. Of the first number of a record, by topic.
+# Limits of the first number of a record, by topic: wider than any railway, so that only impossible values are rejected.
 _LIMITS: tuple[tuple[float, float], ...] = (
     (0.0, 200.0),  # speed [m/s]
     (-1e8, 1e8),  # force [N]
@@ -37,9 +33,9 @@ _LIMITS: tuple[tuple[float, float], ...] = (
     (-10.0, 0.0),  # target acceleration [m/s^2]
     (100.0, 1e9),  # mass [kg]
 )
-# Of positions, which may be NaN [m].
+# Limit of positions, which may be NaN [m].
 _MAX_POSITION: Final = 1e9
-# Of curves only, straight track has radius 0 [m].
+# Limits of the radius of curves [m]; straight track has radius 0.
 _MIN_RADIUS: Final = 5.0
 _MAX_RADIUS: Final = 1e9
 

@@ -32,18 +32,23 @@ if TYPE_CHECKING:
 Values: TypeAlias = 'dict[str, int | float | str]'
 
 SUFFIX: Final = '.json'
+# Version of the format: it changes with the lines, or with the names in a state.
 _FORMAT: Final = 5
+# Marks at the begin of the first, second and third line.
 _PACKAGE: Final = '"package": "trainid_ros"'
-_END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
 _STATE: Final = '"state": '
-# Where a checkpoint, also a damaged one, is recognised [characters]; far more than one file needs [bytes].
+_END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
+# Length of begin and end by which a checkpoint, also a damaged one, is recognised [characters].
 _HEAD: Final = 200
+# Size of a file that certainly is none [bytes]; a checkpoint has some 100 kB.
 _MAX_BYTES: Final = 64 * 2**20
+# Suffix of a file that is being written.
 _PART: Final = '.part'
-# The newest refused files that are kept.
+# Number of refused files that are kept, the newest ones.
 _MAX_REFUSED: Final = 5
-# Settings that only decide the status of an estimate.
+# Settings that only decide the status of an estimate, and may differ.
 _STATUS_SETTINGS: Final = frozenset({'valid_std', 'valid_share'})
+# Number of differing values that a message names.
 _MAX_SHOWN: Final = 3
 
 

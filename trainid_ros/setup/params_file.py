@@ -39,7 +39,7 @@ from trainid_ros.setup.parameter_specs import (
 )
 from trainid_ros.setup.pipelines import KINDS, chosen_algorithms
 from trainid_ros.train.fields import read_text
-from trainid_ros.train.strict_yaml import compose, load
+from trainid_ros.train.strict_yaml import compose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -49,7 +49,9 @@ if TYPE_CHECKING:
     from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import TrainFile
 
-_CLOSE: Final = 0.75
+# Similarity of names, by difflib, from which on one is taken for a misspelt other [1].
+_MIN_SIMILARITY: Final = 0.75
+# Number of sections that a message names.
 _MAX_NAMED: Final = 10
 # Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
 _BOOLS: Final = {
@@ -61,6 +63,7 @@ _BOOLS: Final = {
 _INTEGER: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _REAL: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 _NOT_FINITE: Final = re.compile(r'[-+]?\.?(nan|inf|infinity)', re.IGNORECASE)
+# Integers are below this in size, longer ones are read as real numbers.
 _INT64: Final = 2**63
 
 
@@ -82,29 +85,18 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
         or the usual name of the node.
     """
     try:
-        sections = list(_sections(load(read_text(path), str(path)), ''))
+        sections = [section for section, _ in _given_in_file(path)]
     except InputError:
         return None
     if not sections or any(_pattern(section).fullmatch(node) for section in sections):
         return None
     names = {section: section.rsplit('/', 1)[-1] for section in sections}
-    near = difflib.get_close_matches(node.rsplit('/', 1)[-1], list(names.values()), n=1, cutoff=_CLOSE)
+    near = difflib.get_close_matches(node.rsplit('/', 1)[-1], list(names.values()), n=1, cutoff=_MIN_SIMILARITY)
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         return f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?', True
     more = f' and {len(sections) - _MAX_NAMED} more' if len(sections) > _MAX_NAMED else ''
     return f'{path}: no section for {node!r}; its sections are {", ".join(sections[:_MAX_NAMED])}{more}', False
-
-
-def _sections(tree: object, prefix: str) -> Iterator[str]:
-    if not isinstance(tree, dict):
-        return
-    for key, value in tree.items():
-        name = f'{prefix}/{str(key).strip("/")}'
-        if isinstance(value, dict) and 'ros__parameters' in value:
-            yield name
-        else:
-            yield from _sections(value, name)
 
 
 def read_overrides(path: Path, node: str) -> dict[str, object]:
@@ -117,22 +109,27 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
     Raises:
         InputError: The file cannot be read or is not a parameter file.
     """
-    tree = compose(read_text(path), str(path))
     found: dict[str, object] = {}
-    if tree is not None:
-        for section, values in _given_in_file(path, tree, ''):
-            if _pattern(section).fullmatch(node):
-                found |= _flat(path, values, '')
+    for section, values in _given_in_file(path):
+        if _pattern(section).fullmatch(node):
+            found |= _flat(path, values, '')
     return found
 
 
-def _given_in_file(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
+def _given_in_file(path: Path) -> Iterator[tuple[str, yaml.Node]]:
+    """Yield the sections of a file with what they give; InputError if it is not a parameter file."""
+    tree = compose(read_text(path), str(path))
+    if tree is not None:
+        yield from _given_in_tree(path, tree, '')
+
+
+def _given_in_tree(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
     if not isinstance(tree, yaml.MappingNode):
         raise InputError(f'{path}: is not a parameter file: {prefix or "it"} has no section with ros__parameters')
     for key, value in tree.value:
         name = _name(path, key, prefix)
         if name != 'ros__parameters':
-            yield from _given_in_file(path, value, f'{prefix}/{name.strip("/")}'.replace('//', '/'))
+            yield from _given_in_tree(path, value, f'{prefix}/{name.strip("/")}'.replace('//', '/'))
         elif isinstance(value, yaml.MappingNode):
             yield prefix, value
         else:
