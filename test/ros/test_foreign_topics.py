@@ -13,15 +13,15 @@ from std_msgs.msg import Float64
 from trainid_ros.inputs.mapping_file import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import FORCE_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
-from trainid_ros.ros.foreign_topics import (
+from trainid_ros.ros.inputs import (
     ForeignSubscription,
     ForeignTopic,
-    foreign_class,
     foreign_qos,
     label_of,
     required_inputs,
     subscribed_topics,
 )
+from trainid_ros.ros.topics import foreign_class
 
 FLOAT, INT = 'std_msgs/msg/Float64', 'std_msgs/msg/Int8'
 _MISSING = ('no type support',)

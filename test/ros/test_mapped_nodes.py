@@ -21,9 +21,9 @@ from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
-from trainid_ros.ros.foreign_topics import ForeignTopic, foreign_class
-from trainid_ros.ros.inputs import SharedInputs
+from trainid_ros.ros.inputs import ForeignTopic, SharedInputs
 from trainid_ros.ros.playback import BagPlayer
+from trainid_ros.ros.topics import foreign_class
 from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
@@ -172,7 +172,7 @@ def test_a_type_whose_package_is_missing_is_named(
     def fail(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr('trainid_ros.ros.foreign_topics.import_module', fail)
+    monkeypatch.setattr('trainid_ros.ros.topics.import_module', fail)
     start(SPEED_ONLY)
     diagnosed, publish = follow(graph), odometer(others)
     text = 'geometry_msgs/msg/TwistStamped: the package geometry_msgs is not installed here'

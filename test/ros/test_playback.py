@@ -22,27 +22,27 @@ from trainid_ros.interface.records import (
     record_from_message,
 )
 from trainid_ros.ros import playback
-from trainid_ros.ros.playback import BagPlayer, Pacer, TimedRecord, Timeline, TrainSimulator, with_ticks
+from trainid_ros.ros.playback import BagPlayer, Entry, Pacer, Timeline, TrainSimulator, with_ticks
 from trainid_ros.ros.topics import message_class
 
 MS = NS_PER_S // 1000
 
 
 def timeline(*times_ms: int) -> Timeline:
-    entries = [TimedRecord(t * MS, ForceRecord(t * MS, float(t))) for t in times_ms]
+    entries: list[Entry] = [(t * MS, 'ato/force', ForceRecord(t * MS, float(t))) for t in times_ms]
     return Timeline(times_ms[0] * MS, times_ms[-1] * MS, lambda: iter(entries))
 
 
 def test_gaps_are_filled_with_ticks_and_records_stay_in_order() -> None:
     out = list(with_ticks(timeline(1000, 1000, 1170, 1200), 0.0, 0.0))
-    assert [entry.time_ns // MS for entry in out] == [1000, 1000, 1050, 1100, 1150, 1170, 1200, 1200]
-    assert [entry.record is not None for entry in out] == [True, True, False, False, False, True, True, False]
+    assert [time_ns // MS for time_ns, _, _ in out] == [1000, 1000, 1050, 1100, 1150, 1170, 1200, 1200]
+    assert [record is not None for _, _, record in out] == [True, True, False, False, False, True, True, False]
 
 
 def test_start_and_duration_cut_the_timeline() -> None:
     out = list(with_ticks(timeline(1000, 1100, 1200, 1300), 0.1, 0.1))
-    assert [entry.time_ns // MS for entry in out if entry.record is not None] == [1100, 1200]
-    assert out[-1] == TimedRecord(1200 * MS, None)
+    assert [time_ns // MS for time_ns, _, record in out if record is not None] == [1100, 1200]
+    assert out[-1] == (1200 * MS, '', None)
 
 
 def test_the_pace_does_not_drift() -> None:

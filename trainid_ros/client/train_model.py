@@ -195,9 +195,10 @@ class TrainModel:
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
         if node is not None:
-            from trainid_ros.client.subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
+            from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
-            self.subscriptions = subscribe_estimates(node, self)
+            topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
+            self.subscriptions = tuple(item for topic in topics for item in subscribe_estimates(node, self, topic))
 
     @classmethod
     def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:

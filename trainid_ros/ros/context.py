@@ -11,14 +11,14 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S
-from trainid_ros.ros.foreign_topics import required_inputs
+from trainid_ros.ros.inputs import required_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.ros.foreign_topics import AnyTopic, NodeMapping
     from trainid_ros.ros.input_monitor import InputMonitors
+    from trainid_ros.ros.inputs import AnyTopic, NodeMapping
     from trainid_ros.ros.node import ManagedNode, NodeParameters
     from trainid_ros.setup.pipelines import EstimatorKind
 

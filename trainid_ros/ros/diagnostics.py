@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -34,9 +33,8 @@ if TYPE_CHECKING:
     from trainid_ros.ros.checkpoints import Checkpoints
     from trainid_ros.ros.context import NodeContext, StepTimeSummary
     from trainid_ros.ros.estimate_publisher import StatusChanges
-    from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.ros.input_monitor import InputMonitor
-    from trainid_ros.ros.inputs import InputGroup
+    from trainid_ros.ros.inputs import AnyTopic, InputGroup
     from trainid_ros.setup.pipelines import EstimatorKind
 
 _LEVELS: Final = {
@@ -109,20 +107,8 @@ class EstimatorSpec:
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
 
-class Problem(Enum):
-    """What may be wrong with a configured estimator beside its status."""
-
-    CONTRADICTION = 'contradiction'
-    BRAKE = 'brake'
-    CLOCK = 'clock'
-    REJECTED = 'rejected'
-    ERRORS = 'errors'
-    UNSAVED = 'unsaved'
-    BUSY = 'busy'
-
-
-# Nothing is valid while one of these lasts, whatever is driven.
-_BLOCKING: Final = frozenset({Problem.CONTRADICTION, Problem.BRAKE})
+# Nothing is valid while one of these problems lasts, whatever is driven.
+_BLOCKING: Final = frozenset({'contradiction', 'brake'})
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +123,8 @@ class NodeHealth:
     since_ns: int = 0  # Since when the estimate has its status [ns]
     missing: str = ''  # Which inputs are missing, '' if none is
     fault: str = ''  # Why the estimator cannot continue, '' if it can
-    unsaved: str = ''  # Why its state cannot be saved, '' if it can
-    busy_s: float = 0.0  # How long the node could not do anything else just now, 0 if not for long [s]
-    began: Mapping[Problem, int] = field(default_factory=dict)  # When each present problem began [ns]
+    # What is wrong beside the status of the estimate, by name, the worst first
+    problems: Mapping[str, Finding] = field(default_factory=dict)
 
 
 def idle_status(health: NodeHealth) -> Any:
@@ -158,38 +143,6 @@ def unusable(output: Output[Any]) -> tuple[str, str] | None:
     return _REJECTED.get(rejection.reason)
 
 
-def _problems(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Output[Any]) -> Iterable[Finding]:
-    """Yield what is wrong beside the status of the estimate, the worst first."""
-    warn = DiagnosticStatus.WARN
-    rejected, to_do = unusable(output) or ('', '')
-    problems = {
-        Problem.CONTRADICTION: Finding(
-            DiagnosticStatus.ERROR,
-            f'inputs contradict each other: {pipeline.stream.finding}',
-            'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned meanwhile',
-        ),
-        Problem.BRAKE: Finding(
-            warn, '; '.join(brake_findings(pipeline)), 'correct it; no brake rate is valid meanwhile'
-        ),
-        Problem.CLOCK: Finding(warn, health.clock_problem),
-        Problem.REJECTED: Finding(warn, f'samples are rejected: {rejected}', to_do),
-        Problem.ERRORS: Finding(
-            warn,
-            f'errors exceed the stated uncertainty: {pipeline.consistency}',
-            'compare train file and inputs with the train',
-        ),
-        Problem.UNSAVED: Finding(
-            warn, f'not saved: {health.unsaved}', 'make room on the disk, or correct checkpoint_file'
-        ),
-        Problem.BUSY: Finding(
-            warn, f'this node was busy or stopped for {health.busy_s:.1f} s', 'give it more computing time'
-        ),
-    }
-    for problem, finding in problems.items():
-        if problem in health.began:
-            yield replace(finding, since_ns=health.began[problem])
-
-
 def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: str) -> Finding:
     """Return what is the case with the estimate; ``value`` is the most important one of it."""
     status = output.status
@@ -199,7 +152,7 @@ def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: 
     if health.state != 'active':
         return Finding(DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it')
     # What to do about a problem comes before driving on.
-    action = '' if status is Status.CONVERGING and _BLOCKING & health.began.keys() else _ACTIONS.get(status, '')
+    action = '' if status is Status.CONVERGING and _BLOCKING & health.problems.keys() else _ACTIONS.get(status, '')
     return Finding(_LEVELS[status], text, action, health.since_ns)
 
 
@@ -214,43 +167,31 @@ def estimator_status(
     """Return the status of a configured estimator."""
     output, first = pipeline.current(), shown[0]
     value = f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
-    findings = [*_problems(health, pipeline, output), _judge(health, output, value, pipeline.why_converging)]
+    findings = [*health.problems.values(), _judge(health, output, value, pipeline.why_converging)]
     message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
     levels = [finding.level for finding in findings]
     # An error comes before STALE, whose number is higher.
     level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
+    known_s = (health.now_ns - health.since_ns) / NS_PER_S if 0 < health.since_ns <= health.now_ns else None
+    rejections = sorted(pipeline.rejections.items())
+    quantiles = (('p50', steps.p50), ('p99', steps.p99), ('max', steps.longest))
     values = (
         ('state', health.state),
-        *_timed_status(health),
-        *_counted(pipeline, output),
+        *(() if known_s is None else (('time in status [s]', f'{known_s:.1f}'),)),
+        ('status', output.status.name),
+        ('used', output.used),
+        ('rejected', output.rejected),
+        *((f'rejected.{reason.name}', count) for reason, count in rejections),
+        ('last rejection', 'none' if output.last_rejection is None else output.last_rejection),
         *_compared(shown, prior, output.estimate),
         ('consistency', pipeline.consistency),
         ('consistency ratio', f'{pipeline.consistency.ratio:.3f}'),
         *details,
-        *_timed(steps),
+        *((f'step time {name} [ms]', f'{seconds * 1e3:.3f}') for name, seconds in quantiles),
+        ('overruns', steps.overruns),
         ('resets', pipeline.resets),
     )
     return _status(f'{health.name}: estimator', level, message, values)
-
-
-def _timed_status(health: NodeHealth) -> Iterable[tuple[str, object]]:
-    if 0 < health.since_ns <= health.now_ns:
-        yield 'time in status [s]', f'{(health.now_ns - health.since_ns) / NS_PER_S:.1f}'
-
-
-def _counted(pipeline: EstimatorPipeline[Any], output: Output[Any]) -> Iterable[tuple[str, object]]:
-    yield 'status', output.status.name
-    yield 'used', output.used
-    yield 'rejected', output.rejected
-    for reason, count in sorted(pipeline.rejections.items()):
-        yield f'rejected.{reason.name}', count
-    yield 'last rejection', 'none' if output.last_rejection is None else str(output.last_rejection)
-
-
-def _timed(steps: StepTimeSummary) -> Iterable[tuple[str, object]]:
-    for name, seconds in (('p50', steps.p50), ('p99', steps.p99), ('max', steps.longest)):
-        yield f'step time {name} [ms]', f'{seconds * 1e3:.3f}'
-    yield 'overruns', steps.overruns
 
 
 def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:
@@ -317,7 +258,7 @@ class DiagnosticsPublisher:
         self._published_ns = 0
         self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
-        self._began: dict[Problem, int] = {}
+        self._problems: dict[str, Finding] = {}
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
     def publish(self) -> None:
@@ -350,7 +291,11 @@ class DiagnosticsPublisher:
 
     def _health(self, now_ns: int) -> NodeHealth:
         node, clock_problem = self._node, self._clock_problem(now_ns)
-        self._note_problems(now_ns, clock_problem)
+        self._problems = {
+            name: replace(found, since_ns=self._problems[name].since_ns if name in self._problems else now_ns)
+            for name, found in self._find_problems(clock_problem).items()
+            if found.text
+        }
         return NodeHealth(
             name=node.get_fully_qualified_name().strip('/'),
             state=node.state,
@@ -360,9 +305,7 @@ class DiagnosticsPublisher:
             since_ns=self._changes.since_ns,
             missing=self._context.missing_inputs(),
             fault=self._context.fault,
-            unsaved=self._checkpoints.problem,
-            busy_s=self._busy_s,
-            began=self._began,
+            problems=self._problems,
         )
 
     def _estimator(self, health: NodeHealth, pipeline: EstimatorPipeline[Any]) -> DiagnosticStatus:
@@ -376,22 +319,35 @@ class DiagnosticsPublisher:
             topic = self._node.resolve_topic_name(monitor.topic.name)
             yield input_status(health, monitor, topic, self._judge(monitor, topic, health.now_ns))
 
-    def _note_problems(self, now_ns: int, clock_problem: str) -> None:
-        """Note when each present problem began."""
-        pipeline = self._context.pipeline
-        present: dict[Problem, object] = {
-            Problem.CLOCK: clock_problem,
-            Problem.UNSAVED: self._checkpoints.problem,
-            Problem.BUSY: self._busy_s,
-        }
+    def _find_problems(self, clock_problem: str) -> dict[str, Finding]:
+        """Return what may be wrong beside the status of the estimate, the worst first; without text it is not."""
+        warn, pipeline, unsaved = DiagnosticStatus.WARN, self._context.pipeline, self._checkpoints.problem
+        contradiction = brake = rejected = to_do = errors = ''
         if pipeline is not None:
-            present |= {
-                Problem.CONTRADICTION: pipeline.stream.finding,
-                Problem.BRAKE: brake_findings(pipeline),
-                Problem.REJECTED: unusable(pipeline.current()),
-                Problem.ERRORS: pipeline.consistency.is_alarm,
-            }
-        self._began = {problem: self._began.get(problem, now_ns) for problem, holds in present.items() if holds}
+            contradiction, brake = pipeline.stream.finding, '; '.join(brake_findings(pipeline))
+            rejected, to_do = unusable(pipeline.current()) or ('', '')
+            errors = str(pipeline.consistency) if pipeline.consistency.is_alarm else ''
+
+        def found(reason: object, text: str, action: str, level: bytes = warn) -> Finding:
+            return Finding(level, text.format(reason) if reason else '', action)
+
+        return {
+            'contradiction': found(
+                contradiction,
+                'inputs contradict each other: {}',
+                'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned '
+                'meanwhile',
+                DiagnosticStatus.ERROR,
+            ),
+            'brake': found(brake, '{}', 'correct it; no brake rate is valid meanwhile'),
+            'clock': found(clock_problem, '{}', ''),
+            'rejected': found(rejected, 'samples are rejected: {}', to_do),
+            'errors': found(
+                errors, 'errors exceed the stated uncertainty: {}', 'compare train file and inputs with the train'
+            ),
+            'unsaved': found(unsaved, 'not saved: {}', 'make room on the disk, or correct checkpoint_file'),
+            'busy': found(self._busy_s, 'this node was busy or stopped for {:.1f} s', 'give it more computing time'),
+        }
 
     def _judge(self, monitor: InputMonitor, topic: str, now_ns: int) -> Finding:
         """Return what is the case with an input, since when, after a look at the graph."""

@@ -27,9 +27,8 @@ from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
 from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec, ShownValue
 from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
-from trainid_ros.ros.foreign_topics import NodeMapping
 from trainid_ros.ros.input_monitor import InputMonitors
-from trainid_ros.ros.inputs import InputGroup, SharedInputs
+from trainid_ros.ros.inputs import InputGroup, NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
 from trainid_ros.setup.parameter_specs import (
@@ -55,7 +54,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
-    from trainid_ros.ros.foreign_topics import AnyTopic
+    from trainid_ros.ros.inputs import AnyTopic
     from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.train.train_file import TrainFile
 
@@ -192,7 +191,7 @@ class EstimatorNode(ManagedNode):
     def _open(self) -> None:
         self._publisher = EstimatePublisher(self, self.shared.kind.topic, self.status_changes)
         alignment = self._settings.alignment
-        group = self._input_group = self._inputs.join(self)
+        group = self._input_group = self._inputs.join(self, self, self.shared.mapping)
         self.shared.lacking = lambda: group.lacking
         self.shared.monitors = InputMonitors(alignment, group.topics)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
@@ -237,8 +236,8 @@ class EstimatorNode(ManagedNode):
         self._follow_jump(pipeline)
         return pipeline
 
-    def step(self, pipeline: EstimatorPipeline[Any], record: SharedRecord) -> list[Any]:
-        """Pass a record to the pipeline of this node; return the outputs of the samples it completes.
+    def step(self, pipeline: EstimatorPipeline[Any], record: SharedRecord) -> list[SerializedEstimate]:
+        """Pass a record to the pipeline of this node; return the estimates of the samples it completes.
 
         An error of the estimator becomes a FAULT and does not end the process.
         """
@@ -257,7 +256,7 @@ class EstimatorNode(ManagedNode):
         if pipeline.resets != resets:
             self.checkpoints.note_wiped()
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
-        return outputs
+        return [self.serialize(output) for output in outputs]
 
     def serialize(self, output: Any) -> SerializedEstimate:
         """Return an output of the pipeline as a message that is ready to be sent."""

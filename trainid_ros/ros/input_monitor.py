@@ -16,14 +16,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
 from trainid_ros.interface.results import Reason
-from trainid_ros.ros.foreign_topics import label_of, required_inputs, subscribed_topics
+from trainid_ros.ros.inputs import label_of, required_inputs, subscribed_topics
 from trainid_ros.ros.topics import Publishers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from trainid_ros.interface.results import Rejection
-    from trainid_ros.ros.foreign_topics import AnyTopic
+    from trainid_ros.ros.inputs import AnyTopic
     from trainid_ros.stream.alignment import AlignmentConfig
 
 _WINDOW_NS: Final = 5 * NS_PER_S

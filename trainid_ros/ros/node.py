@@ -353,7 +353,7 @@ _EXIT_INTERRUPTED: Final = 130
 class _StopRequest:
     """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first.
 
-    While the nodes are closed, and until the process has ended, further ones are ignored.
+    From then on, and once the nodes are closed, further ones are ignored until the process has ended.
     """
 
     def __init__(self) -> None:
@@ -371,6 +371,7 @@ class _StopRequest:
 
     def _note(self, _number: int, _frame: Any) -> None:
         if self.requested:
+            self.ignore_more()
             raise KeyboardInterrupt
         self.requested = True
 
@@ -412,13 +413,14 @@ def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: Fal
         nodes: The nodes, created in the default context after :func:`start_ros`.
         until: Checked after every callback.
     """
-    executor = SingleThreadedExecutor()
-    for node in nodes:
-        executor.add_node(node)
-    # What exists now stays: without it, a full garbage collection takes tens of milliseconds.
-    gc.collect()
-    gc.freeze()
+    executor = None
     try:
+        executor = SingleThreadedExecutor()
+        for node in nodes:
+            executor.add_node(node)
+        # What exists now stays: without it, a full garbage collection takes tens of milliseconds.
+        gc.collect()
+        gc.freeze()
         while not (_STOP.requested or until()):
             executor.spin_once(timeout_sec=_REACTION_S)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -426,7 +428,8 @@ def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: Fal
     finally:
         _STOP.ignore_more()
         gc.unfreeze()
-        executor.shutdown()
+        if executor is not None:
+            executor.shutdown()
         close_nodes(nodes)
         stop_ros()
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from rclpy.duration import Duration
@@ -22,11 +22,10 @@ from trainid_ros.bag import missing_package_error
 from trainid_ros.inputs.mapping import OWN
 from trainid_ros.inputs.mapping_file import load_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Record
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.interface.text import pluralise
-from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
-from trainid_ros.ros.topics import is_hash, message_class, message_from_record, source_qos, time_message
+from trainid_ros.ros.topics import foreign_class, is_hash, message_class, message_from_record, source_qos, time_message
 from trainid_ros.setup.parameter_specs import AUTOSTART, TRAIN_FILE, ParameterSpec
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from trainid_ros.bag.reader import BagReader
-    from trainid_ros.inputs.mapping import Mapping as InputMapping
+    from trainid_ros.bag.types import StoredType
     from trainid_ros.interface.records import Record
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
@@ -45,25 +44,8 @@ _TICK_NS: Final = NS_PER_S // 20
 _LONGEST_BURST_NS: Final = NS_PER_S
 
 
-class StoredMessage(NamedTuple):
-    """A message of a foreign topic as it was stored."""
-
-    topic: str
-    data: bytes
-
-
-class ForeignOutput(NamedTuple):
-    """How a foreign topic is to be published: name and digest of its type, as in the bag."""
-
-    type: str
-    digest: str
-
-
-class TimedRecord(NamedTuple):
-    """A record or message and its log time [ns]; without either only the clock advances."""
-
-    time_ns: int
-    record: Record | StoredMessage | None
+Entry: TypeAlias = 'tuple[int, str, Record | bytes | None]'
+"""Log time [ns], topic, and record or stored message of a foreign topic; without that only the clock ticks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +54,8 @@ class Timeline:
 
     first_ns: int  # Start time [ns]
     last_ns: int  # End time [ns]
-    entries: Callable[[], Iterator[TimedRecord]]  # Returns an iterator over the records from the start
-    foreign: Mapping[str, ForeignOutput] = field(default_factory=dict)  # Foreign topics among them
+    entries: Callable[[], Iterator[Entry]]  # Returns an iterator over the records from the start
+    foreign: Mapping[str, StoredType] = field(default_factory=dict)  # Types of the foreign topics among them
     replaced: frozenset[str] = OWN.replaced  # Our own topics that are not among them
 
     @property
@@ -82,22 +64,23 @@ class Timeline:
         return (self.last_ns - self.first_ns) / NS_PER_S
 
 
-def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterator[TimedRecord]:
+def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterator[Entry]:
     """Yield a part of a timeline with clock ticks in its gaps; start and duration in [s], a duration of 0 means all."""
     begin = timeline.first_ns + round(start_s * NS_PER_S)
     end = begin + round(duration_s * NS_PER_S) if duration_s > 0.0 else timeline.last_ns
     clock = begin
     for entry in timeline.entries():
-        if entry.time_ns < begin:
+        time_ns = entry[0]
+        if time_ns < begin:
             continue
-        if entry.time_ns > end:
+        if time_ns > end:
             break
-        while entry.time_ns - clock > _TICK_NS:
+        while time_ns - clock > _TICK_NS:
             clock += _TICK_NS
-            yield TimedRecord(clock, None)
-        clock = entry.time_ns
+            yield clock, '', None
+        clock = time_ns
         yield entry
-    yield TimedRecord(end, None)
+    yield end, '', None
 
 
 class Pacer:
@@ -175,8 +158,7 @@ class PlaybackNode(ManagedNode):
         self.parameters = NodeParameters(self, specs)
         self.parameters.check_sections(arguments, name)
         self.parameters.report()
-        # By class of records, or by name of foreign topics.
-        self._outputs: dict[type[Record] | str, Any] = {}
+        self._outputs: dict[str, Any] = {}  # By topic
         self._clock_output: Any = None
         self._timer: Any = None
         self._release()
@@ -204,29 +186,29 @@ class PlaybackNode(ManagedNode):
             raise InputError('restamp does not change messages of foreign topics: leave out restamp or mapping_file')
         for topic in INPUT_TOPICS:
             if topic.name not in self.timeline.replaced:
-                self._outputs[topic.record] = self.create_lifecycle_publisher(
+                self._outputs[topic.name] = self.create_lifecycle_publisher(
                     message_class(topic), topic.name, source_qos()
                 )
-        for name, output in self.timeline.foreign.items():
-            self._offer(name, output)
+        for name, kind in self.timeline.foreign.items():
+            self._offer(name, kind)
         if self.parameters.value('publish_clock'):
             self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', source_qos())
         self._pacer = Pacer(float(self.parameters.value('rate')))
         self._rewind()
         return super().on_configure(state)
 
-    def _offer(self, name: str, output: ForeignOutput) -> None:
+    def _offer(self, name: str, kind: StoredType) -> None:
         """Create the publisher of a foreign topic.
 
         Raises:
             InputError: Its type is not installed, or in another version than that of the bag.
         """
-        publisher = self.create_lifecycle_publisher(foreign_class(output.type), name, source_qos())
+        publisher = self.create_lifecycle_publisher(foreign_class(kind.name), name, source_qos())
         self._outputs[name] = publisher
         for info in self.get_publishers_info_by_topic(publisher.topic_name):
             installed = str(info.topic_type_hash)
-            if info.node_name == self.get_name() and is_hash(installed) and installed != output.digest:
-                raise InputError(f'topic {name}: {output.type} in the bag is not the version that is installed here')
+            if info.node_name == self.get_name() and is_hash(installed) and installed != kind.digest:
+                raise InputError(f'topic {name}: {kind.name} in the bag is not the version that is installed here')
 
     @guarded
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -249,8 +231,8 @@ class PlaybackNode(ManagedNode):
         self.close_timeline()
         self._outputs = {}
         self._clock_output = None
-        self._entries: Iterator[TimedRecord] = iter(())
-        self._next: TimedRecord | None = None
+        self._entries: Iterator[Entry] = iter(())
+        self._next: Entry | None = None
         self._pacer = Pacer(1.0)
         self.timeline = Timeline(0, 0, lambda: iter(()))
         self.finished = False
@@ -279,11 +261,11 @@ class PlaybackNode(ManagedNode):
             return
         now = self.steady_ns()
         while self._next is not None:
-            due = self._pacer.due_ns(self._next.time_ns, now)
+            due = self._pacer.due_ns(self._next[0], now)
             if due > now:
                 self._sleep(due - now)
                 return
-            self._publish(self._next)
+            self._publish(*self._next)
             self._next = next(self._entries, None)
         self._finish()
 
@@ -316,25 +298,23 @@ class PlaybackNode(ManagedNode):
         self._timer.timer_period_ns = max(pause_ns, 1000)
         self._timer.reset()
 
-    def _publish(self, entry: TimedRecord) -> None:
-        if self._clock_output is not None and entry.time_ns != self.position_ns:
-            self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
-        self.position_ns = entry.time_ns
-        match entry.record:
-            case None:
-                return
-            case StoredMessage(topic, data):
-                self._outputs[topic].publish(data)
-            case record:
-                self._outputs[type(record)].publish(message_from_record(self._stamped(entry, record)))
+    def _publish(self, time_ns: int, topic: str, content: Record | bytes | None) -> None:
+        if self._clock_output is not None and time_ns != self.position_ns:
+            self._clock_output.publish(ClockMessage(clock=time_message(time_ns)))
+        self.position_ns = time_ns
+        if content is None:
+            return
+        if not isinstance(content, bytes):
+            content = message_from_record(self._stamped(time_ns, content))
+        self._outputs[topic].publish(content)
         self.played += 1
 
-    def _stamped(self, entry: TimedRecord, record: Record) -> Record:
+    def _stamped(self, time_ns: int, record: Record) -> Record:
         """Return the record with the stamp to publish."""
         if not self.parameters.value('restamp'):
             return record
         if self._shift_ns is None:
-            self._shift_ns = int(self.get_clock().now().nanoseconds) - entry.time_ns
+            self._shift_ns = self.now_ns() - time_ns
         return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
 
     def _finish(self) -> None:
@@ -382,7 +362,9 @@ class BagPlayer(PlaybackNode):
 
             max_chunk = int(self.parameters.value('max_chunk')) << 20
             namespace = str(self.parameters.value('bag_namespace'))
-            reader = BagReader(path, namespace, max_chunk, mapping=self._mapping()).__enter__()
+            file = str(self.parameters.value('mapping_file'))
+            mapping = load_mapping(Path(file).expanduser()) if file else OWN
+            reader = BagReader(path, namespace, max_chunk, mapping=mapping).__enter__()
         except ModuleNotFoundError as error:
             raise missing_package_error(error) from None
         self._reader = reader
@@ -392,23 +374,13 @@ class BagPlayer(PlaybackNode):
         if span is None or not reader.input_count:
             self.close_timeline()
             raise InputError(f'{path}: no messages on the input topics')
-        foreign = {name: ForeignOutput(kind.name, kind.digest) for name, kind in reader.mapped_types().items()}
-        return Timeline(*span, lambda: _bag_entries(reader), foreign, reader.mapping.replaced)
-
-    def _mapping(self) -> InputMapping:
-        path = str(self.parameters.value('mapping_file'))
-        return load_mapping(Path(path).expanduser()) if path else OWN
+        return Timeline(*span, reader.stored, reader.mapped_types(), reader.mapping.replaced)
 
     def close_timeline(self) -> None:
         """Close the bag."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-
-
-def _bag_entries(reader: BagReader) -> Iterator[TimedRecord]:
-    for log_ns, topic, content in reader.stored():
-        yield TimedRecord(log_ns, StoredMessage(topic, content) if isinstance(content, bytes) else content)
 
 
 def bag_player_main() -> int:
@@ -453,7 +425,8 @@ class TrainSimulator(PlaybackNode):
         """
         rng = np.random.default_rng(int(self.parameters.value('seed')))
         records = simulate(self._scenario(rng), rng).records
-        return Timeline(records[0].stamp_ns, records[-1].stamp_ns, lambda: _record_entries(records))
+        entries = [(record.stamp_ns, input_topic(record).name, record) for record in records]
+        return Timeline(entries[0][0], entries[-1][0], lambda: iter(entries))
 
     def _scenario(self, rng: np.random.Generator) -> Scenario:
         path, name = str(self.parameters.value('train_file')), str(self.parameters.value('world'))
@@ -468,10 +441,6 @@ class TrainSimulator(PlaybackNode):
         world = find_world(name)
         stated = given or world_train(world)
         return make_case(world, stated, unknowns_of(realism, (), stated), runs, rng.spawn(1)[0]).scenario
-
-
-def _record_entries(records: tuple[Record, ...]) -> Iterator[TimedRecord]:
-    return (TimedRecord(record.stamp_ns, record) for record in records)
 
 
 def train_simulator_main() -> int:

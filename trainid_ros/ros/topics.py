@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of the nodes: message classes, quality of service, and who publishes on an input and is not heard."""
+"""Topics of the nodes: message classes, quality of service, publishers not heard, subscriptions of a client."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -23,6 +26,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from trainid_msgs import msg as trainid_msgs
 
+from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
@@ -30,6 +34,8 @@ from trainid_ros.interface.records import (
     Record,
     output_values,
     record_values,
+    stamp_of,
+    status_of,
 )
 from trainid_ros.interface.results import Output, Status
 from trainid_ros.setup.parameter_specs import QOS_POLICIES
@@ -223,3 +229,63 @@ def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile:
         else:
             heard.append(name)
     return Publishers(tuple(sorted(heard)), tuple(sorted(unheard)))
+
+
+_TYPE: Final = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
+
+
+def foreign_class(name: str) -> Any:
+    """Return the class of a message type by its name in the graph, such as ``std_msgs/msg/Float64``.
+
+    Raises:
+        InputError: Its package is not installed, or has no such type.
+    """
+    if (match := _TYPE.fullmatch(name)) is None:
+        raise InputError(f'{name!r} is not a type of messages')
+    package, kind = match.groups()
+    try:
+        return getattr(import_module(f'{package}.msg'), kind)
+    except ModuleNotFoundError:
+        problem = f'the package {package} is not installed here'
+    except (ImportError, AttributeError):
+        problem = f'the package {package} that is installed here has no such type'
+    raise InputError(f'{name}: {problem}')
+
+
+class Receiver(Protocol):
+    """Takes the messages of estimates, as ``trainid_ros.client`` does."""
+
+    def take_message(
+        self, topic: OutputTopic, status: Status, estimate: Any, stamp_ns: int, *, latched: bool = False
+    ) -> None:
+        """Take in an estimate."""
+
+    def mark_lost(self, topic: OutputTopic, reason: str) -> None:
+        """Take in why a topic sends nothing any more."""
+
+
+def subscribe_estimates(node: Any, receiver: Receiver, topic: OutputTopic) -> tuple[Any, Any]:
+    """Subscribe to an estimate and its latched copy in the namespace of a node; return the subscriptions.
+
+    The first asks for no deadline and no lease: a subscriber that asks for more than a publisher offers gets nothing
+    from it, and publishers of slow inputs offer less. The receiver measures silence, in less time than the deadline of
+    the nodes. The latched one asks for the lease of the nodes and tells when a node is gone; without it, silence does.
+    """
+
+    def take(message: Any, *, latched: bool = False) -> None:
+        receiver.take_message(topic, status_of(message), message, stamp_of(message), latched=latched)
+
+    def refuse(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        receiver.mark_lost(topic, f'its publisher has an incompatible quality of service ({policy})')
+
+    def follow(event: Any) -> None:
+        if event.alive_count == 0:
+            receiver.mark_lost(topic, 'its node is gone')
+
+    kind = message_class(topic)
+    events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
+    live = node.create_subscription(kind, topic.name, take, estimate_qos(), event_callbacks=events)
+    events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
+    keep = partial(take, latched=True)
+    return live, node.create_subscription(kind, topic.last_valid, keep, latched_qos(), event_callbacks=events)
