@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel wheels golden docs bench research research-test research-peers lock clean
+.PHONY: help setup demo test test-fast test-unit test-long test-ros lint typecheck colcon-smoke wheel wheels golden docs bench research research-test research-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -17,13 +17,16 @@ demo: ## play bags through the three live nodes and V-MILS, write a report; what
 
 test: setup ## everything that must pass before a change lands
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel
-	$(MAKE) --no-print-directory --jobs 1 test-unit test-ros
+	$(MAKE) --no-print-directory --jobs 1 test-unit test-long test-ros
 
 test-fast: setup ## inner loop: the unit tests of the package alone
-	$(PYTEST) -m 'not ros and not slow' --ignore test/benchmarks -n 2 -q
+	$(PYTEST) -m 'not ros and not slow and not long' --ignore test/benchmarks -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
-	$(PYTEST) -m 'not ros' -n 2
+	$(PYTEST) -m 'not ros and not long' -n 2
+
+test-long: setup ## tests on fresh seeds by the dozen, minutes long
+	$(PYTEST) -m long -n 2
 
 research-test: setup ## tests of research/: the algorithms and experiments of the four papers
 	$(PYTEST) research/test -n 2

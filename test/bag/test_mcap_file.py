@@ -204,7 +204,8 @@ def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, op
     path.write_bytes(content)
     found, warnings, count, _ = rows(path)
     expected = rows(TINY)[0]
-    assert [row for row in expected if row in found] == found
+    rest = iter(expected)
+    assert all(row in rest for row in found)
     assert len(found) > 0.4 * len(expected)
     assert [f'from byte {chunks[1].offset} on are lost' in text for text in warnings].count(True) == 1
     assert f'{path}: {count} of ' in warnings[-1]

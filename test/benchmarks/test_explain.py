@@ -49,6 +49,7 @@ def test_hidden_effect_is_named_with_its_parameters(generator: Generator, name: 
     assert after < 0.8 * before
 
 
+@pytest.mark.long
 def test_fresh_large_effects_are_identified_as_often_as_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
     single = list(islice(fresh_singles(seed), 12))
@@ -56,6 +57,7 @@ def test_fresh_large_effects_are_identified_as_often_as_in_the_benchmark() -> No
     assert missed <= tolerated(len(single), MISSED), report(seed, single)
 
 
+@pytest.mark.long
 def test_fresh_cases_without_effect_raise_no_more_alarms_than_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
     quiet = [try_case(Spec(GENERATORS[k % 2], 'none', seed + k)) for k in range(7)]
