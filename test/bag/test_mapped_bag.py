@@ -17,7 +17,7 @@ from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
-from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import REQUIRED_TOPICS, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trainid_ros.inputs.mapped_inputs import JoinedSeries, MappedInputs
-from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     NS_PER_S,

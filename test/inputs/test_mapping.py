@@ -1,15 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units, dates and functions of a mapping."""
+"""Units, dates and functions of a mapping; contents of mapping files, and errors that name the field."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from trainid_ros.inputs.mapping import UserFunction, date_time_ns, find_unit, time_of_day_ns, user_function
+from trainid_ros.inputs.mapping import (
+    OWN,
+    UNKNOWN_EFFORT,
+    Constant,
+    CsvFormat,
+    LineLookup,
+    Signal,
+    SpeedIntegral,
+    StampSource,
+    UserFunction,
+    date_time_ns,
+    find_unit,
+    load_mapping,
+    load_table_mapping,
+    parse_mapping,
+    time_of_day_ns,
+    user_function,
+)
 from trainid_ros.interface.errors import InputError
+from trainid_ros.stream.alignment import AlignmentConfig
 
 
 @pytest.mark.parametrize(
@@ -176,3 +196,197 @@ def test_what_a_function_does_wrong_is_said(folder: Path, text: str, error: str)
 )
 def test_a_time_of_day_is_read_whole_or_not_at_all(text: str, expected_ns: int | None) -> None:
     assert time_of_day_ns(text) == expected_ns
+
+
+WHOLE = """
+speed: {topic: /odo/twist, field: twist.linear.x, unit: km/h, sign: -1, offset: 0.5, stamp: receive}
+position: {from: speed, start: 1200.0, direction: -1}
+force: {sum: [{topic: car1/force, field: 'data[0]', unit: kN}, {topic: car2/force, field: data.1, gain: 2.0}]}
+gradient: {from: line}
+brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3, 2: -0.6}, on_change: true}
+mass: {topic: /load, field: data, unit: t}
+"""
+
+
+def test_a_whole_mapping_is_read() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert isinstance(mapping.speed, Signal)
+    (speed,) = mapping.speed.sources
+    assert (speed.topic, speed.path, speed.sign, speed.offset) == ('/odo/twist', ('twist', 'linear', 'x'), -1.0, 0.5)
+    assert speed.stamp is StampSource.RECEIVE
+    assert mapping.position == SpeedIntegral(1200.0, -1)
+    assert mapping.gradient == LineLookup()
+    assert isinstance(mapping.force, Signal)
+    assert [source.path for source in mapping.force.sources] == [('data', 0), ('data', 1)]
+    assert [source.topic for source in mapping.sources] == ['/odo/twist', 'car1/force', 'car2/force', '/notch', '/load']
+    assert mapping.replaced == {'ato/speed', 'ato/force', 'ato/gradient', 'ato/brake_command', 'ato/mass'}
+    assert mapping.needed('ato/force') == ('car1/force', 'car2/force')
+    assert mapping.needed('ato/gradient') == ()
+
+
+def test_only_a_brake_may_be_unknown() -> None:
+    text = '{topic: /brake, field: data, unit: percent_of 1.2 m/s^2, table: {0: 0.0, 1: unknown}}'
+    signal = parse_mapping(f'brake_command: {text}', 'map.yaml').brake_command
+    assert isinstance(signal, Signal)
+    (source,) = signal.sources
+    assert source.read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
+    assert replace(source, sign=-1.0).read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
+    with pytest.raises(InputError, match='unknown'):
+        parse_mapping('gradient: {topic: /g, field: data, table: {1: unknown}}', 'map.yaml')
+
+
+TABLE = """
+time: {field: 't [ms]', unit: ms, start: 2024-03-08T12:00:00Z}
+csv: {separator: ';', decimal: ',', header_rows: 2, encoding: latin-1, comments: false}
+speed: {field: v, unit: km/h}
+force: {sum: [{field: F 1, unit: kN}, {field: F.2, unit: kN, sign: -1}]}
+brake_command: {value: -10.0, unit: percent_of 1.2 m/s^2}
+gradient: {value: 3.0}
+"""
+
+
+def test_a_whole_mapping_of_a_table_is_read(tmp_path: Path) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text(TABLE, encoding='utf-8')
+    mapping = load_table_mapping(path)
+    assert mapping.time is not None
+    assert mapping.time.columns == ('t [ms]',)
+    assert (mapping.time.unit.factor, mapping.time.start_ns) == (1e-3, 1_709_899_200 * 10**9)
+    assert mapping.csv == CsvFormat(';', ',', 2, 'latin-1', comments=False)
+    assert [source.field for source in mapping.sources] == ['v', 'F 1', 'F.2']
+    assert isinstance(mapping.brake_command, Constant)
+    assert mapping.brake_command.value == pytest.approx(-0.12)
+    assert mapping.gradient == Constant(3.0)
+    with pytest.raises(InputError, match=r'map\.yaml: time is of the rows of a table'):
+        load_mapping(path)
+
+
+@pytest.mark.parametrize(
+    ('text', 'missing'),
+    [
+        ('speed: {topic: /v, field: data}', 'time'),
+        ('speed: {field: v}', 'time'),
+        ('time: {field: t}', 'speed'),
+    ],
+)
+def test_what_a_table_needs_is_named(tmp_path: Path, text: str, missing: str) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(InputError, match=rf'map\.yaml: {missing} is missing: a table needs a column for it'):
+        load_table_mapping(path)
+
+
+def test_a_misspelt_column_is_named_rather_than_the_one_that_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text('time: {field: t}\nsped: {field: v}', encoding='utf-8')
+    with pytest.raises(InputError, match=r'map\.yaml: sped is not a known field'):
+        load_table_mapping(path)
+
+
+def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def force(x, y): return x + y', encoding='utf-8')
+    text = """
+        force:
+          function: code.py:force
+          of: [{topic: /a, field: data}, {topic: /b, field: x.y, stamp: receive}]
+          unit: kN
+    """
+    force = parse_mapping(text, str(tmp_path / 'map.yaml')).force
+    assert isinstance(force, Signal)
+    assert force.function is not None
+    assert (force.function.name, force.function.unit.name) == ('force', 'kN')
+    assert [(source.topic, source.field, source.stamp.value) for source in force.sources] == [
+        ('/a', 'data', 'header'),
+        ('/b', 'x.y', 'receive'),
+    ]
+
+
+def test_texts_name_the_topics_that_are_read() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert mapping.named('no ato/force at the stamps of ato/speed') == (
+        'no car1/force + car2/force at the stamps of /odo/twist'
+    )
+    assert mapping.named('ato/gradient, not /t1/ato/speed') == 'the gradient of the mapping, not /t1/ato/speed'
+    assert OWN.named('no ato/force') == 'no ato/force'
+
+
+def test_what_is_missing_is_the_topic_of_our_own() -> None:
+    mapping = parse_mapping('mass: {topic: /load, field: data}', 'map.yaml')
+    assert mapping.replaced == {'ato/mass'}
+    assert mapping.needed('ato/speed') == ('ato/speed',)
+    assert parse_mapping('{}', 'map.yaml') == OWN
+
+
+@pytest.mark.parametrize(('given', 'expected'), [(0.0, 3600.0), (600.0, 600.0)])
+def test_commands_published_only_on_change_hold(given: float, expected: float) -> None:
+    config = AlignmentConfig(command_hold=given)
+    assert parse_mapping(WHOLE, 'map.yaml').alignment(config).command_hold == expected
+    assert OWN.alignment(config) == config
+
+
+def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert isinstance(mapping.speed, Signal)
+    assert isinstance(mapping.brake_command, Signal)
+    twist = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=-35.5)))
+    assert mapping.speed.sources[0].read(twist) == pytest.approx(10.0)
+    notch = mapping.brake_command.sources[0]
+    assert notch.read(SimpleNamespace(data=2)) == -0.6
+    assert notch.read(SimpleNamespace(data=7)) != notch.read(SimpleNamespace(data=7))  # NaN: no such notch
+    for message in (SimpleNamespace(), SimpleNamespace(data='x'), SimpleNamespace(data=[1.0])):
+        with pytest.raises(InputError, match='topic /notch: field data is not a number'):
+            notch.read(message)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('speeed: {}', "speeed is not a known field; did you mean 'speed'"),
+        ('speed: 3', 'speed = 3 must be a mapping'),
+        ('speed: {field: data}', 'speed.topic is missing; where the field is a column of a table, time: '),
+        ('speed: {topic: /x}', 'speed.field is missing'),
+        ('speed: {topic: /x, field: a b}', 'speed.field'),
+        ('speed: {topic: /x, field: x..y}', 'speed.field'),
+        ('speed: {topic: /x, field: x.²}', "speed.field = 'x.²' must be names of fields"),
+        ('speed: {topic: /x, field: x, unit: kN}', "speed.unit = 'kN' is not a unit of speed"),
+        ('speed: {topic: /x, field: x, sign: 2}', 'speed.sign = 2 must be 1 or -1'),
+        ('speed: {topic: /x, field: x, stamp: now}', 'speed.stamp'),
+        ('speed: {topic: /x, field: x, on_change: true}', 'speed.on_change is not a known field'),
+        ('position: {from: force}', 'position.from'),
+        ('position: {from: speed, direction: 0}', 'position.direction'),
+        ('gradient: {from: speed}', 'gradient.from'),
+        ('force: {sum: []}', 'force.sum'),
+        ('force: {sum: [{topic: /x}]}', r'force.sum\[0\].field is missing'),
+        (
+            'force: {sum: [{topic: /x, field: y}, {topic: /z, field: y}, {topic: /x, field: y, gain: 2}]}',
+            r"force.sum\[2\].field = 'y' is in the sum already",
+        ),
+        ('{time: {field: t}, force: {sum: [f, f]}}', r"force.sum\[1\].field = 'f' is in the sum already"),
+        ('brake_command: {topic: /x, field: x, table: {}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, table: {a: 1.0}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, table: {0: 0, 1: 0.3}}', r'brake_command.table.1 gives 0.3 m/s\^2'),
+        ('brake_command: {topic: /x, field: x, sign: -1, table: {1: -0.3}}', 'brake_command.table.1 gives 0.3'),
+        ('brake_command: {value: 0.3}', 'brake_command.value gives 0.3'),
+        ('brake_command: {topic: /x, field: x, on_change: 1}', 'brake_command.on_change'),
+        ('brake_command: {value: x}', "brake_command.value = 'x' must be a number"),
+        ('brake_command: {value: 0, topic: /x}', 'brake_command.topic is not a known field'),
+        ('force: {function: none.py:f, of: [{topic: /x, field: x}]}', "force.function = 'none.py:f' is not there"),
+        ('{time: {field: t}, force: {topic: /x, field: x}}', 'force.topic is not a known field'),
+        ('{time: {field: t, unit: km}}', "time.unit = 'km' is not a unit of time"),
+        ('{time: {field: t, start: now}}', "time.start = 'now' must be a date and time"),
+        ('time: {unit: s}', 'time.field is missing'),
+        ('csv: {separator: ab}', "csv.separator = 'ab' must be one character"),
+        ('csv: {comments: x}', "csv.comments = 'x' must be true or false"),
+        ('csv: {decimal: x}', "csv.decimal = 'x' must be . or ,"),
+        ('csv: {encoding: none}', "csv.encoding = 'none' is not known"),
+        ('csv: {header_rows: 0}', 'csv.header_rows = 0 must be >= 1'),
+    ],
+)
+def test_an_impossible_mapping_is_rejected_by_field(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=f'map.yaml: {message}'):
+        parse_mapping(text, 'map.yaml')
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'none\.yaml: cannot be read'):
+        load_mapping(tmp_path / 'none.yaml')

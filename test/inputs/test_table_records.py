@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.inputs.mapped_inputs import MappedInputs
-from trainid_ros.inputs.mapping import TimeColumn, find_unit
-from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping import TimeColumn, find_unit, parse_mapping
 from trainid_ros.inputs.table_records import Clock, TableRecords, numbers
 from trainid_ros.inputs.tables import ROWS_AT_ONCE, Column
 from trainid_ros.interface.errors import InputError

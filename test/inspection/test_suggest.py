@@ -18,11 +18,9 @@ from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
-from trainid_ros.inputs.mapping import Mapping, Signal, Source
-from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping import Mapping, Signal, Source, parse_mapping
 from trainid_ros.inspection.number_series import read_numbers
-from trainid_ros.inspection.suggest import suggest
-from trainid_ros.inspection.suggestion import Suggestion, comment
+from trainid_ros.inspection.suggest import Suggestion, comment, family, score, suggest, unit_in, words_of
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     BrakeRecord,
@@ -419,3 +417,41 @@ def test_our_own_topics_in_a_namespace_need_no_mapping(
     where = ', '.join(f'/{name}' for name in names)
     text = f'our own topics are in {where}: no mapping is needed, use --namespace\n'
     assert capsys.readouterr().err.endswith(text)
+
+
+@pytest.mark.parametrize(
+    ('name', 'words'),
+    [
+        ('/car1/tractionForce_kN', ('car', '1', 'traction', 'force', 'kn')),
+        ('/speed_km_h', ('speed', 'kmh')),
+        ('speed.km_per_h', ('speed', 'kmh')),
+        ('gradient_per_mille', ('gradient', 'permille')),
+    ],
+)
+def test_names_are_split_into_words(name: str, words: tuple[str, ...]) -> None:
+    assert words_of(name) == words
+
+
+@pytest.mark.parametrize(
+    ('quantity', 'topic', 'field', 'points'),
+    [
+        ('speed', '/odo/twist', 'twist.linear.x', 2.0),
+        ('speed', '/odo/twist', 'twist.linear.y', 1.5),
+        ('speed', '/odo/twist', 'twist.angular.x', 0.0),
+        ('force', '/brakes/pressure', 'data', -2.0),
+        ('brake_command', '/desk/notch', 'data', 1.0),
+    ],
+)
+def test_names_speak_for_a_quantity_or_against_it(quantity: str, topic: str, field: str, points: float) -> None:
+    assert score(quantity, topic, field) == points
+
+
+def test_units_are_found_by_the_last_word_that_is_one_of_the_quantity() -> None:
+    assert unit_in('/train/speed_kmh data', ('m/s', 'km/h')) == 'km/h'
+    assert unit_in('/n/force_kN data', ('N', 'kN')) == 'kN'
+    assert unit_in('/force data', ('N', 'kN')) == ''
+
+
+def test_topics_of_alike_cars_are_one_family() -> None:
+    assert family('/car1/force') == family('/car12/force') != family('/car/total_force')
+    assert family('/front/effort') == family('/rear/effort')

@@ -30,7 +30,7 @@ from trainid_ros.cli.demo import node_parameters
 from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.ros.topics import LEASE_S, fill_estimate, latched_qos, time_message
 from trainid_ros.setup.pipelines import (
     EstimatorSettings,

@@ -10,7 +10,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
-from trainid_ros.inputs.mapping_file import parse_mapping
+from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import FORCE_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
 from trainid_ros.ros.inputs import (

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64
 from benchmarks.foreign_bag import MAPPING, write_foreign
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
 from trainid_ros.ros.inputs import ForeignTopic, SharedInputs

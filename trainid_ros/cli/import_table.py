@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import MappedInputs
-from trainid_ros.inputs.mapping_file import load_table_mapping
+from trainid_ros.inputs.mapping import load_table_mapping
 from trainid_ros.inputs.table_records import TableRecords
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS

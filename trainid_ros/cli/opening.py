@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.output import progress
-from trainid_ros.inputs.mapping import OWN
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.setup.params_file import Setup, node_setups
 from trainid_ros.train.train_file import load_train_file
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import progress
-from trainid_ros.inputs.mapping import OWN
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 

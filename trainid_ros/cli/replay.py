@@ -18,7 +18,7 @@ from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inspection.input_check import brake_sign
+from trainid_ros.inspection.bag_info import brake_sign
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
 from trainid_ros.interface.results import Reason

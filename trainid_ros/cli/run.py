@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.cli.arguments import LIVE_NODES
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.train_file import load_train_file
 

@@ -9,8 +9,17 @@ from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.inputs.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource, type_of
-from trainid_ros.inputs.mapping_file import QUANTITIES, load_mapping
+from trainid_ros.inputs.mapping import (
+    QUANTITIES,
+    UNKNOWN_EFFORT,
+    Constant,
+    LineLookup,
+    Signal,
+    SpeedIntegral,
+    StampSource,
+    load_mapping,
+    type_of,
+)
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     NS_PER_S,
@@ -34,13 +43,13 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 
-# Over a longer time without a speed the distance is not known [s].
-_LONGEST_S: Final = 1.0
+# Over a longer time without a speed the distance is unknown, and numbers farther apart are not interpolated [s].
+_MAX_GAP_S: Final = 1.0
+_MAX_GAP_NS: Final = round(_MAX_GAP_S * NS_PER_S)
 # Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
-_MIN_M: Final = 10.0
-_SOME_EFFORT: Final = -0.1
-# Numbers that are not in a table and are named.
-_MAX_NAMED: Final = 5
+_MIN_TRAVEL_M: Final = 10.0
+_UNKNOWN_EFFORT: Final = -0.1  # command where a brake acts and nothing says how much [m/s^2]
+_MAX_LISTED: Final = 5  # numbers that are not in a table
 
 
 class MappedInputs:
@@ -52,15 +61,7 @@ class MappedInputs:
     """
 
     def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
-        """Prepare.
-
-        Args:
-            mapping: Where each input comes from.
-            train_file: Train file; None if nothing comes from its line.
-
-        Raises:
-            InputError: The gradient is to come from the line, but there is none.
-        """
+        """Prepare; InputError if the gradient is to come from the line, but no train file or no line is given."""
         self.mapping = mapping
         line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
         self.key = (mapping, line, length)
@@ -93,7 +94,7 @@ class MappedInputs:
         """What was wrong with the messages so far."""
         return [
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
-            for (topic, raw), count in sorted(self._unlisted.most_common(_MAX_NAMED))
+            for (topic, raw), count in sorted(self._unlisted.most_common(_MAX_LISTED))
         ]
 
     def problem(self, topic: str) -> str:
@@ -132,14 +133,7 @@ class MappedInputs:
         return records
 
     def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:
-        """Return the records that a number of one source of a quantity completes.
-
-        Args:
-            quantity: Name of the quantity in the mapping.
-            index: Place of the source among those of the quantity.
-            stamp_ns: Stamp [ns].
-            value: The number, as :meth:`Source.value` returns it.
-        """
+        """Return the records that a number of one source of a quantity, its :meth:`Source.value`, completes."""
         function = getattr(self.mapping, quantity).function
         records: list[Record] = []
         for at_ns, values in self._series[quantity].add(index, stamp_ns, value):
@@ -167,7 +161,7 @@ class MappedInputs:
                 return [self._gradient(stamp_ns, value)]
             case 'brake_command':
                 is_known = value != UNKNOWN_EFFORT
-                return [BrakeRecord(stamp_ns, value if is_known else _SOME_EFFORT, emergency=not is_known)]
+                return [BrakeRecord(stamp_ns, value if is_known else _UNKNOWN_EFFORT, emergency=not is_known)]
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
@@ -197,11 +191,7 @@ class MappedInputs:
 
 
 def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[], MappedInputs] | None:
-    """Return what makes the inputs of a mapping file, None without one.
-
-    Raises:
-        InputError: The file cannot be used.
-    """
+    """Return what makes the inputs of a mapping file, None without one; InputError if it cannot be used."""
     if path is None:
         return None
     make = partial(MappedInputs, load_mapping(path), train_file)
@@ -238,28 +228,28 @@ class DeadReckoning:
             return
         if math.isnan(self._passed):
             self._passed = position
-        elif abs(position - self._passed) >= _MIN_M:
+        elif abs(position - self._passed) >= _MIN_TRAVEL_M:
             self.direction = 1 if position > self._passed else -1
             self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
         since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
-        moves = math.isfinite(self._speed) and abs(since_s) <= _LONGEST_S
+        moves = math.isfinite(self._speed) and abs(since_s) <= _MAX_GAP_S
         travelled = self._speed * since_s if moves else 0.0
         self.at = position + self.direction * travelled
 
     def move(self, stamp_ns: int, speed: float) -> float:
         """Follow a speed [m/s]; return the position at it [m]."""
         dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
-        if dt < -_LONGEST_S:
+        if dt < -_MAX_GAP_S:
             # The stamps begin anew, as in a loop; or the last one was wrong, and the one before it was not.
-            if not 0 <= stamp_ns - self._earlier_ns <= _LONGEST_S * NS_PER_S:
+            if not 0 <= stamp_ns - self._earlier_ns <= _MAX_GAP_S * NS_PER_S:
                 fix, fix_ns = self._fix, self._fix_ns
                 self._start_over()
-                if abs(stamp_ns - fix_ns) <= _LONGEST_S * NS_PER_S:
+                if abs(stamp_ns - fix_ns) <= _MAX_GAP_S * NS_PER_S:
                     self.correct(fix_ns, fix)
             self._stamp_ns, dt = stamp_ns, math.nan
-        if 0.0 < dt <= _LONGEST_S and math.isfinite(speed + self._speed):
+        if 0.0 < dt <= _MAX_GAP_S and math.isfinite(speed + self._speed):
             self.at += self.direction * 0.5 * (speed + self._speed) * dt
         if stamp_ns == self._fix_ns:
             self.at = self._fix
@@ -278,10 +268,6 @@ def _stamp(source: Source, message: Any, received_ns: int) -> int:
         raise InputError(f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive') from None
 
 
-# Numbers farther apart are not interpolated, and nothing waits longer for one of the series.
-_LONGEST_NS: Final = NS_PER_S
-
-
 class JoinedSeries:
     """The numbers of several series at the stamps of the first one; the others are interpolated linearly.
 
@@ -298,7 +284,10 @@ class JoinedSeries:
         """Add a number of a series; return those of all series that are ready, each with their stamp [ns]."""
         if len(self._series) == 1:
             return [(stamp_ns, [value])]
-        self._follow_jump(index, stamp_ns)
+        series = self._series[index]
+        if series and stamp_ns < series[-1][0] - _MAX_GAP_NS:
+            # Stamps begin anew, as in a loop, or the last one was wrong.
+            self._series, self._open = [[] for _ in self._series], []
         insort(self._series[index], (stamp_ns, value))
         if index == 0:
             insort(self._open, (stamp_ns, value))
@@ -307,24 +296,14 @@ class JoinedSeries:
         while self._open and self._is_ready(self._open[0][0], newest_ns):
             at_ns, first = self._open.pop(0)
             ready.append((at_ns, [first, *(_interpolated(series, at_ns) for series in self._series[1:])]))
-        self._prune(newest_ns)
+        needed_ns = newest_ns - _MAX_GAP_NS  # older ones are not open any more, and newer ones may still come
+        for series in self._series:
+            del series[: max(0, bisect_left(series, (needed_ns, -math.inf)) - 1)]
         return ready
-
-    def _follow_jump(self, index: int, stamp_ns: int) -> None:
-        """Forget everything if the stamps of a series begin anew, as in a loop, or if its last one was wrong."""
-        series = self._series[index]
-        if series and stamp_ns < series[-1][0] - _LONGEST_NS:
-            self._series = [[] for _ in self._series]
-            self._open = []
 
     def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
         reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
-        return reached or newest_ns - at_ns > _LONGEST_NS
-
-    def _prune(self, newest_ns: int) -> None:
-        needed_ns = newest_ns - _LONGEST_NS  # older ones are not open any more, and newer ones may still come
-        for series in self._series:
-            del series[: max(0, bisect_left(series, (needed_ns, -math.inf)) - 1)]
+        return reached or newest_ns - at_ns > _MAX_GAP_NS
 
 
 def _interpolated(series: list[tuple[int, float]], at_ns: int) -> float:
@@ -335,6 +314,6 @@ def _interpolated(series: list[tuple[int, float]], at_ns: int) -> float:
     if not 0 < right < len(series):
         return math.nan
     (start_ns, before), (end_ns, after) = series[right - 1], series[right]
-    if end_ns - start_ns > _LONGEST_NS:
+    if end_ns - start_ns > _MAX_GAP_NS:
         return math.nan
     return before + (after - before) * (at_ns - start_ns) / (end_ns - start_ns)

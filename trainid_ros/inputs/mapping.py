@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mapping says: from which fields of messages, or columns of a table, each input is made."""
+"""Mappings: from which fields of messages, or columns of a table, each input is made; read from YAML."""
 
 from __future__ import annotations
 
+import codecs
 import math
 import re
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -11,13 +12,13 @@ from enum import Enum
 from functools import cache
 from pathlib import Path
 from traceback import extract_tb
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
-from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.fields import Section, as_section, did_you_mean, finite_number, parse_yaml, read_text, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -26,19 +27,17 @@ if TYPE_CHECKING:
 
     from trainid_ros.stream.alignment import AlignmentConfig
 
-
-_DEGREE: Final = math.pi / 180.0
+# Unit of the interface in each; angles to radian.
 _FACTORS: Final[dict[str, dict[str, float]]] = {
     'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
     'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},
     'force': {'N': 1.0, 'kN': 1e3, 'lbf': 4.4482216152605},
     'gradient': {'per_mille': 1.0, 'percent': 10.0},
+    'angle': {'rad': 1.0, 'deg': math.pi / 180.0},
     'acceleration': {'m/s^2': 1.0},
     'mass': {'kg': 1.0, 't': 1e3, 'lb': 0.45359237},
     'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'min': 60.0, 'h': 3600.0},
 }
-# Angles, as factors to radian.
-_ANGLES: Final = {'rad': 1.0, 'deg': _DEGREE}
 _PERCENT_OF: Final = 'percent_of'
 
 
@@ -57,36 +56,21 @@ class Unit:
 
 
 def find_unit(text: str, quantity: str) -> Unit:
-    """Return a unit by its name, or ``percent_of NUMBER UNIT``.
-
-    Args:
-        text: The name.
-        quantity: 'speed', 'length', 'force', 'gradient', 'acceleration', 'mass' or 'time'.
+    """Return a unit of a quantity ('speed', 'length', ...) by its name, or ``percent_of NUMBER UNIT``.
 
     Raises:
         ValueError: The unit is not known for this quantity; the message says which are.
     """
-    factors = _FACTORS[quantity]
+    factors, angles = _FACTORS[quantity], _FACTORS['angle'] if quantity == 'gradient' else {}
     if text in factors:
         return Unit(text, factors[text])
-    if quantity == 'gradient' and text in _ANGLES:
-        return Unit(text, _ANGLES[text], is_angle=True)
-    if text.startswith(_PERCENT_OF):
-        return _percentage(text, factors)
-    known = [*factors, *(_ANGLES if quantity == 'gradient' else ()), f'{_PERCENT_OF} NUMBER UNIT']
-    raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, known)}')
-
-
-def spelled(text: str, quantity: str) -> str:
-    """Return the name of a unit of a quantity as it is spelled here; others may write another case, such as KM/H."""
-    names = (*_FACTORS[quantity], *(_ANGLES if quantity == 'gradient' else ()))
-    return next((name for name in names if name.lower() == text.lower()), text)
-
-
-def _percentage(text: str, factors: dict[str, float]) -> Unit:
-    words = text.split()
+    if text in angles:
+        return Unit(text, angles[text], is_angle=True)
+    if not text.startswith(_PERCENT_OF):
+        known = [*factors, *angles, f'{_PERCENT_OF} NUMBER UNIT']
+        raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, known)}')
     try:
-        _, number, name = words
+        _, number, name = text.split()
         whole = float(number) * factors[name]
     except (ValueError, KeyError):
         whole = math.nan
@@ -95,6 +79,12 @@ def _percentage(text: str, factors: dict[str, float]) -> Unit:
             f'must be like "{_PERCENT_OF} 300 {next(reversed(factors))}", with a unit of {", ".join(factors)}'
         )
     return Unit(text, whole / 100.0)
+
+
+def spelled(text: str, quantity: str) -> str:
+    """Return the name of a unit of a quantity as it is spelled here; others may write another case, such as KM/H."""
+    names = (*_FACTORS[quantity], *(_FACTORS['angle'] if quantity == 'gradient' else ()))
+    return next((name for name in names if name.lower() == text.lower()), text)
 
 
 # After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
@@ -166,11 +156,7 @@ class UserFunction:
         return f'{self.path}:{self.name}'
 
     def load(self) -> Callable[..., object]:
-        """Return the function; its file is run the first time.
-
-        Raises:
-            InputError: The file cannot be run, or has no such function.
-        """
+        """Return the function; its file is run the first time. InputError if that fails, or it has no such function."""
         function: Callable[..., object] | None = _names_of(self.path).get(self.name)
         if function is None or not callable(function):
             raise InputError(f'{self.path}: has no function {self.name}')
@@ -197,12 +183,7 @@ class UserFunction:
 
 
 def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
-    """Return the function that a mapping names.
-
-    Args:
-        folder: Folder of the mapping.
-        text: File and function, such as ``force.py:wheel_force``.
-        unit: Unit of what it returns.
+    """Return the function that a mapping in a folder names, such as ``force.py:wheel_force``, which returns a unit.
 
     Raises:
         ValueError: The text is not of this form, or the file does not lie in the folder itself.
@@ -266,11 +247,7 @@ class Source:
         return '.'.join(map(str, self.path))
 
     def read(self, message: Any) -> float:
-        """Return the value in a message, as :meth:`value`.
-
-        Raises:
-            InputError: The message has no such number; the error names topic and field.
-        """
+        """Return the value in a message, as :meth:`value`; raises as :meth:`raw`."""
         return self.value(self.raw(message))
 
     def value(self, raw: float) -> float:
@@ -282,7 +259,7 @@ class Source:
         return self.unit.convert(self.sign * self.gain * raw + self.offset)
 
     def raw(self, message: Any) -> float:
-        """Return the number in a message as it is; raises as :meth:`read`."""
+        """Return the number in a message as it is; InputError, naming topic and field, if it has no such number."""
         value, reached = message, ''
         try:
             for step in self.path:
@@ -348,16 +325,25 @@ class CsvFormat:
 
 # How long a brake command published only on change holds, unless a parameter says otherwise [s].
 _HOLD_S: Final = 3600.0
-TOPIC_OF: Final = {
-    'speed': SPEED_TOPIC.name,
-    'position': SPEED_TOPIC.name,
-    'force': FORCE_TOPIC.name,
-    'gradient': GRADIENT_TOPIC.name,
-    'brake_command': BRAKE_TOPIC.name,
-    'mass': MASS_TOPIC.name,
+
+
+class Quantity(NamedTuple):
+    """A key of a mapping: quantity of its unit, unit unless another is stated, and our own topic."""
+
+    kind: str
+    unit: str
+    topic: str
+
+
+QUANTITIES: Final = {
+    'speed': Quantity('speed', 'm/s', SPEED_TOPIC.name),
+    'position': Quantity('length', 'm', SPEED_TOPIC.name),
+    'force': Quantity('force', 'N', FORCE_TOPIC.name),
+    'gradient': Quantity('gradient', 'per_mille', GRADIENT_TOPIC.name),
+    'brake_command': Quantity('acceleration', 'm/s^2', BRAKE_TOPIC.name),
+    'mass': Quantity('mass', 'kg', MASS_TOPIC.name),
 }
-"""Our own topic of each quantity."""
-_QUANTITY_OF: Final = {topic: name for name, topic in TOPIC_OF.items() if name != 'position'}
+_QUANTITY_OF: Final = {quantity.topic: name for name, quantity in QUANTITIES.items() if name != 'position'}
 Position: TypeAlias = Signal | SpeedIntegral
 Gradient: TypeAlias = Signal | LineLookup | Constant
 
@@ -415,3 +401,231 @@ class Mapping:
 
 OWN: Final = Mapping()
 """All inputs come from their own topics."""
+
+
+_COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
+# Of what a function is given, in its own unit.
+_RAW: Final = Unit('', 1.0)
+
+
+def load_mapping(path: str | Path) -> Mapping:
+    """Read a mapping file of messages; InputError, naming file and field, if it says something impossible."""
+    mapping = parse_mapping(read_text(path), str(path))
+    if mapping.time is not None:
+        raise InputError(
+            f'{path}: time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
+        )
+    return mapping
+
+
+def load_table_mapping(path: str | Path) -> Mapping:
+    """Read a mapping file of a table; raises as :func:`load_mapping`."""
+    text = read_text(path)
+    top = _top(text, str(path))
+    for name in ('time', 'speed'):  # first, as without a time the fields are those of messages
+        if name not in top.data:
+            raise InputError(
+                f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
+            )
+    return parse_mapping(text, str(path))
+
+
+def parse_mapping(text: str, source: str) -> Mapping:
+    """Return the mapping in a YAML text; ``source`` is named in errors, as in :func:`load_mapping`."""
+    top = _top(text, source)
+    brake = top.section('brake_command')
+    return Mapping(
+        speed=_signal(top, 'speed'),
+        position=_position(top),
+        force=_signal(top, 'force'),
+        gradient=_gradient(top),
+        brake_command=_constant(brake) or _signal(top, 'brake_command', 'on_change'),
+        mass=_signal(top, 'mass'),
+        on_change=brake.boolean('on_change', default=False),
+        time=_time(top),
+        csv=_csv(top.section('csv')),
+    )
+
+
+def _top(text: str, source: str) -> Section:
+    return parse_yaml(text, source).only((*QUANTITIES, 'time', 'csv'))
+
+
+def _position(top: Section) -> Signal | SpeedIntegral | None:
+    section = top.section('position')
+    if 'from' not in section.data:
+        return _signal(top, 'position')
+    section.only(('from', 'start', 'direction')).choice('from', ('speed',))
+    direction = section.integer('direction', 1, low=-1, high=1)
+    if direction == 0:
+        section.fail('direction', '= 0 must be 1 (positions rise) or -1')
+    return SpeedIntegral(section.number('start', 'm', 0.0), direction)
+
+
+def _gradient(top: Section) -> Signal | LineLookup | Constant | None:
+    section = top.section('gradient')
+    if 'from' not in section.data:
+        return _constant(section) or _signal(top, 'gradient')
+    section.only(('from',)).choice('from', ('line',))
+    return LineLookup()
+
+
+def _constant(section: Section) -> Constant | None:
+    if 'value' not in section.data:
+        return None
+    unit = _unit(section.only(('value', 'unit')), section.path)
+    value = unit.convert(section.number('value', unit.name))
+    if section.path == 'brake_command':
+        _check_braking(section, 'value', value)
+    return Constant(value)
+
+
+def _signal(top: Section, key: str, *more: str) -> Signal | None:
+    if key not in top.data:
+        return None
+    section, is_table = top.section(key, required=True), 'time' in top.data
+    if 'function' in section.data:
+        section.only(('function', 'of', 'unit', *more))
+        sources = tuple(_raw(part, is_table=is_table) for part in _parts(section, 'of'))
+        return Signal(sources, _function(section, _unit(section, key)))
+    if 'sum' not in section.data:
+        return Signal((_source(section, key, *more, is_table=is_table),))
+    section.only(('sum', *more))
+    parts = _parts(section, 'sum')
+    sources = tuple(_source(part, key, is_table=is_table) for part in parts)
+    for place, source in enumerate(sources):
+        if any((source.topic, source.path) == (other.topic, other.path) for other in sources[:place]):
+            parts[place].fail('field', f'= {shown(source.field)} is in the sum already: it would count twice')
+    return Signal(sources)
+
+
+def _parts(section: Section, key: str) -> list[Section]:
+    """Return the sources in a list; a text is the name of a column."""
+    parts = section.data.get(key)
+    if not isinstance(parts, list) or not parts:
+        section.fail(key, f'= {shown(parts)} must be a list of sources')
+    named = ({'field': part} if isinstance(part, str) else part for part in parts)
+    return [as_section(section.source, f'{section.name(key)}[{place}]', part) for place, part in enumerate(named)]
+
+
+def _function(section: Section, unit: Unit) -> UserFunction:
+    try:
+        return user_function(Path(section.source).parent, section.text('function'), unit)
+    except ValueError as error:
+        section.fail('function', f'= {shown(section.data["function"])} {error}')
+
+
+def _unit(section: Section, key: str) -> Unit:
+    kind, usual = ('time', 's') if key == 'time' else QUANTITIES[key][:2]
+    try:
+        return find_unit(section.text('unit', usual), kind)
+    except ValueError as error:
+        section.fail('unit', f'= {shown(section.data["unit"])} {error}')
+
+
+def _raw(section: Section, *, is_table: bool) -> Source:
+    """Return a source of what a function is given: the number as it is."""
+    if is_table:
+        return Source('', (section.only(('field',)).text('field'),), _RAW)
+    section.only(('topic', 'field', 'stamp'))
+    return Source(_topic(section), _path(section), _RAW, stamp=_stamp(section))
+
+
+def _topic(section: Section) -> str:
+    if 'topic' not in section.data:
+        section.fail('topic', 'is missing; where the field is a column of a table, time: {field: ...} is missing')
+    return section.text('topic')
+
+
+def _stamp(section: Section) -> StampSource:
+    return StampSource(section.choice('stamp', tuple(item.value for item in StampSource), 'header'))
+
+
+def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
+    section.only((*_COLUMN_KEYS, *(() if is_table else ('topic', 'stamp')), *more))
+    unit = _unit(section, key)
+    sign = section.number('sign', '', 1.0)
+    if abs(sign) != 1.0:
+        section.fail('sign', f'= {sign:g} must be 1 or -1; other factors are a gain')
+    source = Source(
+        topic='' if is_table else _topic(section),
+        path=(section.text('field'),) if is_table else _path(section),
+        unit=unit,
+        sign=sign,
+        gain=section.number('gain', '', 1.0),
+        offset=section.number('offset', unit.name, 0.0),
+        table=_table(section, unit.name),
+        stamp=_stamp(section),
+    )
+    if key == 'brake_command':
+        for raw, _ in source.table:
+            _check_braking(section, f'table.{raw:g}', source.value(raw))
+    return source
+
+
+def _check_braking(section: Section, key: str, acceleration: float) -> None:
+    """Raise InputError for a brake command that would accelerate the train."""
+    if acceleration > 0.0:
+        section.fail(key, f'gives {acceleration:g} m/s^2, but a brake command is negative or 0; sign: -1 turns a table')
+
+
+def _path(section: Section) -> tuple[str | int, ...]:
+    steps = section.text('field').replace('[', '.').replace(']', '').split('.')
+    if not all(step.isidentifier() or step.isdecimal() for step in steps):
+        section.fail('field', f'= {shown(section.data["field"])} must be names of fields and indices, like data.0')
+    return tuple(int(step) if step.isdecimal() else step for step in steps)
+
+
+def _table(section: Section, unit: str) -> tuple[tuple[float, float], ...]:
+    if 'table' not in section.data:
+        return ()
+    table, name = section.data['table'], section.name('table')
+    if not isinstance(table, dict) or not table:
+        section.fail('table', f'= {shown(table)} must have a value for each number, like {{0: 0.0, 1: -0.3}}')
+    may_be_unknown = name.startswith('brake_command')
+    return tuple(
+        (
+            finite_number(section.source, name, raw, ''),
+            UNKNOWN_EFFORT
+            if may_be_unknown and value == 'unknown'
+            else finite_number(section.source, f'{name}.{raw}', value, unit),
+        )
+        for raw, value in table.items()
+    )
+
+
+def _time(top: Section) -> TimeColumn | None:
+    if 'time' not in top.data:
+        return None
+    section = top.section('time', required=True)
+    unit, start_ns = _unit(section, 'time'), None
+    # When numbers of a column of times start to count.
+    if 'start' in section.data and (start_ns := date_time_ns(str(section.data['start']))) is None:
+        section.fail('start', f'= {shown(section.data["start"])} must be a date and time, like 2024-03-08T12:00:00Z')
+    if 'function' not in section.data:
+        section.only(('field', 'unit', 'start'))
+        return TimeColumn((section.text('field'),), unit, start_ns)
+    section.only(('function', 'of', 'unit', 'start'))
+    columns = tuple(_raw(part, is_table=True).field for part in _parts(section, 'of'))
+    return TimeColumn(columns, unit, start_ns, _function(section, unit))
+
+
+def _csv(section: Section) -> CsvFormat:
+    section.only(('separator', 'decimal', 'header_rows', 'encoding', 'comments'))
+    for key in ('separator', 'decimal'):
+        if key in section.data and len(section.text(key)) != 1:
+            section.fail(key, f'= {shown(section.data[key])} must be one character')
+    if section.text('decimal', '.') not in {'.', ','}:
+        section.fail('decimal', f'= {shown(section.data["decimal"])} must be . or ,')
+    if 'encoding' in section.data:
+        try:
+            codecs.lookup(section.text('encoding'))
+        except LookupError:
+            section.fail('encoding', f'= {shown(section.data["encoding"])} is not known')
+    return CsvFormat(
+        separator=section.text('separator', '') or None,
+        decimal=section.text('decimal', '') or None,
+        header_rows=section.integer('header_rows', 1, low=1, high=1000) if 'header_rows' in section.data else None,
+        encoding=section.text('encoding', '') or None,
+        comments=section.boolean('comments', default=True) if 'comments' in section.data else None,
+    )

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import UNKNOWN_EFFORT, Signal, find_unit, spelled
-from trainid_ros.inputs.mapping_file import QUANTITIES
+from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Signal, find_unit, spelled
 from trainid_ros.inputs.tables import ROWS_AT_ONCE, Block, joined, open_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
@@ -38,10 +37,10 @@ _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command',
 _DATE_TIMES: Final = np.dtype('datetime64[ns]')
 _DAY_NS: Final = 86400 * NS_PER_S
 _YEAR_NS: Final = 366 * 86400 * NS_PER_S
+# 2000-01-01, where times that count from the start of a recording are put unless the mapping says when that was.
 _RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
-"""Where times that count from the start of a recording are put unless the mapping says when that was: 2000-01-01."""
-_LAST_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
-_MAX_NS: Final = 2**61
+_MAX_STAMP_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
+_MAX_SINCE_NS: Final = 2**61
 
 
 class Clock:
@@ -62,22 +61,19 @@ class Clock:
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return the stamps of rows [ns], shape (n,), and which rows have one, shape (n,).
 
-        Args:
-            columns: Columns of the time, each of shape (n,).
-            where: The file, for errors.
-            rows_before: Number of rows before these.
-
-        Raises:
-            InputError: ROS cannot hold a time.
+        ``where`` and ``rows_before`` are for the InputError of a time that ROS cannot hold.
         """
-        values = self._values(columns)
+        if self._time.function is None:
+            values = columns[self._time.columns[0]]
+        else:
+            values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
         known = np.isfinite(values)
         since_ns = self._since_ns(values, known)
         if values.dtype.kind != 'M' and self.start_ns is None and known.any():
             relative = abs(int(since_ns[known][0])) < _YEAR_NS
             self.start_ns = _RELATIVE_START_NS if relative else 0
         stamps = since_ns + (0 if values.dtype.kind == 'M' else self.start_ns or 0)
-        wrong = known & ((stamps <= 0) | (stamps >= _LAST_NS))
+        wrong = known & ((stamps <= 0) | (stamps >= _MAX_STAMP_NS))
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
@@ -86,12 +82,6 @@ class Clock:
             )
         return stamps, known
 
-    def _values(self, columns: dict[str, Column]) -> Column:
-        """Return the times of rows as they are in the file, or as the function of the mapping makes them."""
-        if self._time.function is None:
-            return columns[self._time.columns[0]]
-        return self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
-
     def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
         if values.dtype.kind == 'M':
             return np.where(known, values.astype(_DATE_TIMES).astype(np.int64), 0)
@@ -99,7 +89,7 @@ class Clock:
             return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
-        limit = _MAX_NS // round(ns)
+        limit = _MAX_SINCE_NS // round(ns)
         if values.dtype.kind == 'i':
             return np.asarray(np.clip(values, -limit, limit) * round(ns))
         return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
@@ -144,15 +134,7 @@ class TableRecords:
     """
 
     def __init__(self, path: Path, inputs: MappedInputs) -> None:
-        """Prepare.
-
-        Args:
-            path: The file.
-            inputs: What makes records; its mapping is one of a table.
-
-        Raises:
-            InputError: The file cannot be used.
-        """
+        """Prepare a file for inputs whose mapping is one of a table; InputError if it cannot be used."""
         self.rows = self.steps_back = 0
         self.blank: Counter[str] = Counter()
         self.warnings: tuple[str, ...] = ()
@@ -205,14 +187,12 @@ class TableRecords:
         columns = [(self._time.columns[0], self._time.unit, 'time')] if self._time.function is None else []
         for key, signal in self._signals.items():
             if signal.function is None:
-                columns += [(str(source.path[0]), source.unit, QUANTITIES[key][0]) for source in signal.sources]
+                columns += [(str(source.path[0]), source.unit, QUANTITIES[key].kind) for source in signal.sources]
         for name, unit, quantity in columns:
             stated = self._table.units.get(name, '')
             with suppress(ValueError):
-                if (
-                    find_unit(spelled(_UNIT_SIGNS.get(stated.lower(), stated), quantity), quantity).factor
-                    != unit.factor
-                ):
+                read = find_unit(spelled(_UNIT_SIGNS.get(stated.lower(), stated), quantity), quantity)
+                if read.factor != unit.factor:
                     yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 
     def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
@@ -251,11 +231,10 @@ class TableRecords:
                 value = values[place]
                 if not (math.isfinite(value) or (quantity == 'brake_command' and value == UNKNOWN_EFFORT)):
                     continue
-                made = (
-                    self._inputs.add(quantity, index, stamp_ns, value)
-                    if index >= 0
-                    else self._inputs.put(quantity, stamp_ns, value)
-                )
+                if index >= 0:
+                    made = self._inputs.add(quantity, index, stamp_ns, value)
+                else:
+                    made = self._inputs.put(quantity, stamp_ns, value)
                 # A sum lacks a value where one of its parts is blank for long.
                 records += [(self._newest_ns, record) for record in made if math.isfinite(record.row()[2])]
         return records

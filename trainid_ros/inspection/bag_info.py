@@ -1,9 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inspect the contents of a bag, and check that the estimators can use it."""
+"""What is in a bag, and whether the estimators can use it: topics, stamps, ranges, units and signs.
+
+Whether the inputs fit together shows in the samples that a replay makes of them. With a train file the checks are those
+of a replay. Without one the mass is not known, so that units of forces cannot be checked, but forces must still go with
+the acceleration, and gradients slow the train as such in per mille do.
+
+Unit and sign of the gradient show in how it slows the train. While no brake acts, the mean acceleration over some
+seconds is
+
+    (1 + gamma) dv/dt = p F - g k i / 1000 - (a + b v + c v^2)
+
+The regression leaves gain p of the force and resistance free, so that neither mass nor train file is needed. The slope
+k is about 1 if the gradient i is in per mille, and 10 if it is in per cent. Nothing is said unless the gradient
+explains a good part of what force and speed leave: on a flat line, or with much noise, its unit does not show.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,8 +27,10 @@ import numpy as np
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, joined
-from trainid_ros.inspection.input_check import Findings, check_inputs
+from trainid_ros.estimators.pipeline import Contradiction
+from trainid_ros.inspection.number_series import USUAL_ROTARY, Slope, is_near, partial_slope
 from trainid_ros.interface.records import (
+    BRAKE,
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
@@ -23,11 +40,19 @@ from trainid_ros.interface.records import (
     REQUIRED_TOPICS,
     SPEED_TOPIC,
 )
+from trainid_ros.interface.results import Reason
+from trainid_ros.interface.scalars import find_fault
 from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.topic_track import ONE_LOST
+from trainid_ros.train.forces import G
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -35,44 +60,33 @@ if TYPE_CHECKING:
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
-    from trainid_ros.interface.records import InputTopic
+    from trainid_ros.interface.records import InputTopic, Row
     from trainid_ros.train.train_file import TrainFile
 
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s
 _INT64_MAX: Final = 2**63 - 1  # log times are unsigned
-# Brake commands of which so many differ from the one before are published on change.
-_CHANGING: Final = 0.9
-_FEWEST_CHANGES: Final = 3
+# Brake commands of which so many differ from the one before are published on change [1].
+_MIN_CHANGING: Final = 0.9
+_MIN_COMMANDS: Final = 3
 # Distances by speed and by position are compared from this distance on [m], and may differ by this share [1]. A larger
 # step of the position is a correction [m].
 _MIN_DISTANCE_M: Final = 500.0
-_DISTANCE_ERROR: Final = 0.05
+_MAX_DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
-_SLOWEST_S: Final = AlignmentConfig().max_interval
+_MAX_INTERVAL_S: Final = AlignmentConfig().max_interval
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
-
-
-class _Quantity(NamedTuple):
-    """A field of an input topic whose range is reported."""
-
-    topic: str
-    field: str
-    unit: str
-
-
+# Topic, field and unit of the ranges that are reported.
 _QUANTITIES: Final = (
-    _Quantity(SPEED_TOPIC.name, 'speed', 'm/s'),
-    _Quantity(SPEED_TOPIC.name, 'position', 'm'),
-    _Quantity(FORCE_TOPIC.name, 'force', 'N'),
-    _Quantity(GRADIENT_TOPIC.name, 'gradient', 'per mille'),
-    _Quantity(GRADIENT_TOPIC.name, 'curve_radius', 'm'),
-    _Quantity(BRAKE_TOPIC.name, 'target_acceleration', 'm/s^2'),
-    _Quantity(MASS_TOPIC.name, 'mass', 'kg'),
+    (SPEED_TOPIC.name, 'speed', 'm/s'),
+    (SPEED_TOPIC.name, 'position', 'm'),
+    (FORCE_TOPIC.name, 'force', 'N'),
+    (GRADIENT_TOPIC.name, 'gradient', 'per mille'),
+    (GRADIENT_TOPIC.name, 'curve_radius', 'm'),
+    (BRAKE_TOPIC.name, 'target_acceleration', 'm/s^2'),
+    (MASS_TOPIC.name, 'mass', 'kg'),
 )
-# By the interface an unknown position is NaN, which is not a fault.
-_MAY_BE_NAN: Final = frozenset({(SPEED_TOPIC.name, 'position')})
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,15 +156,11 @@ class _Column:
         numbers = [item.name for item in fields(topic.record) if item.type in {'float', float}]
         self.stamps = table.stamp_ns
         self.logs = np.minimum(table.log_ns, _INT64_MAX).astype(np.int64)
-        self._values = dict(zip(numbers, (table.x, table.y), strict=False))
+        self.values = dict(zip(numbers, (table.x, table.y), strict=False))
 
-    def values(self, name: str) -> NDArray[np.float64]:
-        return self._values[name]
-
-    def not_finite(self, topic: str) -> int:
-        """Return the number of messages with a value that is not finite although it must be."""
-        names = [name for name in self._values if (topic, name) not in _MAY_BE_NAN]
-        columns = [~np.isfinite(self.values(name)) for name in names]
+    def not_finite(self) -> int:
+        """Return the number of messages with a value that is not finite; by the interface a position may be NaN."""
+        columns = [~np.isfinite(values) for name, values in self.values.items() if name != 'position']
         return int(np.count_nonzero(np.logical_or.reduce(columns)))
 
 
@@ -191,7 +201,7 @@ def inspect(
             duration_s=(last - first) / NS_PER_S,
             messages=reader.message_count,
             topics=topics,
-            ranges=tuple(_range(columns, item) for item in _QUANTITIES if item.topic in columns),
+            ranges=tuple(_range(columns, *item) for item in _QUANTITIES if item[0] in columns),
             moving_share=moving,
             braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
             missing=missing,
@@ -247,7 +257,7 @@ def _mapped(mapping: Mapping, columns: dict[str, _Column]) -> Iterator[TopicInfo
 
 def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:
     column = columns.get(name)
-    return (0, None) if column is None else (column.not_finite(name), _stamp_info(column))
+    return (0, None) if column is None else (column.not_finite(), _stamp_info(column))
 
 
 def _stamp_info(column: _Column) -> StampInfo:
@@ -259,7 +269,7 @@ def _stamp_info(column: _Column) -> StampInfo:
     newest = np.maximum.accumulate(stamped)
     usual_s = _median(steps) if steps.size else 0.0
     return StampInfo(
-        rate=1.0 / usual_s if steps.size else float('nan'),
+        rate=1.0 / usual_s if steps.size else math.nan,
         first_ns=int(ordered[0]) if ordered.size else 0,
         last_ns=int(ordered[-1]) if ordered.size else 0,
         gaps=int(np.count_nonzero(steps > max(column.hold_s, ONE_LOST * usual_s))),
@@ -277,26 +287,26 @@ def _median(values: NDArray[np.float64] | NDArray[np.int64]) -> float:
     return 0.5 * (float(ordered[(ordered.size - 1) // 2]) + float(ordered[ordered.size // 2]))
 
 
-def _range(columns: dict[str, _Column], item: _Quantity) -> ValueRange:
-    values = columns[item.topic].values(item.field)
+def _range(columns: dict[str, _Column], topic: str, field: str, unit: str) -> ValueRange:
+    values = columns[topic].values[field]
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (float('nan'),) * 2
-    return ValueRange(item.topic, item.field, item.unit, low, high)
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
+    return ValueRange(topic, field, unit, low, high)
 
 
 def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
     """Return the share of time in which a value is not zero; a message holds until the next, for a time at most."""
     if topic not in columns:
-        return float('nan')
+        return math.nan
     column = columns[topic]
     order = np.argsort(column.stamps, kind='stable')
-    stamps, values = column.stamps[order], np.abs(column.values(name)[order])
+    stamps, values = column.stamps[order], np.abs(column.values[name][order])
     if column.hold_s > GAP_S:  # declared, so it is known of the last message too
         stamps = np.append(stamps, column.end_ns)
     held = np.clip(np.diff(stamps) / NS_PER_S, 0.0, column.hold_s)
     active = values[: held.size] > (MOVING_SPEED if name == 'speed' else 0.0)
     total = float(held.sum())
-    return float(held[active].sum()) / total if total > 0.0 else float('nan')
+    return float(held[active].sum()) / total if total > 0.0 else math.nan
 
 
 def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: float) -> list[str]:
@@ -311,9 +321,9 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
     if not moving > 0.0:
         problems.append('the train does not move')
     problems += [
-        f'{name}: comes every {1.0 / topic.stamps.rate:.3g} s, and slower than {_SLOWEST_S:g} s is not used'
+        f'{name}: comes every {1.0 / topic.stamps.rate:.3g} s, and slower than {_MAX_INTERVAL_S:g} s is not used'
         for name, topic in required.items()
-        if name != BRAKE_TOPIC.name and topic.stamps is not None and topic.stamps.rate * _SLOWEST_S < 1.0
+        if name != BRAKE_TOPIC.name and topic.stamps is not None and topic.stamps.rate * _MAX_INTERVAL_S < 1.0
     ]
     return problems
 
@@ -324,12 +334,12 @@ def _has_usable(topic: TopicInfo) -> bool:
 
 def _command_warnings(column: _Column | None) -> list[str]:
     """Say so where brake commands come only when they change."""
-    if column is None or column.hold_s > GAP_S or column.stamps.size < _FEWEST_CHANGES:
+    if column is None or column.hold_s > GAP_S or column.stamps.size < _MIN_COMMANDS:
         return []
     order = np.argsort(column.stamps, kind='stable')
-    changes = np.diff(column.values('target_acceleration')[order]) != 0.0
+    changes = np.diff(column.values['target_acceleration'][order]) != 0.0
     longest_s = float(np.diff(column.stamps[order]).max()) / NS_PER_S
-    if np.mean(changes) < _CHANGING or longest_s <= AlignmentConfig().command_timeout:
+    if np.mean(changes) < _MIN_CHANGING or longest_s <= AlignmentConfig().command_timeout:
         return []
     return [
         f'{BRAKE_TOPIC.name}: published only on change: set alignment.command_hold to the longest time that a command '
@@ -342,15 +352,15 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     if column is None:
         return []
     order = np.argsort(column.stamps, kind='stable')
-    speed, position = column.values('speed')[order], column.values('position')[order]
+    speed, position = column.values['speed'][order], column.values['position'][order]
     elapsed = np.diff(column.stamps[order]) / NS_PER_S
     by_speed, by_position = 0.5 * (speed[:-1] + speed[1:]) * elapsed, np.abs(np.diff(position))
     # Positions are unknown, or corrected at a balise.
     known = (elapsed > 0.0) & (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
     distance = float(by_position[known].sum())
-    if distance < _MIN_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
+    if distance < _MIN_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
         return []
-    unit = ', so it looks like km/h' if abs(ratio + 1.0 - _KMH) < _DISTANCE_ERROR * _KMH else ''
+    unit = ', so it looks like km/h' if abs(ratio + 1.0 - _KMH) < _MAX_DISTANCE_ERROR * _KMH else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
 
 
@@ -365,3 +375,246 @@ def _topic_warnings(topic: TopicInfo) -> list[str]:
         (stamps.zero, 'messages with a zero stamp'),
     )
     return [f'{topic.name}: {count} {what}' for count, what in found if count]
+
+
+# Slower trains may stand or shunt [m/s].
+_MIN_SPEED: Final = 1.0
+# A share of the samples in motion [1]: beyond it what goes wrong is the rule.
+_MAJORITY: Final = 0.5
+# Correlation of a force whose sign is wrong [1], from so many samples on.
+_MAX_OPPOSITE: Final = -0.5
+_MIN_PAIRS: Final = 50
+# Accelerations are means over at least this time [s], so that noise of the speed matters little.
+_BLOCK_S: Final = 2.0
+_MIN_BLOCKS: Final = 15
+# Time after which a brake that was released does not act [s].
+_RELEASED_S: Final = 4.0
+# A slope shows a unit from so many of its standard deviations on, where the gradient explains this share of the
+# variance [1] and has, in its right unit, this standard deviation [per mille].
+_MIN_SIGMAS: Final = 8.0
+_MIN_SHARE: Final = 0.2
+_MIN_STD: Final = 1.0
+# Slope beyond which a gradient is certainly too small [1]: a speed in km/h gives 3.6. It exceeds that by so many
+# standard deviations.
+_TOO_SMALL: Final = 5.0
+_MIN_SIGMAS_BEYOND: Final = 3.0
+# Slope of a gradient that is ten times too large [1]. Noise makes slopes small too, but no noise has this standard
+# deviation [per mille].
+_TOO_LARGE: Final = 0.1
+_LARGE_STD: Final = 30.0
+# Per mille in each unit.
+_UNITS: Final = {'per cent': 10.0, 'degrees': 1000.0 * math.pi / 180.0, 'a ratio or radians': 1000.0}
+# Any train: only what the train file does not change is then checked.
+_ANY_TRAIN: Final = TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
+
+
+class Findings(NamedTuple):
+    """What is wrong with the inputs of a bag."""
+
+    problems: tuple[str, ...]  # Why it cannot be used
+    warnings: tuple[str, ...]  # What the estimators leave out
+
+
+def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: TrainFile | None) -> Findings:
+    """Return what is wrong with inputs as rows of numbers; names of topics are our own.
+
+    Args:
+        rows: The inputs, by log time.
+        alignment: Settings of the alignment.
+        train_file: The train, None if it is not known.
+    """
+    check = _Check(alignment, train_file)
+    for row in rows:
+        check.take(row)
+    problems = [*check.signs(), *check.unusable(), *filter(None, [check.gradient.finding()])]
+    warnings = [*check.faults(), *check.off_the_line()]
+    if (last := check.contradiction).finding:
+        (problems if check.is_most(Reason.CONTRADICTION) else warnings).append(last.text)
+    return Findings(tuple(problems), tuple(warnings))
+
+
+def brake_sign(tables: Iterable[RecordTable]) -> str:
+    """Say so if brake commands have the wrong sign, '' if they have not."""
+    above = below = 0
+    for table in tables:
+        commands = table.x[table.topic == BRAKE]
+        above, below = above + int(np.count_nonzero(commands > 0.0)), below + int(np.count_nonzero(commands < 0.0))
+    return _wrong_brake(above) if above and not below else ''
+
+
+def _wrong_brake(above: int) -> str:
+    return (
+        f'{BRAKE_TOPIC.name} looks as if it had the wrong sign: all {above} messages that are not 0 are above it, and '
+        'target accelerations of a brake are not'
+    )
+
+
+class _GradientCheck:
+    """What the samples of a drive say about the unit of the gradient."""
+
+    def __init__(self) -> None:
+        # Means over some seconds without brake: time [s], acceleration [m/s^2], gradient as reported [per mille], force
+        # by weight [N/kN], speed [m/s] and its square.
+        self._blocks: list[list[float]] = []
+        self._sums = [0.0] * 6
+        self._released_s = 0.0
+
+    def add(self, sample: Sample, before: float, traction: float) -> None:
+        """Add a sample in motion that an estimator could use, speed before [m/s], and force by weight [N/kN]."""
+        dt, speed = sample.dt, 0.5 * (before + sample.speed)
+        self._released_s = 0.0 if sample.brake_command < 0.0 else self._released_s + dt
+        values = (1.0, (sample.speed - before) / dt, sample.gradient_mean, traction, speed, speed * speed)
+        if self._released_s < _RELEASED_S or not math.isfinite(sum(values)):
+            self._sums = [0.0] * 6
+            return
+        self._sums = [total + dt * value for total, value in zip(self._sums, values, strict=True)]
+        if (seconds := self._sums[0]) >= _BLOCK_S:
+            self._blocks.append([seconds, *(total / seconds for total in self._sums[1:])])
+            self._sums = [0.0] * 6
+
+    def interrupt(self) -> None:
+        """Take note that samples are missing: a brake may have acted meanwhile."""
+        self._released_s, self._sums = 0.0, [0.0] * 6
+
+    def finding(self) -> str:
+        """Return what is wrong with the gradient, '' if nothing is, or if it does not show."""
+        if len(self._blocks) < _MIN_BLOCKS or (slope := _slope(np.array(self._blocks))) is None:
+            return ''
+        size = abs(slope.value)
+        if size < _MIN_SIGMAS * slope.std or slope.share < _MIN_SHARE or size * slope.spread < _MIN_STD:
+            return ''
+        how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
+        sign = ', with the wrong sign' if slope.value < 0.0 else ''
+        if size - _MIN_SIGMAS_BEYOND * slope.std > _TOO_SMALL:
+            unit = min(_UNITS, key=lambda name: abs(math.log(size / _UNITS[name])))
+            what = f'like {unit}' if is_near(size, _UNITS[unit]) else 'too small'
+            return f'{GRADIENT_TOPIC.name} looks {what}{sign}: {how}'
+        if is_near(size, _TOO_LARGE) and slope.spread > _LARGE_STD:
+            return f'{GRADIENT_TOPIC.name} looks ten times too large{sign}: {how}'
+        if sign and is_near(size, 1.0):
+            return f'{GRADIENT_TOPIC.name} looks as if it had the wrong sign: the train gains speed uphill'
+        return ''
+
+
+def _slope(blocks: NDArray[np.float64]) -> Slope | None:
+    """Return how the gradient slows the train [1], from blocks as rows; None if the other columns explain it."""
+    seconds, acceleration, gradient, *others = blocks.T
+    slope = partial_slope(acceleration, gradient, others, np.cumsum(seconds))
+    scale = -1000.0 * (1.0 + USUAL_ROTARY) / G
+    return slope and slope._replace(value=scale * slope.value, std=abs(scale) * slope.std)
+
+
+class _Check:
+    """What a stream of samples says about its inputs."""
+
+    def __init__(self, alignment: AlignmentConfig, train_file: TrainFile | None) -> None:
+        self._known = KnownForce(train_file or _ANY_TRAIN)
+        config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)
+        self._stream = SampleStream(config)
+        self._line = None if train_file is None else LineProfile(train_file.line, train_file.train.length)
+        self._off_line = 0
+        self.contradiction = Contradiction()
+        self.gradient = _GradientCheck()
+        self._out_of_range: Counter[int] = Counter()
+        self._first_out: dict[int, float] = {}
+        self._applied = 0
+        self._reasons: Counter[Reason] = Counter()
+        self._moving = 0
+        self._first_ns, self._speed = 0, math.nan
+        # Force and acceleration without brake, force and command while braking; one row each.
+        self._released: list[tuple[float, float]] = []
+        self._braked: list[tuple[float, float]] = []
+
+    def take(self, row: Row) -> None:
+        topic, stamp_ns, x, y, _ = row
+        fault = find_fault(topic, stamp_ns, x, y)
+        if fault is not None and fault.reason is Reason.OUT_OF_RANGE:
+            self._out_of_range[topic] += 1
+            self._first_out.setdefault(topic, fault.value)
+        elif topic == BRAKE and x < 0.0:
+            self._applied += 1
+        for event in self._stream.push_row(*row):
+            if isinstance(event, Sample):
+                self._follow(event)
+
+    def _follow(self, sample: Sample) -> None:
+        self._first_ns = self._first_ns or sample.stamp_ns
+        self.contradiction.follow(self._stream.finding, (sample.stamp_ns - self._first_ns) / NS_PER_S)
+        before, self._speed = self._speed, sample.speed
+        if sample.speed < _MIN_SPEED:
+            self.gradient.interrupt()
+            return
+        self._moving += 1
+        if self._line is not None and (sample.position < self._line.first or sample.position > self._line.last):
+            self._off_line += 1
+        self._reasons[reason := self._reason(sample)] += 1
+        if reason not in {Reason.NONE, Reason.CONTRADICTION} or not math.isfinite(sample.dt + sample.force_mean):
+            self.gradient.interrupt()
+            return
+        self.gradient.add(sample, before, self._known.traction(sample.force_mean, sample))
+        if sample.brake_command < 0.0:
+            self._braked.append((sample.force_mean, sample.brake_command))
+        else:
+            acceleration = (sample.speed - before) / sample.dt + G * sample.gradient_mean / 1000.0
+            self._released.append((sample.force_mean, acceleration))
+
+    def _reason(self, sample: Sample) -> Reason:
+        """Return why no estimator can use a sample, NONE if one can."""
+        if sample.rejection is not None:
+            return sample.rejection.reason
+        if math.isnan(sample.dt):
+            return Reason.GAP
+        if (rejection := self._known.reject(sample)) is not None:
+            return rejection.reason
+        return Reason.NONE if math.isfinite(sample.brake_command) else Reason.BRAKE_COMMAND_MISSING
+
+    def is_most(self, reason: Reason) -> bool:
+        """Return whether most samples in motion are rejected for a reason."""
+        return self._reasons[reason] > _MAJORITY * self._moving
+
+    def signs(self) -> list[str]:
+        """Return which inputs have the wrong sign, by all that was seen."""
+        found = []
+        if self._first_out.get(BRAKE, 0.0) > 0.0 and not self._applied:
+            found.append(_wrong_brake(self._out_of_range[BRAKE]))
+        if self.is_most(Reason.CONTRADICTION):
+            return found
+        if _correlation(self._released) < _MAX_OPPOSITE:
+            found.append(f'{FORCE_TOPIC.name} looks as if it had the wrong sign: it is against the acceleration')
+        elif _correlation(self._braked, about_zero=True) < _MAX_OPPOSITE:
+            found.append(f'{FORCE_TOPIC.name} drives while {BRAKE_TOPIC.name} brakes: its sign is missing or wrong')
+        return found
+
+    def unusable(self) -> list[str]:
+        """Say so if most samples in motion cannot be used."""
+        left_out = Counter({reason: count for reason, count in self._reasons.items() if reason is not Reason.NONE})
+        del left_out[Reason.CONTRADICTION]  # named by what contradicts what
+        if not left_out or self._reasons[Reason.NONE] >= (1.0 - _MAJORITY) * self._moving:
+            return []
+        reason, count = left_out.most_common(1)[0]
+        return [f'{count} of {self._moving} samples in motion cannot be used: {reason.name}']
+
+    def faults(self) -> list[str]:
+        """Say which messages are out of range."""
+        return [
+            f'{INPUT_TOPICS[topic].name}: {count} messages out of range, the first with {self._first_out[topic]:.4g}'
+            for topic, count in sorted(self._out_of_range.items())
+        ]
+
+    def off_the_line(self) -> list[str]:
+        """Say so if most positions are not on the line of the train file."""
+        if self._line is None or self._off_line <= _MAJORITY * self._moving:
+            return []
+        return [
+            f'{SPEED_TOPIC.name} has a position off the line of the train file, {self._line.first:.0f} to '
+            f'{self._line.last:.0f} m, in {self._off_line} of {self._moving} samples in motion: check origin and unit'
+        ]
+
+
+def _correlation(pairs: list[tuple[float, float]], *, about_zero: bool = False) -> float:
+    """Return the correlation of pairs about their means or 0 [1]; 0 where there are few, or one does not change."""
+    if len(pairs) < _MIN_PAIRS:
+        return 0.0
+    x, y = (column if about_zero else column - column.mean() for column in np.array(pairs).T)
+    scale = math.sqrt(float(x @ x) * float(y @ y))
+    return float(x @ y) / scale if scale > 0.0 else 0.0

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All numbers in the messages of a bag over time, whatever their topics and types."""
+"""All numbers in the messages of a bag over time, whatever their topics and types, and how they go together.
+
+The balance of forces tells which number is what, and in which unit:
+
+    (1 + gamma) M dv/dt = F - M g (w(v) + i) / 1000
+
+The slope of the acceleration over a force is 1 / ((1 + gamma) M) in its unit, over a gradient -g / (1 + gamma) / 1000.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,20 +24,22 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from trainid_ros.bag.types import StoredType
 
-LONGEST_S: Final = 3600.0
+    Array = NDArray[np.float64]
+
+MAX_S: Final = 3600.0
 """Part of a bag that is read [s]."""
 # Of a topic with more messages in the bag, each k-th is read.
 _MAX_SAMPLES: Final = 20_000
 # Larger messages are images and the like [bytes].
-_LARGEST: Final = 4096
-_LONGEST_ARRAY: Final = 8
+_MAX_BYTES: Final = 4096
+_MAX_ARRAY: Final = 8
 _MAX_FIELDS: Final = 64
 _PACKAGE: Final = 'trainid_msgs/'
 _TYPE: Final = re.compile(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+')
@@ -105,7 +115,7 @@ def read_numbers(
     readable = _readable(path, namespace, max_chunk, wanted)
     left_out += [(name, 'its definition cannot be read') for name in wanted if name not in readable]
     collectors = {name: _Collector(name, max(1, wanted[name] // _MAX_SAMPLES)) for name in readable}
-    end_ns = min(span[1], span[0] + round(LONGEST_S * NS_PER_S))
+    end_ns = min(span[1], span[0] + round(MAX_S * NS_PER_S))
     with BagReader(path, namespace, max_chunk, mapping=_naming(readable)) as reader:
         _collect(reader, collectors, span[0], end_ns, reading)
     left_out += [(item.topic, 'large messages') for item in collectors.values() if item.is_large]
@@ -176,7 +186,7 @@ class _Collector:
         self._count += 1
         if self.is_large or (self._count - 1) % self._every:
             return
-        if len(payload) > _LARGEST:
+        if len(payload) > _MAX_BYTES:
             self.is_large = True
             return
         try:
@@ -213,7 +223,7 @@ class _Collector:
 def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], bool]]:
     """Yield the paths to the numbers of a message, each with whether it is a whole one."""
     if isinstance(part, np.ndarray):
-        if part.size <= _LONGEST_ARRAY and part.dtype.kind in 'iuf':
+        if part.size <= _MAX_ARRAY and part.dtype.kind in 'iuf':
             yield from (((*path, k), part.dtype.kind != 'f') for k in range(part.size))
     elif is_dataclass(part):
         for item in fields(part):
@@ -227,3 +237,162 @@ def _number(message: Any, path: tuple[str | int, ...]) -> float:
     for step in path:
         message = message[step] if isinstance(step, int) else getattr(message, step)
     return float(message)
+
+
+USUAL_ROTARY: Final = 0.08
+"""Share by which rotating masses raise the inertia of a usual train [1]."""
+PER_MILLE: Final = {'per_mille': 1.0, 'percent': 10.0, 'deg': 1000.0 * math.pi / 180.0, 'rad': 1000.0}
+"""Per mille in each unit of a gradient."""
+# Slopes of regressions are exact to this factor [1].
+_SLOPE_FACTOR: Final = 1.6
+# Residuals over this time may be alike, as in a gust [s].
+_CORRELATED_S: Final = 20.0
+STEP_S: Final = 0.2
+"""Interval of the common times [s]."""
+# Half of the time over which a derivative is taken [steps].
+_HALF: Final = 5
+# Values farther apart are not interpolated [s]; slower series are always.
+_MAX_GAP_S: Final = 1.5
+MIN_NUMBERS: Final = 50
+"""Fewest numbers that show anything."""
+# Changes of a position are compared with the distance over so much time, at least [s], and at most.
+_SPAN_S: Final = (8.0, 900.0)
+
+
+def common_times(speed: NumberSeries) -> Array:
+    """Return the times at which all series are compared with a speed [s], shape (n,)."""
+    return np.arange(speed.time[0], speed.time[-1], STEP_S)
+
+
+def at_times(series: NumberSeries, times: Array) -> Array:
+    """Return the numbers at times [s], shape (n,): interpolated, NaN in gaps; whole and rare ones are held."""
+    after = np.searchsorted(series.time, times, side='right')
+    before = np.clip(after - 1, 0, series.time.size - 1)
+    if series.is_whole or not series.rate > 1.0 / _MAX_GAP_S:
+        held: Array = np.where(after > 0, series.value[before], math.nan)
+        return held
+    values = np.interp(times, series.time, series.value, left=math.nan, right=math.nan)
+    gap = series.time[np.clip(after, 0, series.time.size - 1)] - series.time[before]
+    return np.where(gap > _MAX_GAP_S, math.nan, values)
+
+
+def derivative(values: Array) -> Array:
+    """Return the change per second of values at common times, shape (n,); NaN at the ends."""
+    slope = np.full_like(values, math.nan)
+    slope[_HALF:-_HALF] = (values[2 * _HALF :] - values[: -2 * _HALF]) / (2 * _HALF * STEP_S)
+    return slope
+
+
+def correlation(x: Array, y: Array) -> float:
+    """Return the correlation of two series where both are known [1]; 0 if that is hardly anywhere."""
+    known = np.isfinite(x) & np.isfinite(y)
+    if np.count_nonzero(known) < MIN_NUMBERS or np.ptp(x[known]) == 0.0 or np.ptp(y[known]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(x[known], y[known])[0, 1])
+
+
+class Travel(NamedTuple):
+    """A position compared with the integral of a speed."""
+
+    correlation: float  # Correlation of their changes [1]
+    ratio: float  # Change of the position for each unit of the speed and second
+
+
+def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
+    """Compare changes of a position with the integral of a speed, between its stamps."""
+    steps = np.diff(speed.time)
+    mean = 0.5 * (np.abs(speed.value[1:]) + np.abs(speed.value[:-1]))
+    distance = np.concatenate(([0.0], np.cumsum(np.where(steps < _SPAN_S[0], mean * steps, 0.0))))
+    inside = (position.time >= speed.time[0]) & (position.time <= speed.time[-1]) & np.isfinite(position.value)
+    time, value = position.time[inside], position.value[inside]
+    if time.size == 0:
+        return Travel(0.0, math.nan)
+    bins = np.floor((time - time[0]) / _SPAN_S[0])
+    first = np.concatenate(([True], np.diff(bins) > 0.0))
+    time, value = time[first], value[first]
+    gone, elapsed = np.diff(np.interp(time, speed.time, distance)), np.diff(time)
+    change = np.abs(np.diff(value))
+    usable = (elapsed < _SPAN_S[1]) & (gone > 0.0)
+    if np.count_nonzero(usable) < _HALF or not change[usable].any():
+        return Travel(0.0, math.nan)
+    # Positions are set anew now and then.
+    usual = float(np.median(change[usable] / gone[usable]))
+    usable &= np.abs(change - usual * gone) <= 0.3 * usual * gone + 1e-3 * float(change[usable].max())
+    if np.count_nonzero(usable) < _HALF or np.ptp(gone[usable]) == 0.0 or np.ptp(change[usable]) == 0.0:
+        return Travel(0.0, math.nan)
+    share = float(np.mean(usable[gone > 0.0]))
+    ratio = float(change[usable] @ gone[usable]) / float(gone[usable] @ gone[usable])
+    return Travel(float(np.corrcoef(gone[usable], change[usable])[0, 1]) * share, ratio)
+
+
+class Fit(NamedTuple):
+    """A regression."""
+
+    slopes: tuple[float, ...]  # Coefficients of the regressors
+    share: float  # Explained share of the variance [1]
+
+
+def regress(y: Array, columns: Sequence[Array], moving: NDArray[np.bool_]) -> Fit | None:
+    """Return the regression of y on columns and a constant, where all are known and the train moves; None if nowhere.
+
+    Args:
+        y: Shape (n,).
+        columns: Each of shape (n,).
+        moving: Shape (n,).
+    """
+    known = np.isfinite(y) & moving
+    for column in columns:
+        known &= np.isfinite(column)
+    if np.count_nonzero(known) < MIN_NUMBERS:
+        return None
+    design = np.column_stack([*(column[known] for column in columns), np.ones(np.count_nonzero(known))])
+    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    slopes, *_ = np.linalg.lstsq(design / scale, y[known], rcond=1e-9)
+    variance = float(np.var(y[known]))
+    rest = float(np.mean((y[known] - design / scale @ slopes) ** 2))
+    return Fit(tuple((slopes / scale)[:-1].tolist()), 1.0 - rest / variance if variance > 0.0 else 0.0)
+
+
+class Slope(NamedTuple):
+    """How one series follows another one apart from further series."""
+
+    value: float  # Slope
+    std: float  # Its standard deviation
+    spread: float  # Standard deviation of the other series that the further ones do not explain
+    share: float  # Share of the variance, of what the further ones leave, that the slope explains [1]
+
+
+def partial_slope(y: Array, x: Array, others: Sequence[Array], time: Array) -> Slope | None:
+    """Return the slope of y over x beside others and a constant; None where x does not change apart from them.
+
+    Args:
+        y: Shape (n,).
+        x: Shape (n,).
+        others: Each of shape (n,).
+        time: Times that do not fall [s], shape (n,); residuals that are near in time are not independent.
+    """
+    design = np.column_stack([*others, np.ones(y.size)])
+    design /= np.maximum(np.abs(design).max(axis=0), 1e-300)
+    both = np.column_stack([y, x])
+    rest_y, rest_x = (both - design @ np.linalg.lstsq(design, both, rcond=1e-9)[0]).T
+    square = float(rest_x @ rest_x)
+    if square <= 1e-9 * float(x @ x):
+        return None
+    slope = float(rest_x @ rest_y) / square
+    rest = rest_y - slope * rest_x
+    sums = np.bincount(np.floor(time / _CORRELATED_S).astype(np.intp), weights=rest_x * rest)
+    std = math.sqrt(float(sums @ sums) * sums.size / max(sums.size - 1, 1)) / square
+    explained = slope * slope * square
+    share = explained / total if (total := explained + float(rest @ rest)) > 0.0 else 0.0
+    return Slope(slope, std, math.sqrt(square / y.size), share)
+
+
+def is_near(size: float, expected: float) -> bool:
+    """Return whether a slope may be another one, as slopes of regressions are exact."""
+    return abs(math.log(size / expected)) < math.log(_SLOPE_FACTOR)
+
+
+def nearest_unit(size: float, units: dict[str, float]) -> str:
+    """Return the unit with a factor near a slope, '' if none is."""
+    name = min(units, key=lambda item: abs(math.log(size / units[item])))
+    return name if is_near(size, units[name]) else ''

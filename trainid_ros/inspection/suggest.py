@@ -6,50 +6,193 @@ Speed is what positions are the integral of, and forces go with its derivative; 
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import TOPIC_OF, find_unit
-from trainid_ros.inspection.suggestion import (
-    FEWEST,
+from trainid_ros.inputs.mapping import QUANTITIES, find_unit
+from trainid_ros.inspection.number_series import (
+    MIN_NUMBERS,
     PER_MILLE,
     STEP_S,
     USUAL_ROTARY,
-    Choice,
-    Part,
-    Suggestion,
     Travel,
     at_times,
     common_times,
     compare_travel,
     correlation,
     derivative,
-    family,
-    is_nameless,
     is_near,
-    listed,
     nearest_unit,
     partial_slope,
     regress,
-    score,
-    unit_in,
 )
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.inspection.number_series import BagNumbers, NumberSeries
-    from trainid_ros.inspection.suggestion import Array
+    from trainid_ros.inspection.number_series import Array, BagNumbers, NumberSeries
     from trainid_ros.train.train_file import TrainFile
+
+_PLAIN: Final = re.compile(r'[A-Za-z/][A-Za-z0-9_/.]*')
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One source of a quantity, with what is not usual about it."""
+
+    series: NumberSeries
+    unit: str
+    sign: float = 1.0
+    table: tuple[tuple[float, float], ...] = ()
+
+    def text(self, more: str = '') -> str:
+        """Return it as in a mapping file; ``more`` are further keys."""
+        words = [f'topic: {_quoted(self.series.topic)}', f'field: {_quoted(self.series.field)}']
+        if self.table:
+            words.append(f'table: {{{", ".join(f"{raw:g}: {value:g}" for raw, value in self.table)}}}')
+        else:
+            words.append(f'unit: {_quoted(self.unit)}')
+        if self.sign < 0.0:
+            words.append('sign: -1')
+        if not self.series.has_stamps:
+            words.append('stamp: receive')
+        return f'{{{", ".join(words)}{more}}}'
+
+
+@dataclass(slots=True)
+class Choice:
+    """What is suggested for one quantity."""
+
+    quantity: str  # The quantity
+    parts: tuple[Part, ...] = ()  # Its sources, which are summed
+    text: str = ''  # What the file says in place of sources, '' with some
+    reasons: list[str] = field(default_factory=list)  # What speaks for it
+    decisions: list[str] = field(default_factory=list)  # What the reader must decide
+    on_change: bool = False  # Whether commands come only when they change
+
+    def lines(self) -> list[str]:
+        """Return its lines in the file."""
+        heads = [f'{self.quantity}: {described(part.series)}' for part in self.parts]
+        said = [*(heads or [f'{self.quantity}: not on a topic']), *(f'  {reason}' for reason in self.reasons)]
+        return [
+            *(comment(line) for line in said),
+            *(comment(f'  decide: {decision}') for decision in self.decisions),
+            *self._body(),
+        ]
+
+    def _body(self) -> list[str]:
+        more = ', on_change: true' if self.on_change else ''
+        if not self.parts:
+            return [f'{self.quantity}: {self.text}'] if self.text else []
+        if len(self.parts) == 1:
+            return [f'{self.quantity}: {self.parts[0].text(more)}']
+        return [f'{self.quantity}:', '  sum:', *(f'    - {part.text()}' for part in self.parts)]
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A suggested mapping."""
+
+    head: tuple[str, ...]  # What was read
+    choices: tuple[Choice, ...]  # What is suggested for each quantity
+    missing: tuple[str, ...]  # Required quantities for which nothing was found
+    notes: tuple[str, ...]  # What else there is to know
+
+    def text(self) -> str:
+        """Return the mapping file, with reasons as comments."""
+        blocks = [[comment(line) for line in self.head], *(choice.lines() for choice in self.choices)]
+        blocks.append([comment(line) for line in self.notes])
+        if not any(choice.parts or choice.text for choice in self.choices):
+            blocks.append(['{}'])
+        return '\n\n'.join('\n'.join(block) for block in blocks if block)
+
+
+def comment(text: str) -> str:
+    """Return a text as one comment, whatever characters a name in it has."""
+    return f'# {"".join(char if char.isprintable() else repr(char)[1:-1] for char in text)}'
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Return names with commas, no more than some of them."""
+    more = f' and {len(names) - most} more' if len(names) > most else ''
+    return f'{", ".join(names[:most])}{more}'
+
+
+def described(series: NumberSeries) -> str:
+    """Return topic, field, type and rate of a series."""
+    rate = '' if math.isnan(series.rate) else f', {series.rate:.3g} Hz'
+    return f'{series.topic} {series.field} ({series.type}{rate})'
+
+
+def _quoted(text: str) -> str:
+    return text if _PLAIN.fullmatch(text) else json.dumps(text)
+
+
+_WORDS: Final = {
+    'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v',
+    'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg',
+    'force': 'force effort traction tractive wrench thrust kn te zugkraft',
+    'gradient': 'gradient grade slope incline inclination permille steigung neigung',
+    'brake_command': 'brake braking notch decel deceleration handle bremse',
+    'mass': 'mass load weight payload masse',
+    'acceleration': 'acceleration accel acc',
+}
+_KNOWN: Final = {quantity: frozenset(words.split()) for quantity, words in _WORDS.items()}
+# Words of what is never an input, and of components across the train.
+_OTHER: Final = frozenset(
+    {'temperature', 'temp', 'voltage', 'volt', 'current', 'ampere', 'pressure', 'humidity', 'battery', 'fuel'}
+    | {'angular', 'orientation', 'latitude', 'longitude', 'altitude', 'heading', 'yaw', 'roll', 'rpm', 'torque'}
+)
+_ACROSS: Final = frozenset({'y', 'z', 'w', 'lateral', 'vertical'})
+_UNITS: Final = {
+    'kmh': 'km/h', 'kph': 'km/h', 'mph': 'mph', 'mps': 'm/s', 'ms': 'm/s', 'km': 'km', 'm': 'm', 'ft': 'ft', 'mi': 'mi',
+    'kn': 'kN', 'n': 'N', 'newton': 'N', 'lbf': 'lbf', 'permille': 'per_mille', 'percent': 'percent', 'pct': 'percent',
+    'deg': 'deg', 'rad': 'rad', 'kg': 'kg', 't': 't', 'ton': 't', 'tons': 't', 'tonnes': 't', 'lb': 'lb',
+}  # fmt: skip
+_CAMEL: Final = re.compile(r'(?<=[a-z0-9])(?=[A-Z])')
+_JOINED: Final = ((re.compile(r'km_?(?:per_?)?h(?![a-z])'), 'kmh'), (re.compile(r'per_mille'), 'permille'))
+_NUMBERS: Final = re.compile(r'\d+|(?<![a-z])(?:front|rear|left|right|leading|trailing|[a-f])(?![a-z])')
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Return the words of a name in lower case: ``/car1/tractionForce_kN`` has car, 1, traction, force and kn."""
+    text = _CAMEL.sub('_', name.replace('kN', 'kn').replace('km/h', 'kmh')).lower()
+    for pattern, word in _JOINED:
+        text = pattern.sub(word, text)
+    return tuple(re.findall(r'[a-z]+|\d+', text))
+
+
+def score(quantity: str, topic: str, field: str) -> float:
+    """Return how much a name says for a quantity [1]: up to 1 for the topic and for the field, less for other words."""
+    known, topic_words, field_words = _KNOWN[quantity], words_of(topic), words_of(field)
+    points = float(not known.isdisjoint(topic_words)) + float(not known.isdisjoint(field_words))
+    words = (*topic_words, *field_words)
+    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * (not _ACROSS.isdisjoint(words))
+
+
+def is_nameless(topic: str, field: str) -> bool:
+    """Return whether a name says nothing about what it carries."""
+    return all(score(quantity, topic, field) == 0.0 for quantity in _KNOWN)
+
+
+def unit_in(name: str, units: tuple[str, ...]) -> str:
+    """Return the unit that a name states, one of those given; '' if it states none."""
+    return next((unit for word in reversed(words_of(name)) if (unit := _UNITS.get(word, '')) in units), '')
+
+
+def family(topic: str) -> str:
+    """Return a topic without what tells alike ones apart, such as the numbers of motor cars."""
+    return _NUMBERS.sub('#', topic.lower())
 
 
 def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None) -> Suggestion:
@@ -65,10 +208,18 @@ def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None)
         'Check each line before it is used; what is left out comes from our own topic.',
     )
     own = frozenset(topic.lstrip('/') for topic in numbers.own)
-    choices = tuple(choice for choice in _choices(numbers, train_file) if TOPIC_OF[choice.quantity] not in own)
+    choices = tuple(choice for choice in _choices(numbers, train_file) if QUANTITIES[choice.quantity].topic not in own)
     missing = tuple(name for name in _ADVICE if not any(choice.quantity == name for choice in choices))
-    missing = tuple(name for name in missing if TOPIC_OF[name] not in own)
-    return Suggestion(head, choices, missing, tuple(_notes(numbers, choices, missing)))
+    missing = tuple(name for name in missing if QUANTITIES[name].topic not in own)
+    notes = [_ADVICE[name] for name in missing]
+    if numbers.own:
+        notes.append(f'from our own topics: {listed(sorted(own))}')
+    used = {part.series.topic for choice in choices for part in choice.parts}
+    if rest := sorted({item.topic for item in numbers.series} - used - numbers.own):
+        notes.append(f'not used: {listed(rest)}')
+    if numbers.left_out:
+        notes.append(f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out])}')
+    return Suggestion(head, choices, missing, tuple(notes))
 
 
 _ADVICE: Final = {
@@ -105,38 +256,25 @@ def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[
     return [item for item in series if id(item) not in chosen]
 
 
-def _notes(numbers: BagNumbers, choices: Sequence[Choice], missing: Sequence[str]) -> Iterable[str]:
-    yield from (_ADVICE[name] for name in missing)
-    if numbers.own:
-        yield f'from our own topics: {listed(sorted(topic.lstrip("/") for topic in numbers.own))}'
-    used = {part.series.topic for choice in choices for part in choice.parts}
-    if rest := sorted({item.topic for item in numbers.series} - used - numbers.own):
-        yield f'not used: {listed(rest)}'
-    if numbers.left_out:
-        yield f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out])}'
-
-
 _NAMED: Final = re.compile(r'(?:.*/)?train_?\d+', re.IGNORECASE)
-# Speeds of one train are more alike [1].
-_ALIKE: Final = 0.9
+# Correlation of two speeds of one train, and of a position with the integral of its speed [1].
+_MIN_ALIKE: Final = 0.9
+# Correlation of a force or a brake with the acceleration [1], and without a name that says so.
+_MIN_CORRELATION: Final = 0.3
+_MIN_NAMELESS: Final = 0.6
 
 
 def trains_in(series: Sequence[NumberSeries]) -> tuple[str, ...]:
     """Return the namespaces of the trains if there are several, empty if not."""
     groups: dict[tuple[str, str, str], dict[str, NumberSeries]] = defaultdict(dict)
     for item in _possible_speeds(series):
-        for namespace, name in _splits(item.topic):
+        for at in re.finditer(r'(?<!^)/', item.topic):
+            namespace, name = item.topic[: at.start()], item.topic[at.end() :]
             groups[namespace.rpartition('/')[0], name, item.field][namespace] = item
     for speeds in groups.values():
         if len(speeds) > 1 and (all(map(_NAMED.fullmatch, speeds)) or _drive_apart(speeds, series)):
             return tuple(sorted(speeds))
     return ()
-
-
-def _splits(topic: str) -> Iterator[tuple[str, str]]:
-    """Yield namespace and name of a topic for each namespace that it is in."""
-    for at in re.finditer(r'(?<!^)/', topic):
-        yield topic[: at.start()], topic[at.end() :]
 
 
 def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeries]) -> bool:
@@ -147,23 +285,19 @@ def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeri
     first, *others = speeds.values()
     times = common_times(first)
     speed = abs(at_times(first, times))
-    return any(correlation(speed, abs(at_times(other, times))) < _ALIKE for other in others)
+    return any(correlation(speed, abs(at_times(other, times))) < _MIN_ALIKE for other in others)
 
 
 _SPEED_UNITS: Final = ('m/s', 'km/h', 'mph')
 _LENGTH_UNITS: Final = ('m', 'km', 'mi', 'ft')
 # Ratios of two units are told apart to this share [1].
-_RATIO_ERROR: Final = 0.04
-_CLOSE: Final = 0.9
-_GOES_WITH: Final = 0.3
-# A number with a larger maximum, or a larger 99th percentile of its changes a second, is no speed in m/s.
-_FAST: Final = 60.0
-_STEEP: Final = 1.6
-# Without a name: the largest negative value, and change in a second, as shares of the largest value [1]; and the least
-# correlation of the derivative with another number.
-_NEGATIVE: Final = 0.02
-_SUDDEN: Final = 0.25
-_PUSHED: Final = 0.6
+_MAX_RATIO_ERROR: Final = 0.04
+# A speed in m/s has a smaller maximum [m/s], and 99th percentile of its changes [m/s^2].
+_MAX_MPS: Final = 60.0
+_MAX_MPS2: Final = 1.6
+# Of a speed without a name: the largest negative value, and change in a second, as shares of the largest value [1].
+_MAX_NEGATIVE: Final = 0.02
+_MAX_STEP: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,32 +321,29 @@ class _Motion:
 
 
 def _possible_speeds(series: Iterable[NumberSeries]) -> list[NumberSeries]:
-    """Return what may be a speed."""
-    found = []
-    for item in series:
-        moves = np.ptp(item.value) > 0.0 and item.time.size > 2 and item.rate >= 1.0
-        if moves and score('speed', item.topic, item.field) > 0.0 >= score('acceleration', item.topic, item.field):
-            found.append(item)
-    return found
+    """Return the candidates for a speed by name."""
+    return [
+        item
+        for item in series
+        if np.ptp(item.value) > 0.0 and item.time.size > 2 and item.rate >= 1.0
+        if score('speed', item.topic, item.field) > 0.0 >= score('acceleration', item.topic, item.field)
+    ]
 
 
 def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
-    """Return what may be a speed although no name says so.
-
-    It is never negative and changes slowly; and something is its integral, or goes with its derivative.
-    """
+    """Return nameless candidates for a speed: never negative, slow, and with an integral or a force among the rest."""
     found = []
     for item in series:
         if not is_nameless(item.topic, item.field) or item.is_whole or not item.rate >= 1.0:
             continue
         top = float(np.max(item.value))
-        if not top > 0.0 or float(np.min(item.value)) < -_NEGATIVE * top:
+        if not top > 0.0 or float(np.min(item.value)) < -_MAX_NEGATIVE * top:
             continue
         steps = derivative(at_times(item, common_times(item)))
-        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > _SUDDEN * top:
+        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > _MAX_STEP * top:
             continue
         rank = _rank(item, series)
-        if rank.position is not None or abs(rank.push[0]) > _PUSHED:
+        if rank.position is not None or abs(rank.push[0]) > _MIN_NAMELESS:
             found.append(item)
     return found
 
@@ -231,7 +362,7 @@ def _choose_speed(
     """Return the choice among speeds, that of the position, if there is one, and the motion."""
     ranked = sorted((_rank(item, series) for item in speeds), key=lambda item: -item.points)
     best = ranked[0]
-    unit, reasons, decisions = _speed_unit(best)
+    unit, length, reasons, decisions = _speed_unit(best)
     factor = find_unit(unit, 'speed').factor
     times = common_times(best.speed)
     speed_si = factor * np.abs(at_times(best.speed, times))
@@ -242,17 +373,23 @@ def _choose_speed(
             f'no name says speed; by its numbers: never negative, up to {np.max(best.speed.value):.3g}'
         )
         choice.decisions.append('whether this is the speed')
-    if abs(best.push[0]) > _GOES_WITH:
+    if abs(best.push[0]) > _MIN_CORRELATION:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons += reasons
     alike = [
         f'{item.speed.topic} {item.speed.field}'
         for item in ranked[1:]
-        if abs(correlation(motion.speed, np.abs(at_times(item.speed, times)))) > _CLOSE
+        if abs(correlation(motion.speed, np.abs(at_times(item.speed, times)))) > _MIN_ALIKE
     ]
     if alike:
         choice.decisions.append(f'also like a speed: {listed(alike, 3)}')
-    return choice, _position(best, unit), motion
+    if best.position is None:
+        return choice, [], motion
+    position = Choice('position', (Part(best.position, length or 'm'),))
+    position.reasons.append(f'correlation {best.travel.correlation:.2f} of its changes with the integral of the speed')
+    if not length:
+        position.decisions.append(f'no units fit {best.travel.ratio:.4g} for each {unit} and second: gain or unit')
+    return choice, [position], motion
 
 
 def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
@@ -273,76 +410,53 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
             with_it = correlation(slope, at_times(item, times))
             if abs(with_it) > abs(push[0]):
                 push = (with_it, f'{item.topic} {item.field}')
-    if travel.correlation < _CLOSE:
+    if travel.correlation < _MIN_ALIKE:
         position = None
     points = score('speed', speed.topic, speed.field) + 2.0 * (position is not None) + 1.5 * abs(push[0])
     return _Ranked(points + 0.1 * speed.has_stamps + 0.001 * min(speed.rate, 50.0), speed, position, travel, push)
 
 
-def _pairs(ratio: float) -> list[tuple[str, str]]:
-    """Return units of speed and position that fit change of the position for each unit of the speed and second."""
-    return [
-        (speed, length)
-        for length in _LENGTH_UNITS
-        for speed in _SPEED_UNITS
-        if abs(ratio * find_unit(length, 'length').factor / find_unit(speed, 'speed').factor - 1.0) < _RATIO_ERROR
-    ]
-
-
-def _pair(best: _Ranked) -> tuple[str, str]:
-    """Return the units of speed and position, '' if none fit; names decide between several."""
-    if best.position is None or not (pairs := _pairs(best.travel.ratio)):
-        return '', ''
-    named = unit_in(f'{best.speed.topic} {best.speed.field}', _SPEED_UNITS)
-    also = unit_in(f'{best.position.topic} {best.position.field}', _LENGTH_UNITS)
-    return max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
-
-
-def _speed_unit(best: _Ranked) -> tuple[str, list[str], list[str]]:
-    """Return the unit of the speed, the reasons, and what to decide."""
+def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
+    """Return the units of speed and position ('' if none fits both), the reasons, and what to decide."""
     speed, position = best.speed, best.position
     named = unit_in(f'{speed.topic} {speed.field}', _SPEED_UNITS)
-    unit, length = _pair(best)
-    if position is not None and unit:
+    pairs = [
+        (unit, length)
+        for length in (_LENGTH_UNITS if position is not None else ())
+        for unit in _SPEED_UNITS
+        if abs(best.travel.ratio * find_unit(length, 'length').factor / find_unit(unit, 'speed').factor - 1.0)
+        < _MAX_RATIO_ERROR
+    ]
+    if position is not None and pairs:
+        also = unit_in(f'{position.topic} {position.field}', _LENGTH_UNITS)
+        unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
         reason = (
             f'unit {unit}: {position.topic} {position.field} changes by {best.travel.ratio:.4g} for each unit and '
             f'second (correlation {best.travel.correlation:.2f}), so positions are in {length}'
         )
         contradiction = f'its name says {named}, its integral {unit}'
-        return unit, [reason], [contradiction] if named not in {'', unit} else []
+        return unit, length, [reason], [contradiction] if named not in {'', unit} else []
     if named:
-        return named, [f'unit {named}: by its name'], []
+        return named, '', [f'unit {named}: by its name'], []
     top = float(np.max(np.abs(speed.value)))
     steep = float(np.nanpercentile(np.abs(derivative(at_times(speed, common_times(speed)))), 99.0))
-    unit = 'km/h' if top > _FAST or steep > _STEEP else 'm/s'
+    unit = 'km/h' if top > _MAX_MPS or steep > _MAX_MPS2 else 'm/s'
     text = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
-    return unit, [text], ['nothing but its range shows the unit of the speed']
-
-
-def _position(best: _Ranked, unit: str) -> list[Choice]:
-    if (position := best.position) is None:
-        return []
-    _, length = _pair(best)
-    choice = Choice('position', (Part(position, length or 'm'),))
-    choice.reasons.append(f'correlation {best.travel.correlation:.2f} of its changes with the integral of the speed')
-    if not length:
-        choice.decisions.append(f'no units fit {best.travel.ratio:.4g} for each {unit} and second: gain or unit')
-    return [choice]
+    return unit, '', [text], ['nothing but its range shows the unit of the speed']
 
 
 _FORCE_UNITS: Final = ('N', 'kN', 'lbf')
 _MASS_UNITS: Final = ('kg', 't', 'lb')
-# Least correlation of a force without a name with the acceleration, and factor within which a slope is 1 or g [1].
-_NAMELESS: Final = 0.6
-_SAME: Final = 1.25
+# Factor within which a slope is 1 or g [1].
+_UNIT_FACTOR: Final = 1.25
 # Another force explains at least so much more of the variance of the acceleration [1], a gradient so much.
-_NEW_FORCE: Final = 0.02
-_GRADIENT_GAIN: Final = 1e-3
-# Where only the range shows the unit: a larger number is not in kN, in percent, in rad, or in t.
-_LARGE_KN: Final = 2000.0
-_LARGE_PERCENT: Final = 6.0
-_LARGE_RAD: Final = 0.1
-_LARGE_T: Final = 3000.0
+_MIN_FORCE_GAIN: Final = 0.02
+_MIN_GRADIENT_GAIN: Final = 1e-3
+# Largest numbers in a unit, where only the range shows it.
+_MAX_KN: Final = 2000.0
+_MAX_PERCENT: Final = 6.0
+_MAX_RAD: Final = 0.1
+_MAX_T: Final = 3000.0
 
 
 def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
@@ -354,18 +468,19 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: T
     for item in series:
         if score('force', item.topic, item.field) <= 0.0 or item.is_whole:
             continue
-        if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _GOES_WITH:
+        if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _MIN_CORRELATION:
             groups.setdefault((family(item.topic), item.field, item.type), []).append(item)
+    if not groups:
+        return _as_force([[item] for item in _by_numbers(series, motion)], motion, train_file)
     totals = {key: _sum_at(items, motion) for key, items in groups.items()}
     chosen: list[tuple[str, str, str]] = []
     share = 0.0
-    if not groups:
-        return _as_force([[item] for item in _by_numbers(series, motion)], motion, train_file)
     while rest := [key for key in groups if key not in chosen]:
-        shares = {key: _share([totals[item] for item in (*chosen, key)], motion) for key in rest}
+        fits = {key: regress(motion.acceleration, [totals[k] for k in (*chosen, key)], motion.moving) for key in rest}
+        shares = {key: 0.0 if fit is None else fit.share for key, fit in fits.items()}
         best = max(rest, key=lambda key: shares[key])
         # Another measurement of the same force explains no more.
-        if shares[best] < share + _NEW_FORCE:
+        if shares[best] < share + _MIN_FORCE_GAIN:
             break
         chosen, share = [*chosen, best], shares[best]
     return _as_force([groups[key] for key in chosen], motion, train_file)
@@ -373,24 +488,18 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: T
 
 def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberSeries]:
     """Return the number without a name that goes with the acceleration best and is not the acceleration; or none."""
-    best: tuple[float, list[NumberSeries]] = (_NAMELESS, [])
+    best: tuple[float, list[NumberSeries]] = (_MIN_NAMELESS, [])
     for item in series:
         if item.is_whole or not is_nameless(item.topic, item.field):
             continue
         values = at_times(item, motion.times)
         fit = regress(motion.acceleration, [values], motion.moving)
         with_it = abs(correlation(values, motion.acceleration))
-        if fit is None or any(1.0 / _SAME < abs(fit.slopes[0]) / unit < _SAME for unit in (1.0, G)):
+        if fit is None or any(1.0 / _UNIT_FACTOR < abs(fit.slopes[0]) / unit < _UNIT_FACTOR for unit in (1.0, G)):
             continue
         if with_it > best[0]:
             best = with_it, [item]
     return best[1]
-
-
-def _share(totals: Sequence[Array], motion: _Motion) -> float:
-    """Return the share of the acceleration that forces explain [1], 0 if that cannot be known."""
-    fit = regress(motion.acceleration, totals, motion.moving)
-    return 0.0 if fit is None else fit.share
 
 
 def _sum_at(items: Iterable[NumberSeries], motion: _Motion) -> Array:
@@ -426,7 +535,7 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
     if train_file is None:
         choice.reasons.append('unit by its name' if named else f'up to {top:.3g}')
         choice.decisions.append('the unit; with --train the mass shows it')
-        return named or ('N' if top > _LARGE_KN else 'kN')
+        return named or ('N' if top > _MAX_KN else 'kN')
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
     fitting = nearest_unit(newtons, {name: find_unit(name, 'force').factor for name in _FORCE_UNITS})
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
@@ -490,9 +599,9 @@ def _gradient(
     """Return how much more of the acceleration a gradient explains [1], and the choice."""
     named = unit_in(f'{series.topic} {series.field}', tuple(PER_MILLE))
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
-    unit, sign = named or ('per_mille' if top > _LARGE_PERCENT else 'percent' if top > _LARGE_RAD else 'rad'), 1.0
+    unit, sign = named or ('per_mille' if top > _MAX_PERCENT else 'percent' if top > _MAX_RAD else 'rad'), 1.0
     permille, gain = _slowing(series, motion, total, train_file)
-    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _GRADIENT_GAIN else ''
+    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _MIN_GRADIENT_GAIN else ''
     if by_slope:
         choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
         unit, sign = named or by_slope, math.copysign(1.0, permille)
@@ -511,7 +620,7 @@ def _slowing(
         return 1.0, 0.0
     y, x, others = motion.acceleration, at_times(series, motion.times), [total, motion.speed, motion.speed**2]
     known = motion.moving & np.isfinite(x) & np.isfinite(y) & np.isfinite(total)
-    if np.count_nonzero(known) < FEWEST:
+    if np.count_nonzero(known) < MIN_NUMBERS:
         return 1.0, 0.0
     slope = partial_slope(y[known], x[known], [item[known] for item in others], motion.times[known] - motion.times[0])
     if slope is None or slope.value == 0.0:
@@ -531,7 +640,7 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
         named = unit_in(f'{item.topic} {item.field}', _MASS_UNITS)
         choice = Choice('mass', reasons=[f'median {value:.4g}'])
         if train_file is None:
-            unit = named or ('t' if value < _LARGE_T else 'kg')
+            unit = named or ('t' if value < _MAX_T else 'kg')
             choice.decisions.append('is it the mass of the whole train, or of its load (then with an offset)?')
         else:
             mass = train_file.train.mass
@@ -544,16 +653,16 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
     return []
 
 
-# A brake acts up to so much later [s].
-_LATEST_S: Final = 2.0
-# Then it takes so long to come to its value [s].
+# A brake acts up to so much later [s], and then takes so long to come to its value [s].
+_MAX_LAG_S: Final = 2.0
 _SETTLED_S: Final = 1.4
 _MAX_NOTCHES: Final = 16
-# Milder than this is not braking [m/s^2].
-_MILD: Final = 0.1
-_CHANGING: Final = 0.9
-_FEWEST_COMMANDS: Final = 10
-_LARGEST: Final = 3.0  # m/s^2
+# Decelerations of a brake [m/s^2].
+_MIN_BRAKING: Final = 0.1
+_MAX_BRAKING: Final = 3.0
+# Brake commands of which so many differ from the one before are published on change [1]; fewer than that always are.
+_MIN_CHANGING: Final = 0.9
+_MIN_COMMANDS: Final = 10
 
 
 def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array | None) -> list[Choice]:
@@ -602,7 +711,7 @@ def _ranked(series: Sequence[NumberSeries], motion: _Motion) -> list[_Candidate]
         if named <= 0.0 or np.ptp(item.value) == 0.0:
             continue
         lag_s, with_it = _precedes(item, motion, motion.acceleration)
-        if abs(with_it) > _GOES_WITH:
+        if abs(with_it) > _MIN_CORRELATION:
             found.append(_Candidate(abs(with_it) + 0.3 * named, lag_s, with_it, item))
     return sorted(found, key=lambda candidate: -candidate.rank)
 
@@ -611,7 +720,7 @@ def _precedes(item: NumberSeries, motion: _Motion, acceleration: Array) -> tuple
     """Return by how much a number precedes decelerations [s], and its correlation with them [1]."""
     values = at_times(item, motion.times)
     braking = np.where(motion.moving, np.minimum(acceleration, 0.0), np.nan)
-    lags = np.arange(0.0, _LATEST_S, STEP_S).tolist()
+    lags = np.arange(0.0, _MAX_LAG_S, STEP_S).tolist()
     return max(((lag, correlation(values, _earlier(braking, lag))) for lag in lags), key=lambda entry: abs(entry[1]))
 
 
@@ -623,9 +732,9 @@ def _earlier(values: Array, by_s: float) -> Array:
 
 def _on_change(item: NumberSeries) -> bool:
     """Return whether a command comes only when it changes."""
-    if item.value.size < _FEWEST_COMMANDS:
+    if item.value.size < _MIN_COMMANDS:
         return True
-    changes = np.mean(np.diff(item.value) != 0.0) >= _CHANGING
+    changes = np.mean(np.diff(item.value) != 0.0) >= _MIN_CHANGING
     return bool(changes and np.diff(item.time).max() > AlignmentConfig().command_timeout)
 
 
@@ -644,18 +753,18 @@ def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> 
             choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
             continue
         value = float(np.median(seen)) if seen.size else 0.0
-        table.append((float(notch), round(value, 2) if value < -_MILD and notch != 0.0 else 0.0))
+        table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING and notch != 0.0 else 0.0))
     return tuple(table)
 
 
 def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_force: str) -> None:
     """Find unit and sign of a command that is no notch."""
     top = float(np.max(np.abs(item.value)))
-    braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MILD)
+    braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MIN_BRAKING)
     ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
     sign = 1.0 if ratio > 0.0 else -1.0
     named = unit_in(f'{item.topic} {item.field}', ('percent',))
-    if not named and top <= _LARGEST and 0.5 < abs(ratio) < 2.0:
+    if not named and top <= _MAX_BRAKING and 0.5 < abs(ratio) < 2.0:
         choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
         choice.parts = (Part(item, 'm/s^2', sign),)
         return

@@ -25,8 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from trainid_ros.estimators.pipeline import SharedRecord, share_streams
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inputs.mapping import OWN, Signal
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import OWN, Signal, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     BRAKE_TOPIC,

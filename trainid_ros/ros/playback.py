@@ -19,8 +19,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from trainid_ros.bag import missing_package_error
-from trainid_ros.inputs.mapping import OWN
-from trainid_ros.inputs.mapping_file import load_mapping
+from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.interface.text import pluralise
