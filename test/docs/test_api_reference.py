@@ -6,11 +6,14 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from types import ModuleType
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import pytest
 
 from tools.api_reference import PAGES, api_page, module_text
+from tools.docs_site import on_files
 from tools.documents import ROOT, links
 
 if TYPE_CHECKING:
@@ -95,6 +98,16 @@ def test_a_public_function_without_docstring_is_an_error(tmp_path: Path) -> None
     (tmp_path / 'bare.py').write_text('class Bare:\n    """A class."""\n    def go(self): ...\n', encoding='utf-8')
     with pytest.raises(ValueError, match=r'bare\.py: Bare\.go has no docstring'):
         module_text(tmp_path / 'bare.py', 'bare')
+
+
+def test_the_site_holds_the_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages: dict[str, str] = {}  # mkdocs is not in this environment
+    module = ModuleType('mkdocs.structure.files')
+    monkeypatch.setattr(module, 'File', Mock(generated=lambda _, name, content: (name, content)), raising=False)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    files = Mock(documentation_pages=list, append=lambda item: pages.update([item]))
+    on_files(files, config=Mock())
+    assert pages == {f'api/{name}.md': api_page(name) for name in PAGES}
 
 
 def test_the_generator_imports_the_standard_library_only() -> None:
