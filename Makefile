@@ -17,13 +17,13 @@ demo: ## play bags through the three live nodes and V-MILS, write a report; what
 
 test: setup ## everything that must pass before a change lands
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel
-	$(MAKE) --no-print-directory --jobs 1 test-unit test-long test-ros
+	$(PYTEST) -m 'not long' -n 3 --dist loadfile
 
 test-fast: setup ## inner loop: the unit tests of the package alone
 	$(PYTEST) -m 'not ros and not slow and not long' --ignore test/benchmarks -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
-	$(PYTEST) -m 'not ros and not long' -n 2
+	$(PYTEST) -m 'not ros and not long' -n 2 --dist loadfile
 
 test-long: setup ## tests on fresh seeds by the dozen, minutes long
 	$(PYTEST) -m long -n 2
