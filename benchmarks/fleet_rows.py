@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.fleet_bags import FAULTS, Fault, draw_day, draw_train, drive, stated_train
 from benchmarks.tables import Table
-from trainid_ros.bag.record_table import table_of
+from trainid_ros.bag.types import table_of
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.fleet.analysis import FleetView, analyse
 from trainid_ros.fleet.bag_row import Odometer

@@ -370,3 +370,28 @@ def test_parts_of_a_split_bag_are_read_in_order(tmp_path: Path) -> None:
     found, _ = read(tmp_path)
     # Both parts have the same stamps; on a tie the part with the smaller number comes first.
     assert found == [record for record in records for _ in range(2)]
+
+
+def test_record_that_runs_past_the_end_of_its_chunk_is_lost_alone(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path, chunk_bytes=1 << 20)  # all in one chunk
+    content = bytearray(path.read_bytes())
+    start, length = first_chunk(content)
+    head = 9 + 40  # of a chunk that is not compressed
+    content[start + 9 + 24 : start + 9 + 28] = bytes(4)  # no checksum of the chunk
+    message = last_message(content, start + head, start + length)
+    struct.pack_into('<Q', content, message + 1, 1000)
+    path.write_bytes(content)
+    found, warnings = read(path)
+    assert found == records[:-1]
+    size = length - head
+    assert warnings[0].endswith(f'are lost: all after {message - start - head} of the {size} bytes that it unpacks to')
+
+
+def last_message(content: bytes | bytearray, position: int, end: int) -> int:
+    """Return the offset of the last record in the records between two offsets."""
+    last = position
+    while position < end:
+        last = position
+        position += 9 + struct.unpack_from('<Q', content, position + 1)[0]
+    return last

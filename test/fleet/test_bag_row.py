@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from trainid_ros.bag.record_table import table_of
+from trainid_ros.bag.types import table_of
 from trainid_ros.cli.main import main
 from trainid_ros.fleet.bag_row import Odometer, bag_row, killed_row
 from trainid_ros.fleet.mixed_model import has_estimate, is_known

@@ -15,8 +15,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from trainid_ros.bag.mcap_file import McapFile, hint_of
-from trainid_ros.bag.record_table import MessageBlock, Segment
-from trainid_ros.bag.types import full_definition, full_type
+from trainid_ros.bag.types import MessageBlock, Segment, full_definition, full_type
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 from trainid_ros.interface.text import pluralise

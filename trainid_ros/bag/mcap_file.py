@@ -35,9 +35,8 @@ from trainid_ros.bag.record_file import (
     Record,
     RecordFile,
     is_known,
-    values_at,
 )
-from trainid_ros.bag.record_table import MessageBlock, Segment
+from trainid_ros.bag.types import MessageBlock, Segment, values_at
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,12 +47,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
-_MAX_EXPANSION: Final = 50
-"""Most bytes that the chunks of a file may unpack to for each of its bytes, if together above the largest chunk."""
+_MAX_EXPANSION: Final = 50  # bytes unpacked for each byte of a file whose chunks together exceed the largest chunk
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
-_NAMED_LOSSES: Final = 5
+_MAX_NAMED: Final = 5  # losses
 _REPORT_BYTES: Final = 1 << 20  # from one report of progress to the next
 _MB: Final = 1 << 20
 # Channel, sequence, log time and publish time of a message; its length stands before them.
@@ -162,15 +160,12 @@ class McapFile:
         self._file.close()
 
     def _read(self, piece: Piece, starts: NDArray[np.uint32], runs: tuple[tuple[int, int], ...] = ()) -> MessageBlock:
-        """Return the messages of a segment.
+        """Return the messages of a segment; InputError if the file has changed since it was opened.
 
         Args:
             piece: Where it lies.
             starts: Where its records start, without opcode and length, in the bytes that are read.
             runs: Offset in the file and length of what is read, none for all of the piece.
-
-        Raises:
-            InputError: The file has changed since it was opened.
         """
         try:
             data = b''.join(self._file.read(*run) for run in runs) if runs else self._load(piece)
@@ -195,16 +190,15 @@ class McapFile:
         reached, last = self._scan_records()
         if file.is_closed and self._losses and not self.counts:
             self._fail(f'nothing of it can be used: {self._losses[0]}')
-        self._report_losses()
+        self.warnings += [f'{self.path}: {loss}' for loss in self._losses[:_MAX_NAMED]]
+        if (more := len(self._losses) - _MAX_NAMED) > 0:
+            self.warnings.append(f'{self.path}: {more} more losses, of {self._lost_bytes} bytes with those named')
         if not file.is_closed:
             self._report_cut(file.size - reached, finished=last is not None)
-        elif not (self._all_checked or self._losses or last is None or file.crc_fits(last)):
+        elif not (self._all_checked or self._losses or last is None) and (
+            (stated := int.from_bytes(file.read(last.start, 4), 'little')) and file.crc(0, last.offset) != stated
+        ):
             self.warnings.append(f'{self.path}: checksum of the file does not fit, some messages may be wrong')
-
-    def _report_losses(self) -> None:
-        self.warnings += [f'{self.path}: {loss}' for loss in self._losses[:_NAMED_LOSSES]]
-        if (more := len(self._losses) - _NAMED_LOSSES) > 0:
-            self.warnings.append(f'{self.path}: {more} more losses, of {self._lost_bytes} bytes with those named')
 
     def _report_cut(self, lost: int, *, finished: bool) -> None:
         if finished:
@@ -225,7 +219,9 @@ class McapFile:
         """Take in the data section; return where the last record used ends, and the end of data if there is one."""
         file, position, run = self._file, len(MAGIC), len(MAGIC)
         while True:
-            self._report(position)
+            if position >= self._reported + _REPORT_BYTES:
+                self._advance(position - self._reported)
+                self._reported = position
             record = file.record(position) if position < file.end else None
             plain = record is not None and record.opcode in _PLAIN
             if run < position and (record is None or not plain or record.end - run > _RUN_BYTES):
@@ -249,12 +245,6 @@ class McapFile:
             else:
                 position = run = self._take_record(record)
 
-    def _report(self, position: int) -> None:
-        """Report progress up to a place in the file, now and then."""
-        if position >= self._reported + _REPORT_BYTES:
-            self._advance(position - self._reported)
-            self._reported = position
-
     def _take_record(self, record: Record) -> int:
         """Take in a record that is neither a message nor a definition; return where the next one starts."""
         if record.opcode != Opcode.CHUNK or (head := self._file.chunk_head(record)) is None:
@@ -267,11 +257,7 @@ class McapFile:
         return self._follow(record, record.start + head.start + head.stored)
 
     def _take_indexed(self, chunk: Record, begin: int) -> int:
-        """Take in a chunk by the index of the file, so that only needed messages are read.
-
-        Args:
-            chunk: The chunk.
-            begin: Where its stored records start in the file.
+        """Take in a chunk, whose records begin at an offset, by the index of the file: only needed messages are read.
 
         Returns:
             Where its index ends; 0 if it does not fit what it points to, or if all of the chunk should be read.
@@ -287,7 +273,8 @@ class McapFile:
             if not len(entries):
                 return 0
             counts[channel] = len(entries)
-            if self._is_channel_needed(channel):
+            known = self._summary.channels.get(channel)
+            if known is None or self._is_needed(known.topic):
                 needed += [_Entry(place, log_ns, channel) for log_ns, place in entries.tolist()]
         found = None if needed and index.compression else self._locate(chunk, begin, sorted(needed))
         if found is None or self._file.record(chunk.end + length) is None:
@@ -334,10 +321,6 @@ class McapFile:
             else:
                 runs.append((offset, length))
         return runs, starts
-
-    def _is_channel_needed(self, number: int) -> bool:
-        channel = self._summary.channels.get(number)
-        return channel is None or self._is_needed(channel.topic)
 
     def _span(self, first_ns: int, last_ns: int) -> None:
         """Extend the log times."""
@@ -439,31 +422,30 @@ class McapFile:
             DamageError: They are damaged or too large.
         """
         file, chunk = self._file, piece.record
-        if not piece.is_chunk:
-            self._all_checked = False
-            self._check_size(piece.end - piece.offset)
-            return file.read(piece.offset, piece.end - piece.offset)
-        head = file.chunk_head(chunk)
-        if head is None:
+        head = file.chunk_head(chunk) if piece.is_chunk else None
+        if piece.is_chunk and head is None:
             raise DamageError('no valid head of a chunk')
-        self._check_size(max(head.size, head.stored))
-        if is_new:  # before anything is unpacked
-            self._check_expansion(head.size)
-        self._all_checked &= head.crc != 0
-        stored = file.read(chunk.start + head.start, min(head.stored, chunk.end - chunk.start - head.start))
-        return head.unpack_start(stored) if piece.is_cut else head.unpack(stored)
-
-    def _check_size(self, size: int) -> None:
+        size = piece.end - piece.offset if head is None else max(head.size, head.stored)
         if size > self._max_chunk:
             raise DamageError(
                 f'{size / _MB:.3g} MB in one piece, above the limit of {self._max_chunk / _MB:.3g} MB (--max-chunk)'
             )
-
-    def _check_expansion(self, size: int) -> None:
-        most = max(self._max_chunk, _MAX_EXPANSION * self._file.size)
-        if self._unpacked + size > most:
-            raise DamageError(f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)')
-        self._unpacked += size
+        if head is None:
+            self._all_checked = False
+            return file.read(piece.offset, size)
+        if is_new:  # before anything is unpacked
+            most = max(self._max_chunk, _MAX_EXPANSION * file.size)
+            if self._unpacked + head.size > most:
+                raise DamageError(f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)')
+            self._unpacked += head.size
+        self._all_checked &= head.crc != 0
+        stored = file.read(chunk.start + head.start, min(head.stored, chunk.end - chunk.start - head.start))
+        if not piece.is_cut:
+            return head.unpack(stored)
+        try:
+            return head.unpack_start(stored)
+        except DamageError:  # nothing of it is whole
+            return b''
 
     def _fail(self, what: str) -> NoReturn:
         raise InputError(f'{self.path}: {what}')

@@ -16,8 +16,20 @@ import numpy as np
 
 from trainid_ros.bag.bag_files import locate, open_file
 from trainid_ros.bag.record_file import MAX_CHUNK
-from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
-from trainid_ros.bag.types import StoredType, digest, full_type, is_packaged, plain_text, type_name, typestore
+from trainid_ros.bag.types import (
+    EMPTY,
+    StoredType,
+    concatenated,
+    decode,
+    digest,
+    full_type,
+    is_packaged,
+    joined,
+    plain_text,
+    table_of,
+    type_name,
+    typestore,
+)
 from trainid_ros.inputs.mapping import OWN
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
@@ -38,14 +50,13 @@ if TYPE_CHECKING:
     from mcap.records import Channel
 
     from trainid_ros.bag.bag_files import BagFile
-    from trainid_ros.bag.record_table import RecordTable, Segment
+    from trainid_ros.bag.types import RecordTable, Segment
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
-OPENING: Final = 0.3
-"""Share of the work on a bag without an index that opening it is [1]: all of it is read and unpacked then."""
+OPENING: Final = 0.3  # share of opening in the work on a bag without an index, which is unpacked then [1]
 NAMESPACE: Final = 'use --namespace'
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
@@ -55,8 +66,7 @@ _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 _NO_ROWS: Final = np.empty(0, dtype=np.intp)
 _MAX_LOG_NS: Final = 2**64 - 1
-PROGRESS_EVERY: Final = 500
-"""Records from one report of progress to the next."""
+PROGRESS_EVERY: Final = 500  # records from one report of progress to the next
 _ROWS_AT_ONCE: Final = 5000
 
 
@@ -171,8 +181,8 @@ class TopicNames:
 class BagReader:
     """Reads a rosbag2 directory or a bare ``.mcap`` or ``.db3`` file; damaged MCAP as far as it goes.
 
-    Use as a context manager; a bag can be iterated any number of times. Memory use does not grow with
-    the bag: only chunks whose log times overlap are held together.
+    Use as a context manager; a bag can be iterated any number of times. Memory use does not grow with the bag: only
+    chunks whose log times overlap are held together. Reading raises InputError if a file has changed since.
 
     Attributes:
         path: The bag.
@@ -296,11 +306,7 @@ class BagReader:
         return tuple(name for name in self.mapping.needed(topic.name) if name not in present)
 
     def records(self) -> Iterator[Record]:
-        """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk.
-
-        Raises:
-            InputError: A file has changed since it was opened.
-        """
+        """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk."""
         return (entry.record for entry in self.logged_records())
 
     def logged_records(self) -> Iterator[LoggedRecord]:
@@ -308,11 +314,7 @@ class BagReader:
         return (LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row)) for log_ns, row in self.rows())
 
     def rows(self, last_ns: float = math.inf) -> Iterator[tuple[int, Row]]:
-        """Yield what :meth:`records` yields as log time [ns] and row of numbers, up to a log time [ns].
-
-        Raises:
-            InputError: A file has changed since it was opened.
-        """
+        """Yield what :meth:`records` yields as log time [ns] and row of numbers, up to a log time [ns]."""
         for table in self.tables(last_ns):
             yield from zip(table.log_ns.tolist(), table.rows(), strict=True)
 
@@ -325,9 +327,6 @@ class BagReader:
             stream: The stream.
             advance: Called with the number of records read since its last call.
             last_ns: Log time to end at [ns].
-
-        Raises:
-            InputError: A file has changed since it was opened.
         """
         for count, (log_ns, row) in enumerate(self.rows(last_ns), 1):
             for event in stream.push_row(*row):
@@ -336,11 +335,7 @@ class BagReader:
                 advance(PROGRESS_EVERY)
 
     def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
-        """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each.
-
-        Raises:
-            InputError: A file has changed since it was opened.
-        """
+        """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each."""
         if self._inputs is not None:
             self._made = self._inputs()
             yield from self._mapped_tables(self._made, last_ns)
@@ -378,7 +373,7 @@ class BagReader:
         if not tables:
             return EMPTY
         # Back into the order of the file, then by log time.
-        return joined((in_order_of(np.concatenate(places), tables),))
+        return joined((concatenated(tables)[np.argsort(np.concatenate(places))],))
 
     def _mapped_tables(self, inputs: MappedInputs, last_ns: float) -> Iterator[RecordTable]:
         """Yield what the inputs make of the messages, up to a log time [ns]."""
@@ -392,26 +387,18 @@ class BagReader:
             if source.mapped is None:
                 records = inputs.take_record(record_from_message(own[source.topic], message))
             else:
-                records = self._taken(inputs, source.topic, message, log_ns)
+                try:
+                    records = inputs.take(source.topic, message, log_ns)
+                except InputError as error:
+                    raise InputError(f'{self.path}: {error}') from None
             logged += [(log_ns, record.row()) for record in records]
             if len(logged) >= _ROWS_AT_ONCE:
                 yield table_of(logged)
                 logged = []
         yield table_of(logged)
 
-    def _taken(self, inputs: MappedInputs, topic: str, message: Any, log_ns: int) -> list[Record]:
-        """Return the records that a message of a topic of the mapping completes; errors name the bag."""
-        try:
-            return inputs.take(topic, message, log_ns)
-        except InputError as error:
-            raise InputError(f'{self.path}: {error}') from None
-
     def stored(self) -> Iterator[StoredMessage]:
-        """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time.
-
-        Raises:
-            InputError: A file has changed since it was opened.
-        """
+        """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time."""
         own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
         for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
             if source.mapped is not None:
@@ -438,9 +425,6 @@ class BagReader:
 
         Args:
             topics: Names of the topics wanted, all of ours if None; topics of others are left out.
-
-        Raises:
-            InputError: A file has changed since it was opened.
         """
         for log_ns, source, payload in self._payloads(topics):
             if (message := self._decoded(source, payload)) is not None:
@@ -454,7 +438,8 @@ class BagReader:
             while heap and heap[0][0] < first_ns:
                 log_ns, _, _, found, payload = heappop(heap)
                 yield log_ns, found, payload
-            block, wanted = segment.read(), self._wanted(index, topics)
+            block = segment.read()
+            wanted = {n: item for n, item in self._sources[index].items() if topics is None or item.topic in topics}
             columns = (block.channel, block.log_ns, block.start, block.end)
             for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
                 if (source := wanted.get(channel)) is not None:
@@ -476,10 +461,6 @@ class BagReader:
         if message is None:
             self._unreadable[source.topic] += 1
         return message
-
-    def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, ChannelSource]:
-        sources = self._sources[index].items()
-        return {number: source for number, source in sources if topics is None or source.topic in topics}
 
 
 def require_topics(reader: BagReader) -> None:

@@ -13,7 +13,7 @@ import os
 import struct
 import zlib
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped] # comes with mcap
@@ -68,15 +68,8 @@ _FIXED_BYTES: Final[dict[int, int]] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4}  #
 _TARGETS: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER})
 _UNCHUNKED_TARGETS: Final = _TARGETS | {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 _SUMMARY: Final = frozenset(
-    {
-        Opcode.SCHEMA,
-        Opcode.CHANNEL,
-        Opcode.STATISTICS,
-        Opcode.CHUNK_INDEX,
-        Opcode.ATTACHMENT_INDEX,
-        Opcode.METADATA_INDEX,
-        Opcode.SUMMARY_OFFSET,
-    }
+    {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX}
+    | {Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET}
 )
 _FOLLOWING: Final = 2  # records that must follow one whose place or kind is in doubt
 _FIRST_BLOCK: Final = 1 << 12
@@ -113,7 +106,7 @@ class ChunkHead(NamedTuple):
 
     def unpack(self, stored: bytes) -> bytes:
         """Return the records, checked; DamageError if they cannot be unpacked, or size or checksum do not fit."""
-        data = self._expand(stored)
+        data = self.unpack_start(stored)
         if len(data) != self.size:
             raise DamageError(f'unpacks to {len(data)} instead of {self.size} bytes')
         if self.crc and zlib.crc32(data) != self.crc:
@@ -121,14 +114,7 @@ class ChunkHead(NamedTuple):
         return data
 
     def unpack_start(self, stored: bytes) -> bytes:
-        """Return what can be unpacked of a chunk whose end is missing."""
-        try:
-            return self._expand(stored)
-        except DamageError:
-            return b''
-
-    def _expand(self, stored: bytes) -> bytes:
-        """Return the unpacked records, at most one byte more than the head states."""
+        """Return the unpacked records, unchecked, at most one byte more than the head states; DamageError if none."""
         try:
             if self.compression == 'zstd':
                 with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
@@ -212,9 +198,7 @@ class RecordFile:
     def search(self, offset: int, *, chunked: bool) -> int:
         """Return the start of the first record from an offset on that others follow, the end if there is none.
 
-        Args:
-            offset: Where to start.
-            chunked: True if messages lie in chunks only: those of a damaged chunk are no records of the file.
+        ``chunked`` is True if messages lie in chunks only: those of a damaged chunk are no records of the file.
         """
         block = _FIRST_BLOCK
         while offset + HEAD.size <= self.end:
@@ -283,11 +267,6 @@ class RecordFile:
             return found, False
         return found, True
 
-    def crc_fits(self, data_end: Record) -> bool:
-        """Return whether the bytes before a record have the checksum that it states, if it states one."""
-        (stated,) = _CRC.unpack(self.read(data_end.start, _CRC.size))
-        return not stated or self.crc(0, data_end.offset) == stated
-
     def crc(self, start: int, end: int) -> int:
         """Return the checksum of the bytes between two offsets."""
         crc = 0
@@ -309,14 +288,6 @@ class RecordFile:
 def is_known(opcode: int) -> bool:
     """Return whether the kind of a record is that of the specification, or private."""
     return opcode in _MIN_BYTES or opcode >= _PRIVATE
-
-
-def values_at(data: bytes | NDArray[np.uint8], at: NDArray[np.intp], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Return the values that start at each place of a block of bytes, shape (n,)."""
-    if not at.size:
-        return np.empty(0, dtype=kind)
-    everywhere: NDArray[Any] = np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))
-    return everywhere[at]
 
 
 def _candidates(content: NDArray[np.uint8]) -> NDArray[np.intp]:

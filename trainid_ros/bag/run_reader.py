@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.train.train_file import TrainFile
 
-POOL_FROM: Final = 100_000
-"""Number of inputs from which worker processes pay for the second that they take to start."""
-# Share of contradictory samples from which what is found is not to be trusted [1].
-_CONTRADICTORY: Final = 0.25
+POOL_FROM: Final = 100_000  # inputs from which worker processes pay for the second that they take to start
+_MAX_CONTRADICTORY: Final = 0.25  # share of contradictory samples, above which findings are not to be trusted [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +102,12 @@ def read_runs(
     Raises:
         InputError: A bag cannot be read, or the process that read it was killed.
     """
+
+    def killed(item: tuple[int, Path]) -> _Reading:
+        raise InputError(killed_message(item[1]))
+
     work = partial(_read, train_file, (namespace, max_chunk, inputs))
-    readings = map_bags(work, list(enumerate(paths)), workers, advance, _killed)
+    readings = map_bags(work, list(enumerate(paths)), workers, advance, killed)
     for line in chain.from_iterable(reading.warnings for reading in readings):
         warn(line)
     known = [reading for reading in readings if reading.origin_ns]
@@ -115,10 +117,6 @@ def read_runs(
         for reading in known
         for run in reading.runs
     ]
-
-
-def _killed(item: tuple[int, Path]) -> _Reading:
-    raise InputError(killed_message(item[1]))
 
 
 def worker_count(inputs: Sequence[int]) -> int:
@@ -151,7 +149,7 @@ def _read(
             elif isinstance(event, TimeJump):
                 collector.start_over()
         warnings = reader.warnings[known:]
-    if contradictory > _CONTRADICTORY * samples:
+    if contradictory > _MAX_CONTRADICTORY * samples:
         share = contradictory / samples
         warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {monitor.last_finding}')
     if timing := monitor.brake_delay.warning:  # no effect makes a brake act sooner

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.bag.types import RecordTable
     from trainid_ros.fleet.plan import PlannedBag, Setup
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.interface.results import ResistanceEstimate

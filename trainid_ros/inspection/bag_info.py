@@ -26,7 +26,7 @@ import numpy as np
 
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
-from trainid_ros.bag.record_table import EMPTY, joined
+from trainid_ros.bag.types import EMPTY, joined
 from trainid_ros.estimators.pipeline import Contradiction
 from trainid_ros.inspection.number_series import USUAL_ROTARY, Slope, is_near, partial_slope
 from trainid_ros.interface.records import (
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.bag.types import RecordTable
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import InputTopic, Row
