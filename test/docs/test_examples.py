@@ -13,7 +13,9 @@ from unittest.mock import Mock
 import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
+from trainid_ros.cli.main import VERBS
 from trainid_ros.client import TrainModel
+from trainid_ros.inputs import mapping
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.interface.results import ResistanceEstimate, Status
@@ -50,8 +52,8 @@ def test_python_examples_compile() -> None:
 
 def test_the_page_of_tables_shows_its_files() -> None:
     texts = {block.text for block in blocks(text_of('docs/tables.md'))}
-    mapping = text_of('config/mappings/logger.yaml')
-    assert mapping.partition('\n')[2] in texts
+    file = text_of('config/mappings/logger.yaml')
+    assert file.partition('\n')[2] in texts
     head = (ROOT / 'bags' / 'logger.csv').read_text(encoding='latin-1').splitlines(keepends=True)[:4]
     assert ''.join(head) in texts
 
@@ -124,6 +126,18 @@ def test_the_new_effect_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_table_of_effects_is_complete() -> None:
     assert first_cells('docs/effects.md') == set(EFFECTS)
+
+
+def test_the_units_are_listed() -> None:
+    (row,) = re.findall(r'^\| `unit` \| (.*) \|$', text_of('docs/mapping.md'), re.MULTILINE)
+    listed = set(re.split(r'[,·`] *| ·', row))
+    units = {unit for quantity, known in mapping._FACTORS.items() if quantity != 'time' for unit in known}
+    assert units <= {unit.strip() for unit in listed}
+
+
+def test_the_verbs_are_listed() -> None:
+    names = {verb.name.partition(' ')[0] for verb in VERBS}
+    assert {name for name in names if re.search(rf'(`|trainid ){name}\b', text_of('README.md'))} == names
 
 
 def test_the_table_of_statuses_is_complete() -> None:
