@@ -20,7 +20,7 @@ from trainid_ros.client.stopping import (
     PARAMETERS,
     RATE,
     Braking,
-    LeastDeceleration,
+    MinDeceleration,
     RateShape,
     StoppingBounds,
     StopPosterior,
@@ -341,7 +341,7 @@ def test_a_train_that_does_not_slow_down_between_two_knots_is_found() -> None:
     """The resistance is least at 17 m/s, far from the knots 5 and 40 m/s."""
     davis = (1.5, -1.0, 0.03)
     known = StopPosterior((0.9, 0.0, 0.0, *davis, 0.0, 0.6, 0.4), (0.0,) * 9, (0.0,) * 9)
-    weak = LeastDeceleration(shape(), known, 0.06, 1.645)
+    weak = MinDeceleration(shape(), known, 0.06, 1.645)
     assert weak.is_positive(5.0)
     assert not weak.is_positive(40.0)
-    assert LeastDeceleration(shape(), known, 0.2, 1.645).is_positive(40.0)
+    assert MinDeceleration(shape(), known, 0.2, 1.645).is_positive(40.0)

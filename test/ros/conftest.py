@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pytest
@@ -112,6 +112,13 @@ class Graph:
         assert node.bring_up(), node.failure
         return node
 
+    # Parameters of a resistance estimator whose prior is so narrow that it is fit to use at once.
+    narrow: ClassVar[dict[str, float]] = {
+        'estimator__prior_share': 0.0,
+        'estimator__prior_std_a': 0.01,
+        'estimator__prior_std_b': 1e-5,
+        'estimator__prior_std_c': 1e-6,
+    }
     start_ns = START_NS
     coasting = staticmethod(coasting)
     feed = staticmethod(feed)

@@ -27,13 +27,6 @@ from trainid_ros.setup.checkpoint import CheckpointFile, default_path, parse_che
 Graph: TypeAlias = Any  # the fixture of conftest.py
 
 pytestmark = pytest.mark.ros
-# A prior this narrow is fit to use at once.
-NARROW = {
-    'estimator__prior_share': 0.0,
-    'estimator__prior_std_a': 0.01,
-    'estimator__prior_std_b': 1e-5,
-    'estimator__prior_std_c': 1e-6,
-}
 
 
 def cycle(node: Any) -> None:
@@ -77,13 +70,13 @@ def test_a_loaded_estimate_is_latched_at_once_with_its_stamp_and_counters(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     path = str(tmp_path / 'state.json')
-    first = graph.active(train_file, checkpoint_file=path, **NARROW)
+    first = graph.active(train_file, checkpoint_file=path, **graph.narrow)
     graph.feed(first, graph.coasting(150))
     saved = first.pipeline.current()
     assert saved.status is Status.VALID
     first.trigger_deactivate()
     graph.drop()
-    second = graph.active(train_file, checkpoint_file=path, **NARROW)
+    second = graph.active(train_file, checkpoint_file=path, **graph.narrow)
     got = latched(graph)
     graph.until(lambda: got)
     stamp_ns = got[0].header.stamp.sec * NS_PER_S + got[0].header.stamp.nanosec
@@ -340,7 +333,7 @@ def test_after_a_jump_it_is_saved_once_the_estimate_is_valid_or_when_asked_for(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     path, early_ns = tmp_path / 'state.json', graph.start_ns - 7200 * NS_PER_S
-    node = graph.active(train_file, checkpoint_file=str(path), **NARROW)
+    node = graph.active(train_file, checkpoint_file=str(path), **graph.narrow)
     graph.feed(node, graph.coasting(20))
     early = graph.coasting(150, start_ns=early_ns)
     graph.feed(node, early[:20])

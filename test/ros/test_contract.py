@@ -22,13 +22,6 @@ pytestmark = pytest.mark.ros
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 RESISTANCE_NODE = partial(EstimatorNode, RESISTANCE)
-# A prior this narrow is fit to use at once.
-NARROW = {
-    'estimator__prior_std_a': 0.01,
-    'estimator__prior_std_b': 1e-5,
-    'estimator__prior_std_c': 1e-6,
-    'estimator__prior_share': 0.0,
-}
 
 
 class Subscriber:
@@ -125,7 +118,7 @@ def test_a_subscriber_that_asks_for_more_is_named_once_in_the_log(
 
 
 def test_a_late_joiner_learns_that_the_last_valid_estimate_is_not_kept_up(graph: Graph, train_file: str) -> None:
-    node = graph.active(train_file, **NARROW)
+    node = graph.active(train_file, **graph.narrow)
     graph.feed(node, graph.coasting(150))
     assert node.publisher.latched is Status.VALID
     graph.until(lambda: node.pipeline.status is Status.STALE)

@@ -13,14 +13,13 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from trainid_msgs.msg import AtoSpeed, ResistanceEstimate, TrainMass
+from rclpy.qos import ReliabilityPolicy
+from trainid_msgs.msg import AtoSpeed, TrainMass
 
 from trainid_ros.interface.records import NS_PER_S, InputTopic
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
-from trainid_ros.ros.topics import message_from_record, time_message
-from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline
+from trainid_ros.setup.pipelines import EstimatorSettings
 
 pytestmark = pytest.mark.ros
 
@@ -217,43 +216,6 @@ def test_a_whole_number_in_a_file_and_qos_overrides_are_accepted(graph: Graph, t
     assert profiles['/ato/force'].reliability == ReliabilityPolicy.BEST_EFFORT
 
 
-def test_a_late_joiner_gets_the_last_valid_estimate(graph: Graph, train_file: str) -> None:
-    # A prior this narrow is fit to use at once.
-    narrow = {'estimator__prior_std_a': 0.01, 'estimator__prior_std_b': 1e-5, 'estimator__prior_std_c': 1e-6}
-    node = graph.active(train_file, **narrow, estimator__prior_share=0.0)
-    published = graph.published(node)
-    graph.feed(node, graph.coasting(150))
-    valid = [output for output in published.messages if output.status is Status.VALID]
-    assert valid
-    listener = graph.plain('listener')
-    got: list[Any] = []
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
-    listener.create_subscription(ResistanceEstimate, 'trainid/last_valid/resistance', got.append, latched)
-    graph.until(lambda: got)
-    assert got[0].header.stamp == time_message(valid[-1].stamp_ns)
-    assert (got[0].a, got[0].status) == (valid[-1].estimate.a, Status.VALID)
-
-
-def test_messages_over_the_graph_give_estimates(graph: Graph, train_file: str) -> None:
-    node = graph.active(train_file, stale_after=60.0)
-    source = graph.plain('source')
-    got: list[Any] = []
-    source.create_subscription(ResistanceEstimate, 'trainid/resistance', got.append, 100)
-    records = graph.coasting(20)
-    publishers = {}
-    for record in records[:4]:
-        kind = type(message_from_record(record))
-        topic = {'AtoForce': 'force', 'TrackGradient': 'gradient', 'BrakeCommand': 'brake_command', 'AtoSpeed': 'speed'}
-        publishers[kind] = source.create_publisher(kind, f'ato/{topic[kind.__name__]}', 20)
-    graph.until(lambda: all(p.get_subscription_count() for p in publishers.values()))
-    graph.until(node.publisher.live.get_subscription_count)
-    for record in records:
-        message = message_from_record(record)
-        publishers[type(message)].publish(message)
-    graph.until(lambda: len(got) >= len(records) // 4)
-    assert [message.header.stamp for message in got] == [time_message(r.stamp_ns) for r in records[3::4]]
-
-
 def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: str) -> None:
     # The queue of a slow topic spans more time than that of a fast one; emptied in turn it would run ahead.
     node = graph.active(train_file)
@@ -275,17 +237,6 @@ def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: st
         mass.publish(TrainMass())
     graph.until(lambda: len(taken) == 30)
     assert taken == (['ato/speed'] * 5 + ['ato/mass']) * 5
-
-
-def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: Graph, train_file: str) -> None:
-    from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
-
-    node = graph.active(train_file, BRAKE_RATE_NODE)
-    published, records = graph.published(node), graph.coasting(100)
-    graph.feed(node, records)
-    pipeline = brake_rate_pipeline(load_train_file(train_file), EstimatorSettings())
-    expected = [output for record in records for output in pipeline.push(record)]
-    assert repr(published.messages) == repr(expected)
 
 
 @pytest.mark.parametrize(('field', 'factory'), [('resistance', RESISTANCE_NODE), ('brake_rate', BRAKE_RATE_NODE)])

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages carry every field of a record and of an estimate, exactly."""
+"""Messages carry every field of records and estimates exactly; which publishers of a topic are heard."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.type_hash import TypeHash
 from trainid_msgs import msg as messages
+from trainid_msgs.msg import AtoSpeed
 
 from trainid_ros.bag.types import estimate_message as bag_message
 from trainid_ros.interface.records import (
@@ -22,7 +28,16 @@ from trainid_ros.interface.records import (
     record_from_message,
 )
 from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
-from trainid_ros.ros.topics import fill_estimate, message_from_record, time_message
+from trainid_ros.ros.topics import (
+    NAMELESS,
+    Publishers,
+    fill_estimate,
+    input_qos,
+    message_from_record,
+    sort_publishers,
+    time_message,
+    type_name,
+)
 
 STAMP = 1_700_000_000_123_456_789
 SPREAD = tuple(k / 7 for k in range(9))
@@ -80,3 +95,55 @@ def test_an_estimate_that_is_not_finite_is_a_fault(change: dict[str, float]) -> 
 def test_an_unknown_position_is_not_a_fault() -> None:
     output = Output(STAMP, BRAKE, Status.VALID, 1, 0, None)
     assert fill_estimate(messages.BrakeRateEstimate(), output).status == Status.VALID
+
+
+SPEED = 'trainid_msgs/msg/AtoSpeed'
+
+
+OURS, THEIRS = (str(TypeHash(1, bytes([byte] * 32))) for byte in (1, 2))
+
+
+def info(name: str, kind: str = SPEED, definition: str = OURS) -> Any:
+    return SimpleNamespace(
+        node_namespace='/',
+        node_name=name,
+        topic_type=kind,
+        topic_type_hash=definition,
+        qos_profile=QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE),
+    )
+
+
+def test_the_name_of_a_type_is_that_of_the_graph() -> None:
+    assert type_name(AtoSpeed) == SPEED
+
+
+def test_publishers_with_the_type_are_heard() -> None:
+    assert sort_publishers([info('b'), info('a')], SPEED, OURS, input_qos()) == Publishers(('/a', '/b'))
+
+
+def test_one_with_another_type_is_named() -> None:
+    found = sort_publishers([info('a'), info('odo', 'std_msgs/msg/Float64')], SPEED, OURS, input_qos())
+    assert found == Publishers(('/a',), (f'/odo publishes std_msgs/msg/Float64 instead of {SPEED}',))
+    assert found.count == 2
+
+
+def test_one_with_another_definition_is_named_where_that_is_known() -> None:
+    infos = [info('a', definition=THEIRS), info('b', definition=str(TypeHash()))]
+    found = sort_publishers(infos, SPEED, OURS, input_qos())
+    assert found == Publishers(('/b',), (f'/a publishes another version of {SPEED}, whose messages are misread',))
+    assert sort_publishers(infos, SPEED, '', input_qos()).heard == ('/a', '/b')
+
+
+def test_all_reasons_of_an_incompatible_quality_of_service_are_named() -> None:
+    strict = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=1))
+    (text,) = sort_publishers([info('a')], SPEED, OURS, strict).unheard
+    assert text == (
+        '/a has an incompatible quality of service (Volatile publisher and transient local subscription, '
+        'Subscription has a deadline, but publisher does not)'
+    )
+
+
+def test_one_that_was_killed_counts_once_with_its_successor_which_has_no_name_at_first() -> None:
+    found = sort_publishers([info('a'), info('a'), info('_NODE_NAME_UNKNOWN_')], SPEED, OURS, input_qos())
+    assert (found.heard, found.at_a_time().heard) == (('/a', '/a', NAMELESS), ('/a',))
+    assert Publishers((NAMELESS,)).at_a_time().heard == (NAMELESS,)

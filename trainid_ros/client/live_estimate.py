@@ -40,6 +40,7 @@ ABSURD: Final = 1e6
 """Larger magnitudes are treated as invalid."""
 # A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
 _MIN_SHARE: Final = 0.01
+# Keeps divisors above zero.
 _TINY: Final = 1e-9
 # A correlation may be wrong by this much [1].
 _ROUNDING: Final = 1e-6
@@ -119,13 +120,13 @@ class RateLimitedValue:
         """Return the time from a time [s] until the newest distribution is reached [s]."""
         return max(0.0, self._begin_s + self._duration_s - time_s)
 
-    def go_to(self, target: Normal, time_s: float, longest_s: float = math.inf) -> None:
-        """Move to a distribution from a time [s] on, within ``longest_s`` [s]."""
+    def go_to(self, target: Normal, time_s: float, max_duration_s: float = math.inf) -> None:
+        """Move to a distribution from a time [s] on, within ``max_duration_s`` [s]."""
         start = self.at(time_s)
         self._to, self._begin_s = target, time_s
-        self._duration_s = min(self._longest_way(start, target) / MAX_RATE, longest_s)
+        self._duration_s = min(self._longest_way(start, target) / MAX_RATE, max_duration_s)
         self._way = tuple(map(_difference, target.mean, start.mean))
-        self._power = 2 if math.isinf(longest_s) else 1
+        self._power = 2 if math.isinf(max_duration_s) else 1
         if self._duration_s > 0.0:
             self._excess = self._uncovered(start) if self._power == 2 else _difference_of(start, target)
 
@@ -172,10 +173,10 @@ _WORDS: Final = {
 SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
 REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
 NOT_YET: Final = 'no estimate yet'
-# A way to the live value that takes longer is said, until it takes less than FALL_BACK_S [s].
+# A longer move to the live value is reported, until the rest takes less than FALL_BACK_S [s].
 _LONG_WAY_S: Final = 1.0
-# A value this many standard deviations of the present estimate away from it is refuted.
-_REFUTES: Final = 3.0
+# Standard deviations of the present estimate at which it refutes another value [1].
+_REFUTED: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,17 +186,17 @@ class Parameter:
     Attributes:
         file: Their distribution by the train file.
         probes: Directions in which their moves are measured.
-        least: Least value of a parameter, and of a weighted sum along a probe, that is possible.
-        most: Largest one.
-        most_std: Largest standard deviation along a probe that is possible.
+        minimum: Least possible value of a parameter, and of a weighted sum along a probe.
+        maximum: Largest one.
+        max_std: Largest possible standard deviation along a probe.
 
     """
 
     file: Normal
     probes: tuple[tuple[float, ...], ...]
-    least: float = -ABSURD
-    most: float = ABSURD
-    most_std: float = ABSURD
+    minimum: float = -ABSURD
+    maximum: float = ABSURD
+    max_std: float = ABSURD
 
     def problem(self, name: str, found: Normal) -> str:
         """Return what is not possible of an estimate; empty if it is."""
@@ -209,14 +210,14 @@ class Parameter:
     def _is_within(self, found: Normal) -> bool:
         sums = [found.along(probe) for probe in self.probes]
         values = (*found.mean, *(value for value, _ in sums))
-        stds_fit = all(variance <= self.most_std * self.most_std for _, variance in sums)
-        return stds_fit and self.least <= min(values) and max(values) <= self.most
+        stds_fit = all(variance <= self.max_std * self.max_std for _, variance in sums)
+        return stds_fit and self.minimum <= min(values) and max(values) <= self.maximum
 
     def is_refuted(self, value: Normal, present: Normal) -> bool:
         """Return whether the present estimate contradicts a value along any probe."""
         for probe in self.probes:
             now, variance = present.along(probe)
-            if abs(value.along(probe)[0] - now) > _REFUTES * math.sqrt(variance):
+            if abs(value.along(probe)[0] - now) > _REFUTED * math.sqrt(variance):
                 return True
         return False
 

@@ -59,7 +59,7 @@ PARAMETERS: Final = 9
 EXTRA_STEP: Final = 0.25
 """Step of the speeds at which x(v) is given [m/s]."""
 # Longest step during the dead time [s], and the steps while the brake builds up, in time constants.
-_LONGEST_STEP: Final = 0.8
+_MAX_STEP_S: Final = 0.8
 _BUILD_UP: Final = (0.0, 0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
 # Gauss-Legendre nodes and weights on (0, 1), order 10.
 _NODES: Final = (0.04691007703066802, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332)
@@ -68,8 +68,8 @@ _WEIGHTS: Final = (
 )  # fmt: skip
 # Largest ratio of the decelerations at the ends of an interval, and how often one is halved to meet it: near a speed at
 # which the train hardly slows down, distance by speed has a pole.
-_SMOOTH: Final = 2.0
-_HALVINGS: Final = 12
+_MAX_RATIO: Final = 2.0
+_MAX_HALVINGS: Final = 12
 # Half the step of the derivative by speed [m/s].
 _SPEED_STEP: Final = 0.01
 # A train that becomes faster than this does not stop [m/s].
@@ -164,7 +164,7 @@ class Braking:
     def __init__(self, shape: RateShape, theta: list[float], command: float, applied: float) -> None:
         self._shape, self._theta = shape, theta
         self._command, self._applied = command, applied
-        self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / _LONGEST_STEP)
+        self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / _MAX_STEP_S)
 
     def stop(self, speed: float) -> Stop:
         """Return the stop from a speed [m/s, >= 0]."""
@@ -246,7 +246,7 @@ class Braking:
         """Add the stop with the brake built up; return l at its start [s]."""
         target, knots = self._command, self._shape.knots(speed)
         for k in range(1, len(knots)):
-            self._hold_between(out, knots[k - 1], knots[k], _HALVINGS)
+            self._hold_between(out, knots[k - 1], knots[k], _MAX_HALVINGS)
             if math.isinf(out.distance):
                 return 0.0
         return speed / self._deceleration(speed, target)
@@ -258,7 +258,7 @@ class Braking:
         if min(below, above) <= 0.0:
             out.distance = math.inf
             return
-        if halvings > 0 and max(below, above) > _SMOOTH * min(below, above):
+        if halvings > 0 and max(below, above) > _MAX_RATIO * min(below, above):
             middle = 0.5 * (low + high)
             self._hold_between(out, low, middle, halvings - 1)
             if not math.isinf(out.distance):
@@ -322,17 +322,17 @@ class Braking:
 MAX_SPEED: Final = 150.0
 """Largest speed of an argument or an answer [m/s]."""
 _DAVIS: Final = (A, B, C)
-# The design point is found when its distance grows by no more than this share, and most iterations to it.
-_CONVERGED: Final = 1e-9
-_REFINEMENTS: Final = 200
-# Where the deceleration is calculated between two knots of the brake rate.
+# Growth of the distance by one iteration at which the design point is found [1], and most iterations.
+_RELATIVE_TOLERANCE: Final = 1e-9
+_MAX_ITERATIONS: Final = 200
+# Places between two knots of the brake rate at which the deceleration is checked [1].
 _BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
-# The speed is found when its bound is this close to the distance [m].
-_CLOSE: Final = 1e-9
-_ITERATIONS: Final = 100
-# Speeds below this count as standstill, and the slowest at which a train has to stop at all [m/s].
-_STANDING: Final = 1e-9
-_SLOWEST: Final = 1e-3
+# Distance of a bound from the wanted one at which the speed is found [m], and most iterations.
+_TOLERANCE_M: Final = 1e-9
+_MAX_SPEED_ITERATIONS: Final = 100
+# Speeds up to this count as standstill, and slowest one from which a train must be able to stop [m/s].
+_STANDSTILL: Final = 1e-9
+_MIN_SPEED: Final = 1e-3
 NO_BRAKE: Final = 1e-3
 """Brake rates below this count as no brake [1]."""
 
@@ -384,7 +384,7 @@ class Bound:
     gradient: list[float]
 
 
-class LeastDeceleration:
+class MinDeceleration:
     """Whether the built-up brake decelerates at all speeds up to one, at a confidence.
 
     Args:
@@ -408,12 +408,12 @@ class LeastDeceleration:
         """Return whether the train slows down at all speeds up to one [m/s]."""
         last = bisect_right(self._grid, speed)
         while self._good < last:
-            if self._least(self._grid[self._good]) <= 0.0:
+            if self._lower_bound(self._grid[self._good]) <= 0.0:
                 return False
             self._good += 1
-        return self._least(speed) > 0.0
+        return self._lower_bound(speed) > 0.0
 
-    def _least(self, v: float) -> float:
+    def _lower_bound(self, v: float) -> float:
         """Return the deceleration at a speed less z standard deviations [m/s^2]."""
         shape, k = self._shape, self._shape.k
         rate = shape.table(v) * self._command
@@ -441,20 +441,20 @@ class StoppingBounds:
         self._command, self._applied = command, applied
         self._z = NormalDist().inv_cdf(confidence)
         self._at_mean = Braking(shape, list(posterior.mean), command, applied)
-        self._least = LeastDeceleration(shape, posterior, command, self._z)
+        self._deceleration_bound = MinDeceleration(shape, posterior, command, self._z)
 
     def at(self, speed: float) -> Bound:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
         at_mean = self._at_mean.stop(speed)
-        if math.isinf(at_mean.distance) or not self._least.is_positive(speed):
+        if math.isinf(at_mean.distance) or not self._deceleration_bound.is_positive(speed):
             return Bound(math.inf, math.inf, math.inf, [])
         std = self._posterior.std(at_mean.gradient)
         found = self.design_point_step(speed, at_mean.gradient)
-        for _ in range(_REFINEMENTS):
+        for _ in range(_MAX_ITERATIONS):
             if math.isinf(found.distance):
                 break
             before, found = found.distance, self.design_point_step(speed, found.gradient)
-            if abs(found.distance - before) <= _CONVERGED * before:
+            if abs(found.distance - before) <= _RELATIVE_TOLERANCE * before:
                 return Bound(found.distance, std, found.dD_dv, found.gradient)
         return Bound(math.inf, std, math.inf, [])
 
@@ -481,9 +481,9 @@ class StoppingBounds:
         """
         low, high, speed = 0.0, MAX_SPEED, min(self._first_guess(distance), MAX_SPEED)
         found = self.at(speed)
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_SPEED_ITERATIONS):
             excess = found.distance - distance
-            if abs(excess) <= _CLOSE or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
+            if abs(excess) <= _TOLERANCE_M or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
@@ -501,10 +501,10 @@ class StoppingBounds:
         return following if low < following < high else 0.5 * (low + high)
 
     def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
-        if speed > _STANDING:
-            # Of a stiff balance, which no train has, the derivative may have any sign.
+        if speed > _STANDSTILL:
+            # For unphysical drag the sign of the derivative is unreliable.
             return speed, found.std / abs(found.dD_dv)
-        if math.isinf(self.at(_SLOWEST).distance):
+        if math.isinf(self.at(_MIN_SPEED).distance):
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0
 

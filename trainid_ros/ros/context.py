@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
 """What arithmetic on an invalid state raises; in old versions of numpy LinAlgError is not a ValueError."""
-_STEPS_KEPT: Final = 3000
+# Steps that quantiles are formed of: ten minutes at 5 Hz.
+_MAX_STEPS: Final = 3000
 OVERRUN_S: Final = 0.2
+"""A step that takes longer delays the next sample, at 5 Hz [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class StepTimes:
     """Computing time of the estimator per sample."""
 
     def __init__(self) -> None:
-        self._recent: deque[float] = deque(maxlen=_STEPS_KEPT)
+        self._recent: deque[float] = deque(maxlen=_MAX_STEPS)
         self._longest = 0.0
         self._overruns = 0
 

@@ -22,6 +22,7 @@ HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
 """Time after which a status without new samples is published again [ns]: in time for the deadline of 1 s."""
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
 _FIT: Final = frozenset({Status.VALID, Status.HOLDING})
+# Each kind of change is logged at most once in this time [s].
 _LOG_PERIOD_S: Final = 1.0
 
 # An estimate with one of these is not fit to use.
@@ -48,7 +49,7 @@ def is_latched(status: Status, latched: Status | None) -> bool:
 
 
 def _group(status: Status) -> frozenset[Status]:
-    """Return the statuses between which changes do not matter: VALID and HOLDING take turns at every brake."""
+    """Return the statuses that count as one: VALID and HOLDING take turns at every brake."""
     return _FIT if status in _FIT else frozenset({status})
 
 
@@ -91,7 +92,7 @@ class StatusChanges:
         self._had_inputs |= status is not Status.STALE
 
     def _arrival(self, now_ns: int) -> str:
-        """Return that inputs have come; how long after STALE, if the clock has run on."""
+        """Describe input recovery and outage length."""
         if not self._had_inputs:
             return 'inputs have come'
         lasted = f', {(now_ns - self.since_ns) / NS_PER_S:.1f} s after STALE' if 0 < self.since_ns <= now_ns else ''
@@ -113,10 +114,11 @@ class StatusChanges:
             logger.info(f'{name}: the estimator works again', throttle_duration_sec=_LOG_PERIOD_S)
 
 
-# At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
-_SHORTEST_NS: Final = NS_PER_S // 4
-# Simulated time may run at any rate, so it has to be polled often.
+# At high replay rates a short stall of the machine is long in simulated time, but is not a dropout [ns].
+_MIN_STALL_NS: Final = NS_PER_S // 4
+# Simulated time may run at any rate, so it has to be polled often [ns].
 _POLL_NS: Final = NS_PER_S // 10
+# A timer may come this much early [ns].
 _MARGIN_NS: Final = NS_PER_S // 100
 
 
@@ -157,7 +159,7 @@ class Watchdog:
             self._seen = (now_ns, steady_ns)
         missing_for, missing_for_steady = now_ns - self._seen[0], steady_ns - self._seen[1]
         stopped = steady_ns - self._clock[1] > self.limit_ns
-        return (missing_for > self.limit_ns and missing_for_steady > min(self.limit_ns, _SHORTEST_NS)) or (
+        return (missing_for > self.limit_ns and missing_for_steady > min(self.limit_ns, _MIN_STALL_NS)) or (
             stopped and missing_for_steady > self.limit_ns
         )
 

@@ -58,8 +58,9 @@ if TYPE_CHECKING:
     from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.train.train_file import TrainFile
 
+# First and shortest time between checks for missing input.
 _FIRST_WATCH_S: Final = 0.1
-_SHORTEST_WATCH_NS: Final = NS_PER_S // 100
+_MIN_WATCH_NS: Final = NS_PER_S // 100
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -315,7 +316,7 @@ class EstimatorNode(ManagedNode):
         """Return how long to wait before watching again [ns]."""
         steady_ns, simulated = self.steady_ns(), self.get_clock().ros_time_is_active
         waited_ns = steady_ns - self.publisher.published_ns if status in REPEATED else 0
-        heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _SHORTEST_WATCH_NS)
+        heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _MIN_WATCH_NS)
         return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
 
     @property

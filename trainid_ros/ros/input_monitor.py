@@ -26,21 +26,23 @@ if TYPE_CHECKING:
     from trainid_ros.ros.inputs import AnyTopic
     from trainid_ros.stream.alignment import AlignmentConfig
 
+# Rates and rejections are counted over this time [ns].
 _WINDOW_NS: Final = 5 * NS_PER_S
-# A larger difference means that stamps come from another clock or that messages are buffered.
-_WORST_AGE_S: Final = 2.0
-_KEPT: Final = 4096
-# Delays are compared over this time [ns]: one message may be held up. What is left of their differences [s].
-_DELAYS_NS: Final = NS_PER_S
+# Difference of stamps from the clock of the node, above which they are of another clock or were buffered [s].
+_MAX_AGE_S: Final = 2.0
+# Messages kept of each input: 5 s at 800 Hz.
+_MAX_KEPT: Final = 4096
+# The smallest delay of this time counts [ns], as one message may be held up, and may differ by this much [s].
+_DELAY_WINDOW_NS: Final = NS_PER_S
 _JITTER_S: Final = 0.1
 # No message is this late: its stamp is of another clock [s].
 _OTHER_CLOCK_S: Final = 3600.0
 _UNITS: Final = ((365.25 * 86400.0, 'years'), (86400.0, 'days'), (3600.0, 'h'), (60.0, 'min'))
 # Inputs that are silent for longer are missing, and not compared [s].
-_LATELY_S: Final = 2.5
-# So many messages may be rejected, as after a jump of the stamps, and this share of all [1].
-_REJECTED_ANYHOW: Final = 2
-_REJECTED_SHARE: Final = 0.1
+_MAX_SILENCE_S: Final = 2.5
+# Rejections that need no report, as after a jump of the stamps: this number and this share of all messages [1].
+_MAX_REJECTED: Final = 2
+_MAX_REJECTED_SHARE: Final = 0.1
 _REJECTED: Final = {
     Reason.NOT_FINITE: 'correct the sensor or its publisher',
     Reason.OUT_OF_RANGE: 'correct its unit or sign',
@@ -95,9 +97,9 @@ class InputMonitor:
         self.newest_ns = 0
         self.publishers = Publishers()
         self._last_ns = 0
-        self._arrivals: deque[int] = deque(maxlen=_KEPT)
-        self._delays: deque[int] = deque(maxlen=_KEPT)
-        self._rejected: deque[tuple[int, Rejection]] = deque(maxlen=_KEPT)
+        self._arrivals: deque[int] = deque(maxlen=_MAX_KEPT)
+        self._delays: deque[int] = deque(maxlen=_MAX_KEPT)
+        self._rejected: deque[tuple[int, Rejection]] = deque(maxlen=_MAX_KEPT)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
         """Record a message with this stamp [ns] that arrived now [ns]."""
@@ -131,14 +133,14 @@ class InputMonitor:
     @property
     def delay_s(self) -> float:
         """Smallest time from the stamp to the arrival of the last messages [s]."""
-        recent = bisect_left(self._arrivals, self._last_ns - _DELAYS_NS)
+        recent = bisect_left(self._arrivals, self._last_ns - _DELAY_WINDOW_NS)
         return min(islice(self._delays, recent, None), default=0) / NS_PER_S
 
     def judge_rejections(self, now_ns: int) -> Finding | None:
         """Return that the messages of the last seconds were not used, and why; None if they were, but for a few."""
         self._forget_before(now_ns - _WINDOW_NS)
         count = len(self._rejected)
-        if count <= _REJECTED_ANYHOW + _REJECTED_SHARE * len(self._arrivals):
+        if count <= _MAX_REJECTED + _MAX_REJECTED_SHARE * len(self._arrivals):
             return None
         last = self._rejected[-1][1]
         text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {_shown(last)}'
@@ -191,7 +193,7 @@ class InputMonitor:
         if rejections is not None:
             return rejections
         rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
-        if abs(delay_s) > _WORST_AGE_S and not self.optional:
+        if abs(delay_s) > _MAX_AGE_S and not self.optional:
             text = f"{_apart(delay_s)} this node's clock"
             action = 'for a bag set use_sim_time and play it with /clock; on a train synchronise the clocks'
             return Finding(DiagnosticStatus.WARN, text, action)
@@ -227,7 +229,7 @@ class InputMonitors:
             BRAKE_TOPIC: alignment.command_hold or alignment.command_timeout,
         }
         slowest_s = alignment.max_interval
-        self._most_skew_s = alignment.max_lag + _JITTER_S
+        self._max_skew_s = alignment.max_lag + _JITTER_S
         self.by_topic = {
             topic: InputMonitor(topic, min(required, default=0.0), slowest_s, optional=not required)
             for topic in topics
@@ -248,14 +250,14 @@ class InputMonitors:
 
     def skew_s(self, topic: AnyTopic, now_ns: int) -> float:
         """Return how far the stamps of an input are behind those of the others as they arrive [s], 0 if not far."""
-        arriving = [item for item in self.by_topic.values() if item.missing_for_s(now_ns) < _LATELY_S]
+        arriving = [item for item in self.by_topic.values() if item.missing_for_s(now_ns) < _MAX_SILENCE_S]
         own, others = self.by_topic[topic], [item for item in arriving if item.topic is not topic and not item.optional]
         if own.optional or own not in arriving or not others:
             return 0.0
         usual_s = median(item.delay_s for item in others)
         skew_s = own.delay_s - usual_s
         # Where all are of another clock than this node, as those of a bag played fast, that cannot be known.
-        return skew_s if abs(skew_s) > self._most_skew_s and abs(usual_s) < _WORST_AGE_S else 0.0
+        return skew_s if abs(skew_s) > self._max_skew_s and abs(usual_s) < _MAX_AGE_S else 0.0
 
     def describe_missing(self, now_ns: int, timeout_s: Callable[[AnyTopic], float]) -> str:
         """Return which required inputs are missing or unusable, and since when, '' if none is; timeouts in [s]."""
@@ -273,12 +275,12 @@ class InputMonitors:
 
 
 def _apart(delay_s: float) -> str:
-    """Return where stamps are that are behind by a time [s]."""
+    """Describe lagging stamps, or leading ones at a negative delay [s]."""
     return f'stamps are {shown_time(abs(delay_s))} {"behind" if delay_s > 0.0 else "ahead of"}'
 
 
 def _other_clock(skew_s: float) -> str:
-    """Return what to do where stamps are so far apart that they are of different clocks, else ''."""
+    """Return the remedy for stamps of different clocks, '' if the clocks agree."""
     if abs(skew_s) < _OTHER_CLOCK_S:
         return ''
     return 'set the clock of its computer, or give its publisher the same use_sim_time as those of the others'
@@ -291,7 +293,7 @@ def shown_time(time_s: float) -> str:
 
 
 def _shown(last: Rejection) -> str:
-    """Return why a message was not used, with the number that says so."""
+    """Return the reason of a rejection with its number."""
     name = last.reason.name
     if last.reason is Reason.NOT_FINITE:
         return f'{name} ({last.value:g})'

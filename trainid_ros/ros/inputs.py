@@ -74,7 +74,7 @@ _INPUTS: Final[dict[str, InputTopic | None]] = {
 }
 # Quantities that may be published once and then hold.
 _HELD: Final = frozenset({'gradient', 'brake_command', 'mass'})
-# While no message comes on a topic, each of its types is tried for so long [ns].
+# Time without a message after which the next type of a topic is tried [ns].
 _PATIENCE_NS: Final = 1_000_000_000
 
 
@@ -258,9 +258,11 @@ class NodeMapping:
         return None if self._make is None else self._make()
 
 
+# Rounds without a message from before their begin, after which the wall clock must have been set back.
 _MAX_IDLE_ROUNDS: Final = 3
-_NUMBERS_KEPT: Final = 20
-# How often the publishers of foreign topics are looked for.
+# Messages that show whether two publishers alternate.
+_MAX_NUMBERS: Final = 20
+# Time between looks at the graph for publishers of foreign topics [s].
 _DISCOVERY_S: Final = 0.25
 
 
@@ -283,7 +285,7 @@ class _Numbers:
 
     def __init__(self) -> None:
         self._last = 0
-        self._steps_back: deque[bool] = deque(maxlen=_NUMBERS_KEPT)
+        self._steps_back: deque[bool] = deque(maxlen=_MAX_NUMBERS)
 
     def add(self, number: int | None) -> None:
         if number is not None:

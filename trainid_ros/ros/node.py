@@ -342,7 +342,7 @@ def _grouped(names: list[str]) -> str:
     return ', '.join(texts) or 'none'
 
 
-# A waiting executor notices a signal only when it returns.
+# A waiting executor notices a signal only when it returns [s].
 _REACTION_S: Final = 0.2
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 

@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from trainid_ros.bag.types import StoredType
     from trainid_ros.interface.records import Record
 
-# /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
+# /clock also ticks through gaps, so that nodes on simulated time detect dropouts [ns].
 _TICK_NS: Final = NS_PER_S // 20
-# Catching up on more than this at once could overflow the queues of the subscribers.
-_LONGEST_BURST_NS: Final = NS_PER_S
+# Catching up on more than this at once could overflow the queues of the subscribers [ns of record].
+_MAX_BURST_NS: Final = NS_PER_S
 
 
 Entry: TypeAlias = 'tuple[int, str, Record | bytes | None]'
@@ -102,19 +102,20 @@ class Pacer:
         if self._anchor is None:
             self._anchor = (time_ns, steady_ns)
         due = self._anchor[1] + round((time_ns - self._anchor[0]) / self._rate)
-        if (steady_ns - due) * self._rate > _LONGEST_BURST_NS * max(self._rate, 1.0):
+        if (steady_ns - due) * self._rate > _MAX_BURST_NS * max(self._rate, 1.0):
             self._anchor = (time_ns, steady_ns)
             return steady_ns
         return due
 
 
+# Time between looks for subscribers [ns], and longest wait for their acknowledgements at the end [s].
 _POLL_NS: Final = NS_PER_S // 50
-_ACKNOWLEDGED_S: Final = 2.0
-# Best-effort subscribers send no acknowledgement; they get this long to take the last messages.
+_MAX_ACKNOWLEDGE_S: Final = 2.0
+# Best-effort subscribers send no acknowledgement; they get this long to take the last messages [s].
 _LINGER_S: Final = 0.3
-# A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then.
+# A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then [ns].
 _DISCOVERY_NS: Final = NS_PER_S // 2
-# A wait for subscribers is said after this time, and what it waits for again as that changes.
+# A longer wait for subscribers is logged, and again as what it waits for changes [ns].
 _LONG_WAIT_NS: Final = 3 * NS_PER_S
 
 
@@ -322,7 +323,7 @@ class PlaybackNode(ManagedNode):
             self._sleep(_POLL_NS)
             return
         for output in self._outputs.values():
-            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+            output.wait_for_all_acked(Duration(seconds=_MAX_ACKNOWLEDGE_S))
         time.sleep(_LINGER_S)
         self._pause()
         self.finished = True

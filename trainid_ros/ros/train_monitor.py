@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from trainid_ros.monitor.trains import Train
     from trainid_ros.monitor.view import TrainView
 
+# Time between looks at the graph [s].
 _LOOK_S: Final = 0.5
 _TOPICS: Final = (*INPUT_TOPICS, *OUTPUT_TOPICS)
 _TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPICS}
