@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.explain.dataset import LONGEST_S, Dataset, Run, RunCollector, assemble, find_outliers
+from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange, specific_inertia
@@ -73,9 +73,9 @@ def test_unusable_sample_ends_a_run(field: dict[str, Any]) -> None:
 
 def test_short_runs_are_discarded_and_long_ones_split() -> None:
     assert collect(samples([10.0] * 70)) == []
-    runs = collect(samples([10.0] * round(2.5 * LONGEST_S * 5)))
+    runs = collect(samples([10.0] * round(2.5 * MAX_RUN_S * 5)))
     assert len(runs) == 3
-    assert all(run.time[-1] - run.time[0] <= LONGEST_S + 0.3 for run in runs)
+    assert all(run.time[-1] - run.time[0] <= MAX_RUN_S + 0.3 for run in runs)
 
 
 def test_unknown_position_is_replaced_by_distance() -> None:

@@ -193,6 +193,17 @@ def test_onset_of_a_step_is_within_its_uncertainty(maker: Any, train_file: Train
     assert found.parameters['a'] == fitted.parameters['a']
 
 
+def test_onset_has_at_least_the_variance_of_its_grid(maker: Any, train_file: TrainFile) -> None:
+    """A step so large that only one time of the grid is possible."""
+    stage = count()
+    runs = maker().runs(6, 61, lambda *_: 40.0 * (next(stage) >= SET_IN))
+    times = np.concatenate([run.time[1:] for run in runs])
+    step = EffectTerm('resistance_step', {'time': float(times[SET_IN]), 'a': 40.0}, 1e-12 * np.eye(2))
+    found = with_onset(step, Model.of(runs, train_file), HYPER)
+    cell = float(np.ptp(times)) / 121.0
+    assert found.std['time'] == pytest.approx(cell / np.sqrt(12.0), rel=0.05)
+
+
 @pytest.mark.parametrize('name', ['traction_scale', 'mass_error'])
 def test_effect_without_onset_or_fit_is_unchanged(dragged_model: Model, name: str) -> None:
     term = EffectTerm(name, {'ratio': 1.02}, np.eye(1))

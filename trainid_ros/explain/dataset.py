@@ -25,24 +25,25 @@ from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 from trainid_ros.train.forces import CommandHistory, actuator_response, davis, specific_force, specific_inertia
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
-    from collections.abc import Sequence
 
-SLOWEST: Final = 0.3
+MIN_SPEED: Final = 0.3
 """Speed [m/s] below which the brake may hold the train, so the force balance is not valid."""
-LONGEST_S: Final = 240.0
+MAX_RUN_S: Final = 240.0
 """Maximum length of a run [s]: a longer drive is split, so that errors by gusts do not accumulate over all of it."""
-SHORTEST_S: Final = 15.0
+MIN_RUN_S: Final = 15.0
 """Minimum length of a run [s]."""
 _STANDSTILL: Final = 1e-3
 """Speed up to which the train stands [m/s]."""
-# Share of measured positions that a run needs to be located on the line.
-_MEASURED: Final = 0.5
+_MIN_MEASURED: Final = 0.5
+"""Minimum share of samples with a measured position for a run to be located on the line [1]."""
 PULLING: Final = 1.0
 """Traction above this is taken as traction [N/kN]; less is noise."""
 BRAKING: Final = -1.0
@@ -126,7 +127,7 @@ class RunCollector:
 
     def _add_row(self, sample: Sample, brake: float) -> None:
         # A brake that is still releasing at departure may hold the train or drag; which of them is unknown.
-        if not self._rows and (sample.speed < SLOWEST or brake < BRAKE_APPLIED):
+        if not self._rows and (sample.speed < MIN_SPEED or brake < BRAKE_APPLIED):
             return
         mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
         self._weighed = sample.weighed
@@ -139,7 +140,7 @@ class RunCollector:
             braking, self._heat, self._since_release, self._distance,
         )  # fmt: skip
         self._rows.append(row)
-        if row[0] - self._rows[0][0] > LONGEST_S:
+        if row[0] - self._rows[0][0] > MAX_RUN_S:
             self.end_run()
 
     def _on_standstill(self, sample: Sample) -> None:
@@ -155,10 +156,10 @@ class RunCollector:
             stop_position: Measured position of the standstill that ends it [m], NaN if there is none.
         """
         rows, self._rows = self._rows, []
-        while rows and rows[-1][2] < SLOWEST:
+        while rows and rows[-1][2] < MIN_SPEED:
             rows.pop()
         start, self._start_position = self._start_position, math.nan
-        if not rows or rows[-1][0] - rows[0][0] < SHORTEST_S:
+        if not rows or rows[-1][0] - rows[0][0] < MIN_RUN_S:
             return
         columns = np.array(rows).T.copy()
         time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns
@@ -197,7 +198,7 @@ def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
     Otherwise return the distance travelled, which gives no location on the line.
     """
     known = np.isfinite(position)
-    if np.mean(known) < _MEASURED:
+    if np.mean(known) < _MIN_MEASURED:
         return distance.copy(), False
     way = 1.0 if position[known][-1] >= position[known][0] else -1.0
     offset = position[known] - way * distance[known]
@@ -219,19 +220,22 @@ POINT_S: Final = 1.0
 """Time over which a grid point averages [s]."""
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
-# Columns integrated at once.
 _COLUMN_BATCH: Final = 16
-# Outliers: samples on either side that define the level, thresholds in std of an outlier and of the flank of a burst.
+"""Columns integrated at once, to bound the memory."""
 _HALF_WINDOW: Final = 15
+"""Samples on either side of one that define its level."""
 _OUTLIER: Final = 5.0
+"""Deviation from the level beyond which a speed is an outlier [std of the window]."""
 _FLANK: Final = 2.0
-# A run may begin or end within a burst, detected by a jump between two samples: minimum jump [m/s], maximum distance
-# from the edge [samples], number of samples before and after it whose medians must confirm it.
-_JUMP: Final = 0.5
+"""The same for samples beside an outlier."""
+_MIN_JUMP: Final = 0.5
+"""Minimum jump between two samples that shows a burst cut by the begin or end of a run [m/s]."""
 _EDGE: Final = 20
+"""Samples from begin or end of a run within which such a jump is looked for."""
 _NEAR: Final = 5
-# Lower limit of the std of the speed [m/s].
+"""Samples before and after the jump whose medians must confirm it."""
 _MIN_SCALE: Final = 0.03
+"""Minimum std of the speed in a window [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,7 +366,7 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     step = np.abs(slope[window]) * (half + 1)
     off_by, usual = gap - expected, np.maximum(scale[window], floor)
     clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
-    least = max(_JUMP, 2.0 * _OUTLIER * floor)
+    least = max(_MIN_JUMP, 2.0 * _OUTLIER * floor)
     clear |= _cut_bursts(gap, least) | _cut_bursts(gap[::-1], least)[::-1]
     return clear | _with_flanks(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
 

@@ -26,18 +26,19 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _DAVIS_STEPS: Final = (0.1, 0.01, 0.0002)
+"""Steps of a, b, c for derivatives [N/kN, N/kN per m/s, N/kN per (m/s)^2]."""
 _PROBES: Final = 60
 """Points used to test whether an effect depends on a, b, c."""
 _CACHE_SIZE: Final = 400
 """Resistances kept in the cache, to bound the memory."""
-# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.
-_METRES: Final = 80.0
-_SECONDS: Final = 60.0
-_LOG_WIDTH: Final = 1.0
-_SHORTEST_M: Final = 50.0
+_POSITION_STD: Final = 80.0
+"""Prior std of a position about its initial value [m]."""
+_TIME_STD: Final = 60.0
+"""Prior std of a time about its initial value [s]."""
+_MIN_LENGTH_M: Final = 50.0
 """Minimum length of an effect on a section of the line [m]."""
-# The peak of a normal density equals a uniform density over this many standard deviations.
-_SPREAD: Final = math.sqrt(2.0 * math.pi)
+_UNIFORM_WIDTH: Final = math.sqrt(2.0 * math.pi)
+"""Width of a uniform density as high as the peak of a normal one [std]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +95,10 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
         elif limits.search is not None:
             low, high = limits.search
             span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
-            cost += 2.0 * math.log(max(span / (_SPREAD * width), 1.0))
+            cost += 2.0 * math.log(max(span / (_UNIFORM_WIDTH * width), 1.0))
         else:
             along = dataset.joined('position') if limits.unit == 'm' else dataset.time
-            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_SPREAD * width), 1.0))
+            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_UNIFORM_WIDTH * width), 1.0))
     return cost
 
 
@@ -108,10 +109,10 @@ def prior_width(effect: str, name: str, value: float) -> float:
         return 3.0 * kind.typical_size
     limits = kind.parameters[name]
     if limits.unit == 'm' and limits.search is None:
-        return _METRES
+        return _POSITION_STD
     if limits.search is None:
-        return _SECONDS
-    return _LOG_WIDTH * max(abs(value), limits.search[0])
+        return _TIME_STD
+    return max(abs(value), limits.search[0])
 
 
 def _inside(value: float, limits: Parameter) -> float:
@@ -124,9 +125,9 @@ def _inside(value: float, limits: Parameter) -> float:
 
 def _ordered(parameters: dict[str, float]) -> dict[str, float]:
     """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
-    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
+    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _MIN_LENGTH_M:
         middle = 0.5 * (parameters['start'] + parameters['end'])
-        return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}
+        return {**parameters, 'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
     return parameters
 
 
@@ -273,6 +274,3 @@ def _sum(before: Effect, new: Effect) -> Effect:
     more = parameters[kind.amplitude]
     parameters[kind.amplitude] = more * old if kind.neutral else more + old
     return replace(new, parameters=tuple(parameters.items()))
-
-
-# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.

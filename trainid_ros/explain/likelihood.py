@@ -168,20 +168,27 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
     return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
 
 
-# Median and std of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
-# payload [1], brake [1], map [per mille].
-_WEIGHED: Final = 0.005
-_UNWEIGHED: Final = 0.03
-_MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, _WEIGHED, 0.01, 0.25])
+_MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
+"""Prior median of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
+payload [1], brake [1], map [per mille]; the payload is that of weighed trains."""
 _WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])
+"""Prior std of these logs [1]."""
+_GUST, _GUST_TIME, _PAYLOAD = 1, 2, 4
+"""Indices among the hyperparameters."""
+_OF_RUN: Final = 4
+"""Number of hyperparameters of the noise along a run, which come first: others need no new whitening."""
+_UNWEIGHED: Final = 0.03
+"""Prior median of the relative error of the mass if it is not measured [1]."""
 _STEP: Final = 0.05
+"""Step of the logs for curvature by central differences [1]."""
 _SMALL: Final = 1e-3
-_LARGEST_MOVE: Final = 2.0
+"""Step of the logs for the gradient by forward differences [1]."""
+_MAX_MOVE: Final = 2.0
+"""Maximum step of the search in any of the logs [1]."""
 _SETTLED: Final = 0.05
+"""The search ends when a step gains less than this in 2 ln of the likelihood [1]: verdicts need whole units."""
 _MAX_STEPS: Final = 30
-_OUTER: Final = 4
-_PAYLOAD: Final = 4
-_GUST, _GUST_TIME = 1, 2
+"""Maximum number of steps of the search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +221,8 @@ class MarginalLikelihood:
         self._common = common_std
         self._root = map_root
         self._median = _MEDIAN.copy()
-        self._median[_PAYLOAD] = math.log(_WEIGHED if weighed else _UNWEIGHED)
+        if not weighed:
+            self._median[_PAYLOAD] = math.log(_UNWEIGHED)
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:
@@ -233,7 +241,7 @@ class MarginalLikelihood:
         """
         above = logs - self._median
         drift = (above[_GUST] + 0.5 * above[_GUST_TIME]) / math.hypot(_WIDTH[_GUST], 0.5 * _WIDTH[_GUST_TIME])
-        distances = np.maximum([drift, *(above / _WIDTH)[_OUTER:]], 0.0)
+        distances = np.maximum([drift, *(above / _WIDTH)[_OF_RUN:]], 0.0)
         return float(distances @ distances)
 
     def maximise(self, start: Array | None = None) -> tuple[Hyperparameters, Array]:
@@ -254,7 +262,7 @@ class MarginalLikelihood:
             if not np.isfinite(gradient).all():
                 break
             move = -np.linalg.solve(curvature, gradient)
-            move *= min(1.0, _LARGEST_MOVE / float(np.abs(move).max()))
+            move *= min(1.0, _MAX_MOVE / float(np.abs(move).max()))
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
                 move = 0.4 * move
             if found > value - _SETTLED:
@@ -290,7 +298,7 @@ class MarginalLikelihood:
 
     def _computed(self, x: Array) -> float:
         noise, spread = _hyperparameters(x)
-        key = tuple(x[:_OUTER].tolist())
+        key = tuple(x[:_OF_RUN].tolist())
         if self._gram is None or self._gram[0] != key:
             whitener = Whitener.of(self._grid, noise)
             self._gram = (key, Gram.of(self._columns, self._factors, whitener), whitener.log_det)

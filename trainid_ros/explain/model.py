@@ -22,14 +22,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, Dataset, Run, assemble
+from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_width
-from trainid_ros.explain.likelihood import Hyperparameters, MarginalLikelihood, informations, log_bayes, posterior
+from trainid_ros.explain.likelihood import MarginalLikelihood, informations, log_bayes, posterior
 from trainid_ros.explain.noise import (
     DAVIS,
     Bins,
     Grid,
-    Spread,
     Whitener,
     Whitening,
     common_columns,
@@ -41,20 +40,16 @@ from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.likelihood import Hyperparameters
+    from trainid_ros.explain.dataset import Dataset, Run
+    from trainid_ros.explain.likelihood import Hyperparameters, Information
+    from trainid_ros.explain.noise import Noise, Spread
+    from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
-    from collections.abc import Iterator
-
-    from trainid_ros.explain.dataset import Run
-    from trainid_ros.explain.effects import EffectTerm
-    from trainid_ros.explain.likelihood import Information
-    from trainid_ros.explain.noise import Noise
-    from trainid_ros.train.train_file import TrainFile
 
 _STOPPING_M: Final = 1.5
 """Std of the stopping position, both ends of a run together [m]."""
@@ -265,7 +260,9 @@ WHEEL: Final = 'wheel_diameter'
 _KEPT: Final = 8
 """Maximum number of hyperparameters for which the whitening is kept, to bound the memory."""
 _MAX_STEPS: Final = 5
+"""Maximum number of Gauss-Newton steps."""
 _SETTLED: Final = 0.1
+"""They end when no parameter moves by more than this [std]."""
 
 
 class Model:
@@ -487,21 +484,16 @@ class Model:
         mean, covariance = self.posterior(hyper)
         terms = []
         davis = self.found_davis(mean) if self._depends_on_davis else self.davis
-        moved = self._moved(davis, covariance)
+        std = np.sqrt(np.diag(covariance))
+        # Distance of a, b, c from the point of linearisation: 0 where no effect depends on them.
+        moved = float(np.max(np.abs(_array(davis) - _array(self.davis)) / std[DAVIS]))
         for term, here in self.places():
             move = np.zeros(len(term.parameters)) if hold else mean[here]
             width = self.common_std[here]
-            moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
+            moved = max(moved, float(np.max(np.abs(move) / std[here])))
             move = np.clip(move, -width, width)
             terms.append(term.moved(move, covariance[here, here]))
         return tuple(terms), davis, moved
-
-    def _moved(self, davis: Davis, covariance: Array) -> float:
-        """Return the distance of a, b, c from the linearisation point in std; 0 if no effect depends on them."""
-        if not self._depends_on_davis:
-            return 0.0
-        off = np.abs(_array(davis) - _array(self.davis))
-        return float(np.max(off / np.sqrt(np.diag(covariance)[DAVIS])))
 
 
 def _array(davis: Davis) -> Array:

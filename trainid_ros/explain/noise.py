@@ -32,8 +32,8 @@ _DIFFUSE: Final = 1e2
 """Variance of an unknown initial speed error [(m/s)^2]."""
 _MIN_VARIANCE: Final = 1e-12
 """Minimum process noise of a step [(m/s)^2, (N/kN)^2], which keeps the information matrix finite."""
-# Share of the variance that neighbouring samples have in common: quantised speeds repeat.
 _SHARED: Final = 0.1
+"""Share of the noise variance that the samples of a grid point share [1]: quantised speeds repeat."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,21 +219,21 @@ def _inverse(A: Array) -> Array:
 
 
 _MAX_BINS: Final = 100
+"""Maximum number of bins of the line for map errors, to bound time and memory."""
 _MIN_BIN_M: Final = 100.0
-# Effects on sections are searched on a finer scale than map errors, which are smooth.
+"""Minimum length of a bin for map errors [m]."""
 _FINER: Final = 2.0
+"""Bins for map errors, which are smooth, over those for effects on sections [1]."""
 _MAP_LENGTH_M: Final = 200.0
 """Correlation length of map errors [m]."""
-# Prior std of a, b, c: share of the train file's value plus a minimum in their units.
 _DAVIS_SHARE: Final = 0.4
-_DAVIS_FLOOR: Final = np.array([0.15, 0.02, 0.0004])
-_TRACTION_SKEW_S: Final = 0.1
-_BRAKE_SKEW_S: Final = 0.04
-_TRACTION_GAIN: Final = 0.003
-_BRAKE_GAIN: Final = 0.004
-_MAP_SHIFT_M: Final = 15.0
-_MASS_WEIGHED: Final = 0.003
-_MASS_UNWEIGHED: Final = 0.015
+"""Prior std of a, b, c as a share of the train file's values [1], beside the minimum below."""
+_DAVIS_MIN_STD: Final = np.array([0.15, 0.02, 0.0004])
+"""Prior std of a, b, c for values of zero [N/kN, N/kN per m/s, N/kN per (m/s)^2]."""
+_CLOCK_MAP_GAIN_STD: Final = (0.1, 0.04, 15.0, 0.003, 0.004)
+"""Prior std of skew of traction and of brake [s], shift of the map [m], gain of traction and of brake [1]."""
+_MASS_STD: Final = {True: 0.003, False: 0.015}
+"""Prior std of the mass common to all runs, if it is weighed or not [1]."""
 DAVIS: Final = slice(0, 3)
 """Indices of a, b, c among the nuisances."""
 
@@ -302,9 +302,8 @@ def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
     """
     davis = train_file.resistance
     magnitude = np.abs(np.array([davis.a, davis.b, davis.c]))
-    mass = _MASS_WEIGHED if weighed else _MASS_UNWEIGHED
-    others = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _MAP_SHIFT_M, _TRACTION_GAIN, _BRAKE_GAIN, mass)
-    return np.concatenate([_DAVIS_SHARE * magnitude + _DAVIS_FLOOR, others])
+    std = _DAVIS_SHARE * magnitude + _DAVIS_MIN_STD
+    return np.concatenate([std, _CLOCK_MAP_GAIN_STD, [_MASS_STD[weighed]]])
 
 
 def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
@@ -334,3 +333,15 @@ def _rate(force: Array, dataset: Dataset) -> Array:
     change[dataset.starts] = 0.0
     change[np.append(dataset.starts[1:], force.size) - 1] = 0.0
     return np.asarray(change / np.maximum(dataset.dt, 0.05))
+
+
+def integrated_covariance(t: Array, tau: float) -> Array:
+    """Return the covariance at times t [s] of the integral of an Ornstein-Uhlenbeck process over std^2 tau^2, (n, n).
+
+    Args:
+        t: Times, the integral being 0 at t = 0 [s], shape (n,).
+        tau: Correlation time of the process [s].
+    """
+    lesser, decay = np.minimum(t[:, None], t[None, :]), np.exp(-t / tau)
+    apart = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
+    return np.asarray(2.0 * lesser / tau - 1.0 + decay[:, None] + decay[None, :] - apart)

@@ -24,7 +24,7 @@ import numpy as np
 from trainid_ros.explain.dataset import BRAKING, PULLING
 from trainid_ros.explain.likelihood import Hyperparameters, posterior
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import share_of_mean
+from trainid_ros.explain.noise import integrated_covariance, share_of_mean
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
 from trainid_ros.explain.search import GENERIC, LEFT_OVER, with_onsets
 from trainid_ros.train.effects import EFFECTS
@@ -43,16 +43,16 @@ if TYPE_CHECKING:
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.model import Model
 
-_FOLDS: Final = 12
+_MAX_FOLDS: Final = 12
 """Maximum number of fits."""
-FEWEST: Final = 2
+MIN_RUNS: Final = 2
 """Minimum number of runs to hold one out."""
-# Limit of plausible gusts, payloads, brakes and map errors; see MarginalLikelihood.excess.
 _MAX_EXCESS: Final = 14.0
-# The same when effects with evidence of their own have been found.
+"""Maximum plausible gusts, payloads, brakes and map errors [1]; see :meth:`MarginalLikelihood.excess`."""
 _MAX_EXCESS_NAMED: Final = 30.0
-# Limit of a plausible amplitude, in units of its typical value.
-_MAX_USUAL: Final = 12.0
+"""The same when effects with evidence of their own have been found [1]."""
+_MAX_SIZE: Final = 12.0
+"""Maximum plausible amplitude of an effect, in units of its typical value [1]."""
 _WORSE: Final = 1.1
 """Effects that increase the gap on held-out runs by this factor are not reported, whatever their evidence."""
 
@@ -66,16 +66,16 @@ class HeldOut:
 
 
 def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
-    """Return the gaps of all runs, each held out in turn; None with fewer than :data:`FEWEST` runs."""
+    """Return the gaps of all runs, each held out in turn; None with fewer than :data:`MIN_RUNS` runs."""
     runs = len(model.dataset.runs)
-    if runs < FEWEST:
+    if runs < MIN_RUNS:
         return None
     products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual = model.columns @ neutral[:, 0]
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
-    for fold in np.array_split(np.arange(runs), min(runs, _FOLDS)):
+    for fold in np.array_split(np.arange(runs), min(runs, _MAX_FOLDS)):
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
@@ -127,15 +127,11 @@ def _noise(model: Model, hyper: Hyperparameters, at: NDArray[np.bool_], covarian
     columns = model.nuisance_columns[at][:, base]
     noise, spread = hyper.noise, hyper.spread
     t = model.dataset.point_time[at] - model.dataset.point_time[at][0]
-    tau = noise.gust_time
-    lesser = np.minimum(t[:, None], t[None, :])
-    decay = np.exp(-t / tau)
-    gust = 2.0 * lesser / tau - 1.0 + decay[:, None] + decay[None, :] - np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
     factors = model.factor_columns[at] * spread.of_run
     white = noise.speed**2 * share_of_mean(model.dataset.point_count[at])
-    scale = (noise.gust * tau / model.dataset.inertia) ** 2
+    gusts = (noise.gust * noise.gust_time / model.dataset.inertia) ** 2 * integrated_covariance(t, noise.gust_time)
     nuisances = columns @ covariance[np.ix_(base, base)] @ columns.T
-    return np.asarray(scale * gust + factors @ factors.T + np.diag(white) + nuisances)
+    return np.asarray(gusts + factors @ factors.T + np.diag(white) + nuisances)
 
 
 def _rms(values: Array) -> float:
@@ -194,7 +190,7 @@ def _credible(selection: Selection, *, slipping: bool) -> bool:
     terms = selection.final.model.terms
     most = _MAX_EXCESS_NAMED if terms else _MAX_EXCESS
     usual = slipping or selection.final.excess < most
-    return usual and all(term.size < _MAX_USUAL for term in terms)
+    return usual and all(term.size < _MAX_SIZE for term in terms)
 
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
@@ -230,9 +226,11 @@ PRIOR: Final = 3.0
 RELEASED_S: Final = 10.0
 """Time after brake release for which the mode is 'just released' [s]."""
 _PLACES: Final = 40
-# Where an effect is reported to act: number of places, and significance of each in standard deviations.
-_NAMED_PLACES: Final = 3
-_CLEAR: Final = 3.0
+"""Parts of the line in which the gap is located."""
+_MAX_NAMED: Final = 3
+"""Maximum number of places where an effect is reported to act."""
+_MIN_SIGMAS: Final = 3.0
+"""Significance of such a place [std]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +286,7 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
             for size, place in zip((total / share - mean).tolist(), location.places, strict=True)
             if place.std > 0.0
         ]
-    clear = [text for z, text in sorted(found, reverse=True)[:_NAMED_PLACES] if z > _CLEAR]
+    clear = [text for z, text in sorted(found, reverse=True)[:_MAX_NAMED] if z > _MIN_SIGMAS]
     return ', '.join(clear) or 'no distinct location'
 
 

@@ -32,7 +32,7 @@ from trainid_ros.explain.noise import Bins
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from trainid_ros.explain.effects import EffectEvaluator
 
     Array = NDArray[np.float64]
-    from collections.abc import Callable
 
 _SHAPES: Final = 6
 """Grid points of a shape parameter."""
@@ -214,9 +213,10 @@ _GROUP_STDS: Final = (0.1, 0.3, 1.0)
 """Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them."""
 _SHARES: Final = (0.3, 1.0)
 """The same for the amplitude of an effect, in units of its typical value."""
-# Limits of the section lengths that are tried.
-_SHORTEST_M: Final = 60.0
-_LONGEST_M: Final = 2500.0
+_MIN_LENGTH_M: Final = 60.0
+"""Minimum length of a section that is tried [m]."""
+_MAX_LENGTH_M: Final = 2500.0
+"""Maximum length of such a section [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,7 +291,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     kind = EFFECTS[name]
     i, j = np.triu_indices(bins.count + 1, 1)
     length = (j - i) * bins.width
-    usable = (length >= _SHORTEST_M) & (length <= max(_LONGEST_M, 2.0 * bins.width))
+    usable = (length >= _MIN_LENGTH_M) & (length <= max(_MAX_LENGTH_M, 2.0 * bins.width))
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)
@@ -331,18 +331,22 @@ TWIN: Final = 6.0
 """Difference of evidence below which two effects are indistinguishable."""
 MAX_EFFECTS: Final = 3
 """Maximum number of effects in a model."""
-# Effects that are fitted in full: how many by the estimated hyperparameters and by those at the prior median, minimum
-# evidence with each, and maximum difference from the best one.
-_CANDIDATES: Final = 3
-_MEDIAN_CANDIDATES: Final = 2
 _MIN_SCORE: Final = 2.5
+"""2 ln of the Bayes factor of effects and dependences that are fitted in full."""
+_MAX_CANDIDATES: Final = 3
+"""Maximum number of such effects."""
 _MIN_AT_MEDIAN: Final = 30.0
-_NEAR: Final = 25.0
-# Minimum significance of the amplitude of an effect in standard deviations.
-_SIGNIFICANT: Final = 2.5
-# Generic dependences that are fitted in full, and the prior std of their coefficients [N/kN].
-_GROUPS: Final = 2
+"""The minimum score with the hyperparameters at the median of their priors."""
+_MAX_AT_MEDIAN: Final = 2
+"""Maximum number of effects that are fitted in full by that score."""
+_MAX_BEHIND: Final = 25.0
+"""Maximum distance of such an effect from the best one, in 2 ln of the Bayes factor."""
+_MIN_SIGMAS: Final = 2.5
+"""Minimum significance of the amplitude of an effect [std]."""
+_MAX_GROUPS: Final = 2
+"""Maximum number of generic dependences that are fitted in full."""
 _GROUP_STD: Final = 0.3
+"""Prior std of their coefficients [N/kN]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,10 +443,13 @@ class Search:
         """
         found: dict[str, EffectScore] = {}
         hyper = state.model.evidence().usual(state.hyper)
-        for at, least, count in ((state.hyper, _MIN_SCORE, _CANDIDATES), (hyper, _MIN_AT_MEDIAN, _MEDIAN_CANDIDATES)):
+        for at, least, count in (
+            (state.hyper, _MIN_SCORE, _MAX_CANDIDATES),
+            (hyper, _MIN_AT_MEDIAN, _MAX_AT_MEDIAN),
+        ):
             named = self._named(state.model, at)
             for score in named[:count]:
-                if score.evidence > max(least, named[0].evidence - _NEAR):
+                if score.evidence > max(least, named[0].evidence - _MAX_BEHIND):
                     found.setdefault(score.name, score)
         return list(found.values())
 
@@ -455,14 +462,14 @@ class Search:
         """Return the evidence of generic dependences, the best ones with hyperparameters estimated with each."""
         _, groups = self._scores(state.model, state.hyper)
         judged = []
-        for score in groups[:_GROUPS]:
+        for score in groups[:_MAX_GROUPS]:
             found = score.evidence
             if _MIN_SCORE < found < GENERIC:
                 model = state.model.with_nuisances(self.scorer.group_columns(score.name), _GROUP_STD)
                 hyper, _ = model.evidence().maximise(state.logs)
                 found = max(found, hyper.evidence - state.hyper.evidence)
             judged.append(replace(score, evidence=found))
-        return sorted([*judged, *groups[_GROUPS:]], key=lambda score: -score.evidence)
+        return sorted([*judged, *groups[_MAX_GROUPS:]], key=lambda score: -score.evidence)
 
     def _extend(self, state: State, score: EffectScore) -> State:
         terms = (*state.model.terms, EffectTerm(score.name, score.parameters))
@@ -502,7 +509,7 @@ class Search:
         """Return True if every effect of the joint fit is significant, has its evidence and shows in the other runs."""
         model = state.model
         return all(
-            term.significance > _SIGNIFICANT
+            term.significance > _MIN_SIGMAS
             and self._gain(state, k) > threshold
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))
             for k, term in enumerate(model.terms)
@@ -560,10 +567,10 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     return replace(term, parameters={**term.parameters, name: mean}, covariance=covariance)
 
 
-# Significance in standard deviations at which the other runs can detect the effect, and the share of its amplitude
-# that they must show.
 _VISIBLE: Final = 3.0
-_SHARE: Final = 0.4
+"""Significance from which the other runs can show an effect [std]."""
+_MIN_SHOWN: Final = 0.4
+"""Minimum share of its amplitude that they must then show [1]."""
 
 
 def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
@@ -582,4 +589,4 @@ def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> 
     root = without.prior_factor(hyper.spread)
     others = eliminate(products.sum(axis=0) - products[most], len(root), root)
     A, b = float(others.A[0, 0]), float(others.b[0])
-    return A * size * size < _VISIBLE**2 or b / (A * size) > _SHARE
+    return A * size * size < _VISIBLE**2 or b / (A * size) > _MIN_SHOWN

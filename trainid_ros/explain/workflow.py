@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workflow: simulate the current model, locate the gap, identify missing effects, add them, validate the result."""
+"""The workflow: simulate the current model, locate the gap, identify missing effects, add them, validate the result.
+
+Where an effect is confused with another, the workflow names a drive that tells them apart, if driving on level,
+straight track can. The information on the amplitude A of an effect comes from the speeds of a planned run, linear in
+what is not known: A, the size of the other effect, a, b, c and the payload. With C the derivatives of the speeds by
+them, and R the covariance of integrated gusts, map errors and speed noise, it is I = C' R^-1 C; the inverse has the
+variance of A.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.explain.distinguishing import FitSummary, distinguishing_drive
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.model import Model, find_slip, read_at
-from trainid_ros.explain.noise import DAVIS
+from trainid_ros.explain.noise import DAVIS, integrated_covariance
 from trainid_ros.explain.proof import assess, locate, where
 from trainid_ros.explain.result import (
     Alternative,
@@ -26,38 +33,40 @@ from trainid_ros.explain.result import (
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
-from trainid_ros.train.effects import EFFECTS
+from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
+from trainid_ros.train.effects import EFFECTS, TrackPoint
+from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Effect
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from trainid_ros.explain.dataset import Run
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.proof import Outcome
+    from trainid_ros.resistance.planned_drive import Run as PlannedRun
+    from trainid_ros.resistance.planned_drive import Step
+    from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
 
 _MIN_SAMPLES: Final = 200
+"""Minimum number of samples of all runs together."""
 SEARCHED_S: Final = 3000.0
 """Maximum driving time that is searched for effects [s]."""
 COMPARED_S: Final = 12000.0
 """Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory."""
-# Relative error of parameters, since equations of real effects differ slightly from those of the library.
 _EQUATION_SHARE: Final = 0.03
-# Error of times [s]: time stamps are read at 5 Hz.
+"""Relative error of parameters [1], since equations of real effects differ slightly from those of the library."""
 _CLOCK_S: Final = 0.04
-
-
-def _quiet(_: str) -> None:
-    pass
+"""Error of times [s]: time stamps are read at 5 Hz."""
 
 
 def explain(
-    runs: Sequence[Run], train_file: TrainFile, *, provenance: str = '', advance: Callable[[str], None] = _quiet
+    runs: Sequence[Run], train_file: TrainFile, *, provenance: str = '', advance: Callable[[str], None] = lambda _: None
 ) -> Explanation:
     """Find the effects that the model of a train file lacks.
 
@@ -105,6 +114,7 @@ def _result(
     provenance: str,
 ) -> Explanation:
     davis, davis_std = _davis(outcome.final, outcome.hyper)
+    noise, spread = outcome.hyper.noise, outcome.hyper.spread
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
@@ -115,7 +125,7 @@ def _result(
         davis_std=davis_std,
         locations=locations,
         traces=_traces(outcome),
-        noise=_noise(outcome.hyper),
+        noise=NoiseLevels(noise.speed, noise.gust, noise.gust_time, spread.payload, spread.brake, spread.map),
         outliers=float(np.mean(outcome.base.dataset.outlier)),
         weighed=outcome.final.weighed,
         gradient_point=point,
@@ -143,23 +153,23 @@ def _found(
     model = outcome.final
     rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     evaluator, dataset = model.evaluator, model.dataset
-    known = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
+    fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
     return [
         _effect(
             term,
             evidence,
-            tuple(Alternative(name, _drive(term, name, known)) for name in twins),
+            tuple(Alternative(name, _drive(term, name, fit)) for name in twins),
             where(evaluator.resistance(term.name, term.parameters), dataset, locations),
         )
         for term, evidence, twins in rows
     ]
 
 
-def _drive(term: EffectTerm, twin: str, known: FitSummary) -> str:
+def _drive(term: EffectTerm, twin: str, fit: FitSummary) -> str:
     """Return the test run that would distinguish an effect from its twin, with a drive that does it if there is one."""
     kind = EFFECTS[term.name]
     text = {item.name: item.drive for item in kind.twins}.get(twin, kind.needs)
-    drive = distinguishing_drive(term.name, term.parameters, twin, known)
+    drive = distinguishing_drive(term.name, term.parameters, twin, fit)
     return f'{text}; for example {drive}' if drive else text
 
 
@@ -208,6 +218,131 @@ def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     return tuple(traces)
 
 
-def _noise(hyper: Hyperparameters) -> NoiseLevels:
-    noise, spread = hyper.noise, hyper.spread
-    return NoiseLevels(noise.speed, noise.gust, noise.gust_time, spread.payload, spread.brake, spread.map)
+_CLEAR: Final = 4.0
+"""Amplitude over its standard deviation from which two effects are distinguished [1]."""
+_MAX_TIMES: Final = 3
+"""Maximum number of times that one run is driven."""
+_SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)
+"""Speeds that are held in addition to the usual manoeuvres [m/s]."""
+_SLOW_S: Final = 60.0
+"""How long they are held [s]."""
+_DAVIS_WIDER: Final = 3.0
+"""Prior std of a, b, c over their std in the fit [1]: the other effect would change them too."""
+_TWIN_SIZE: Final = 10.0
+"""Prior std of the other effect in multiples of its typical amplitude [1]."""
+_MIN_STD: Final = 1e-6
+"""Lower bound of a prior std, which keeps its inverse finite [unit of the value]."""
+_STEPS: Final = 5
+"""Steps of a plan whose speeds are averaged to one."""
+_SAMPLES: Final = 2.0
+"""Speed samples per step of a plan."""
+_MAP_M: Final = 250.0
+"""Correlation length of map errors [m]."""
+_WARM_M: Final = 1e6
+"""A long way into the day, when the bearings are warm [m]."""
+_COUNTS: Final = {1: 'once', 2: 'twice'}
+
+
+@dataclass(frozen=True, slots=True)
+class FitSummary:
+    """What a fit has found: the train file, a, b, c with their standard deviations, noise and nuisances."""
+
+    train_file: TrainFile
+    davis: Davis
+    davis_std: tuple[float, float, float]
+    hyper: Hyperparameters
+
+
+def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, fit: FitSummary) -> str:
+    """Return the shortest drive that tells an effect from its twin, with the std it promises; '' if none does.
+
+    Args:
+        name: The effect.
+        parameters: Its parameters as found.
+        twin: The other effect, of any size.
+        fit: What the runs so far have told.
+    """
+    kind, other = EFFECTS[name], EFFECTS[twin]
+    shape = _typical(other)
+    if kind.resistance is None or other.resistance is None or shape is None:
+        return ''
+    size = abs(parameters[kind.amplitude] - kind.neutral)
+    found: list[tuple[float, PlannedRun, int, float]] = []
+    slow = (plan_run(Manoeuvre(v, v, _SLOW_S), fit.train_file, fit.davis) for v in _SLOW)
+    for run in chain(planned_runs(fit.train_file, fit.davis), (run for run in slow if run is not None)):
+        effect = _resistances(run, kind, parameters, fit.davis) / max(size, 1e-12)
+        information = _information(run, effect, _resistances(run, other, shape, fit.davis), fit)
+        for times in range(1, _MAX_TIMES + 1):
+            std = _std(times * information, fit)
+            if size >= _CLEAR * std:
+                found.append((times * run.duration_s, run, times, std))
+    if not found:
+        return ''
+    _, run, times, std = min(found, key=lambda item: item[0])
+    unit = kind.parameters[kind.amplitude].unit
+    count, length = _COUNTS.get(times, f'{times} times'), f'{times * run.length_m / 1000.0:.1f} km'
+    return f'{run.manoeuvre.text} {count} ({length}): {kind.amplitude} ± {std:.2g}{f" {unit}" if unit else ""}'
+
+
+def _typical(kind: EffectKind) -> dict[str, float] | None:
+    """Return parameters of typical size and shape; None for an effect at a place or time of its own."""
+    values = {kind.amplitude: kind.neutral + kind.typical_size}
+    for name, parameter in kind.parameters.items():
+        if name == kind.amplitude:
+            continue
+        if parameter.search is None:
+            return None
+        low, high = parameter.search
+        values[name] = math.sqrt(low * high) if parameter.grid == 'log' else 0.5 * (low + high)
+    return values
+
+
+def _resistances(run: PlannedRun, kind: EffectKind, parameters: Mapping[str, float], davis: Davis) -> Array:
+    """Return the resistance of an effect at each step [N/kN], shape (n,)."""
+    if kind.resistance is None:
+        return np.zeros(len(run.steps))
+    points = (_point(run.steps, k) for k in range(len(run.steps)))
+    return np.array([kind.resistance(parameters, davis, point) for point in points])
+
+
+def _point(steps: Sequence[Step], k: int) -> TrackPoint:
+    before = steps[max(k - 1, 0)]
+    return TrackPoint(
+        time_s=k * STEP_S,
+        position=math.nan,
+        direction=1,
+        speed=steps[k].speed,
+        distance_run=_WARM_M,
+        since_release=k * STEP_S,
+        traction=steps[k].traction,
+        acceleration=(steps[k].speed - before.speed) / STEP_S,
+        traction_before=lambda ago: steps[min(max(k - round(ago / STEP_S), 0), len(steps) - 1)].traction,
+    )
+
+
+def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -> Array:
+    """Return the information of a run on [A, twin, a, b, c, kappa], the initial speed not known, shape (6, 6)."""
+    v, traction = (np.array([getattr(step, name) for step in run.steps]) for name in ('speed', 'traction'))
+    pulls = np.stack((effect, twin, np.ones_like(v), v, v * v, -traction), axis=1)
+    hyper, m = fit.hyper, specific_inertia(1.0, fit.train_file.train.rotary_mass)
+    at = slice(_STEPS - 1, None, _STEPS)
+    C = np.concatenate((-np.cumsum(pulls, axis=0) * STEP_S / m, np.ones((len(v), 1))), axis=1)[at]
+    t: Array = np.arange(1.0, len(v) + 1.0)[at] * STEP_S
+    noise = hyper.noise
+    map_time = _MAP_M / max(float(v.mean()), 1.0)
+    gusts = (noise.gust * noise.gust_time) ** 2 * integrated_covariance(t, noise.gust_time)
+    errors_of_map = (hyper.spread.map * map_time) ** 2 * integrated_covariance(t, map_time)
+    R = (gusts + errors_of_map) / (m * m) + noise.speed**2 / (_STEPS * _SAMPLES) * np.eye(t.size)
+    full = C.T @ np.linalg.solve(R, C)
+    start = full[:6, 6]
+    return np.asarray(full[:6, :6] - np.outer(start, start) / full[6, 6])
+
+
+def _std(information: Array, fit: FitSummary) -> float:
+    """Return the standard deviation of A after runs with this information, all else as unknown as a priori."""
+    davis_std = (_DAVIS_WIDER * max(std, _MIN_STD) for std in fit.davis_std)
+    stds = np.array([_TWIN_SIZE, *davis_std, max(fit.hyper.spread.payload, _MIN_STD)])
+    prior = np.concatenate(([0.0], stds**-2.0))
+    total = information + np.diag(prior)
+    left = total[0, 0] - total[0, 1:] @ np.linalg.solve(total[1:, 1:], total[1:, 0])
+    return 1.0 / math.sqrt(left) if left > 0.0 else math.inf

@@ -13,8 +13,10 @@ from typing import Final, NoReturn
 
 from trainid_ros.interface.errors import InputError
 
-_LONGEST_VALUE: Final = 60
-_LARGEST_FILE: Final = 16 << 20
+_MAX_SHOWN: Final = 60
+"""Maximum length of a value or name in a message [characters]."""
+_MAX_FILE_BYTES: Final = 16 << 20
+"""Maximum size of a file that is read into memory [bytes]."""
 
 
 def shown(value: object) -> str:
@@ -22,7 +24,7 @@ def shown(value: object) -> str:
     if isinstance(value, float):
         return f'{value:g}'
     text = ' '.join(repr(value).split())
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + '...'
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + '...'
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -43,7 +45,7 @@ class Section:
 
     def name(self, key: str) -> str:
         """Return the dotted name of a field of this section."""
-        key = key if len(key) <= _LONGEST_VALUE else f'{key[: _LONGEST_VALUE - 3]}...'
+        key = key if len(key) <= _MAX_SHOWN else f'{key[: _MAX_SHOWN - 3]}...'
         return f'{self.path}.{key}' if self.path else key
 
     def fail(self, key: str, problem: str) -> NoReturn:
@@ -221,9 +223,9 @@ def read_text(path: str | Path) -> str:
         if not (S_ISREG(file.stat().st_mode) or file.is_dir()):  # a pipe or a device may have no end
             raise InputError(f'{path}: cannot be read: is not a file')
         with file.open('rb') as opened:
-            content = opened.read(_LARGEST_FILE + 1)
-        if len(content) > _LARGEST_FILE:
-            raise InputError(f'{path}: cannot be read: is larger than {_LARGEST_FILE >> 20} MB')
+            content = opened.read(_MAX_FILE_BYTES + 1)
+        if len(content) > _MAX_FILE_BYTES:
+            raise InputError(f'{path}: cannot be read: is larger than {_MAX_FILE_BYTES >> 20} MB')
         return content.decode('utf-8')
     except OSError as error:
         raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error

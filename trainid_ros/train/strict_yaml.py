@@ -19,8 +19,9 @@ except ImportError:
 ResultT = TypeVar('ResultT')
 
 _MAX_VALUES: Final = 100_000
-"""Most values in a file, those of an alias counted again; about 2 s and 100 MB."""
-_DEEPEST: Final = 100
+"""Maximum number of values in a file, those of an alias counted again; about 2 s and 100 MB."""
+_MAX_DEPTH: Final = 100
+"""Maximum depth of nested collections: the reader is recursive."""
 _NUMBERS: Final = {
     'int': re.compile(r'[-+]?(0|[1-9][0-9_]{0,300})$'),
     # Within a length: the time to find that something is no number grows with the square of its length.
@@ -114,8 +115,8 @@ def _check_size(text: str) -> None:
             count += 1
         if count > _MAX_VALUES:
             raise _error(event, f'more than {_MAX_VALUES} values')
-        if len(open_collections) > _DEEPEST:
-            raise _error(event, f'nested more than {_DEEPEST} deep')
+        if len(open_collections) > _MAX_DEPTH:
+            raise _error(event, f'nested more than {_MAX_DEPTH} deep')
 
 
 def _error(event: Any, problem: str) -> yaml.MarkedYAMLError:
