@@ -45,7 +45,7 @@ def test_the_jolt_at_standstill_counts(speed: float) -> None:
 def test_overspeed_counts_where_the_limit_begins() -> None:
     plant, score = plant_of((0.0, 20.0), (151.0, 10.0)), RideScore()
     plant.position, plant.speed = 150.0, 12.0
-    plant.brake = -1.0
+    plant._actuator.output = -1.0
     plant.command(-1.0)
     score.skip(plant)
     at = 0.0

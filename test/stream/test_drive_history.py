@@ -76,7 +76,7 @@ def test_another_time_base_keeps_the_motion_and_forgets_commands(train_file: Tra
     before = tracker.motion
     after = tracker.follow(sample(3))
     assert (after.time_s, after.distance_run, after.heat) == (before.time_s, before.distance_run, before.heat)
-    assert not tracker._commands.changes
+    assert not tracker._actuator.commands.changes
     tracker.reset()
     assert tracker.follow(sample(4)) == Motion(time_s=0.0, distance_run=0.0)
 

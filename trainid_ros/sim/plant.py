@@ -27,10 +27,10 @@ from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
 from trainid_ros.train.forces import (
+    BrakeActuator,
     BrakeCommandChange,
     CommandHistory,
     G,
-    actuator_response,
     davis,
     required_force,
     specific_force,
@@ -52,7 +52,6 @@ class Plant:
         speed: Speed [m/s], never negative: a stopped train is held in place.
         acceleration: Mean acceleration over the last step [m/s^2].
         traction: Traction as reported by the drive [N].
-        brake: Lagged and delayed brake target [m/s^2, <= 0].
         mass: Assumed mass [kg].
         resistance: Current Davis resistance.
         brake_rate: Current brake rate, or the factor on its table over speed [1].
@@ -78,7 +77,7 @@ class Plant:
         self.now_ns = start_ns
         self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
         self.direction = 1
-        self.speed = self.acceleration = self.traction = self.brake = 0.0
+        self.speed = self.acceleration = self.traction = 0.0
         self.mass = train_file.train.mass
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
@@ -86,12 +85,16 @@ class Plant:
         self._train, self._rate_shape = train_file.train, train_file.brake.shape_at
         self._jerk = jerk
         self._start_ns = start_ns
-        self._time_constant = train_file.brake.time_constant
-        self._delay_ns = round(train_file.brake.delay * NS_PER_S)
-        self._commands = CommandHistory()
+        self._brake = train_file.brake
+        self._actuator = BrakeActuator(self._brake)
         self._terms = resistance_terms(train_file.effects)
         self._tractions, self._brakes = DelayLine(), DelayLine()
         self._since_release = math.inf
+
+    @property
+    def brake(self) -> float:
+        """Lagged and delayed brake target [m/s^2, <= 0]."""
+        return self._actuator.output
 
     @property
     def reported_force(self) -> float:
@@ -101,15 +104,14 @@ class Plant:
     def twin(self) -> Plant:
         """Return a train in the same state that goes on by itself."""
         other = copy(self)
-        other._commands = CommandHistory(self._commands.changes)
+        other._actuator = BrakeActuator(self._brake)
+        other._actuator.commands, other._actuator.output = CommandHistory(self._actuator.commands.changes), self.brake
         other._tractions, other._brakes = self._tractions.twin(), self._brakes.twin()
         return other
 
     def command(self, target_acceleration: float) -> None:
         """Set the brake target [m/s^2, <= 0] from now on."""
-        change = BrakeCommandChange(self.now_ns, target_acceleration)
-        self._commands.push(change)
-        self._commands.prune(self.now_ns - self._delay_ns)
+        self._actuator.commands.push(BrakeCommandChange(self.now_ns, target_acceleration))
 
     def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
         """Advance by one step [ns] while the traction ramps towards a demand [N]."""
@@ -184,11 +186,7 @@ class Plant:
 
     def _brake_acceleration(self, dt_ns: int) -> float:
         """Advance the actuator under its delayed command; return the mean brake acceleration [m/s^2]."""
-        start_ns, delay_ns, tau = self.now_ns, self._delay_ns, self._time_constant
-        self.brake, change = actuator_response(
-            self._commands, start_ns, start_ns + dt_ns, self.brake, delay_ns=delay_ns, time_constant=tau
-        )
-        dt = dt_ns / NS_PER_S
+        change, dt = self._actuator.advance(self.now_ns, self.now_ns + dt_ns), dt_ns / NS_PER_S
         self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
         return self.brake_rate * self._rate_shape(self.speed) * change / dt
 

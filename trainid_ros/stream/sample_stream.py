@@ -28,7 +28,7 @@ from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.samples import STANDING, Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
-from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, actuator_response, davis
+from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, CommandHistory, davis
 from trainid_ros.train.train_file import TrainFile
 
 if TYPE_CHECKING:
@@ -87,36 +87,28 @@ _MAX_GAP_S: Final = 10.0
 class DriveHistory:
     """Follows a drive sample by sample, with the brake of the train file."""
 
-    STATE: ClassVar[State] = declare('_stamp_ns', '_speed', 'motion', '_commands')
+    STATE: ClassVar[State] = declare('_stamp_ns', '_speed', 'motion', '_actuator')
 
     def __init__(self, train_file: TrainFile) -> None:
         self._brake = train_file.brake
-        self._delay_ns = round(self._brake.delay * NS_PER_S)
         self.reset()
 
     def reset(self) -> None:
         """Start a new drive."""
         self._stamp_ns, self._speed = 0, 0.0
         self.motion = Motion(time_s=0.0, distance_run=0.0)
-        # Commands that may still act.
-        self._commands = CommandHistory()
+        self._actuator = BrakeActuator(self._brake)
 
     def follow(self, sample: Sample) -> Motion:
         """Take in a sample; return the motion of the drive up to its stamp."""
         start_ns, before = self._stamp_ns, self.motion
         if not 0 < start_ns <= sample.stamp_ns:  # another drive
-            start_ns, self._commands = sample.stamp_ns, CommandHistory()
-        self._commands.follow(sample.brake_changes)
+            start_ns, self._actuator.commands = sample.stamp_ns, CommandHistory()
+        self._actuator.commands.follow(sample.brake_changes)
         elapsed = seconds(sample.stamp_ns - start_ns)
         speed = 0.5 * (self._speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
-        brake, brake_integral = actuator_response(
-            self._commands,
-            start_ns,
-            sample.stamp_ns,
-            before.brake,
-            delay_ns=self._delay_ns,
-            time_constant=self._brake.time_constant,
-        )
+        brake_integral = self._actuator.advance(start_ns, sample.stamp_ns)
+        brake = self._actuator.output
         rate = self._brake.rate_at(speed)
         heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
         self.motion = Motion(
@@ -126,7 +118,6 @@ class DriveHistory:
             heat=heat,
             brake=brake,
         )
-        self._commands.prune(sample.stamp_ns - self._delay_ns)
         self._stamp_ns, self._speed = sample.stamp_ns, sample.speed
         return self.motion
 

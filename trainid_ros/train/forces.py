@@ -15,15 +15,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final, overload
+from typing import Any, ClassVar, Final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.interface.state import stored
-from trainid_ros.train.train_file import Davis
+from trainid_ros.interface.state import State, declare, stored
+from trainid_ros.train.train_file import Brake, Davis
 
 G: Final = 9.80665
 """Standard gravity [m/s^2] (CODATA), used throughout the project."""
@@ -166,6 +167,31 @@ def actuator_response(
         integral += lag_integral(output, target, time_constant, duration)
         output = lag_response(output, target, time_constant, duration)
     return output, integral
+
+
+class BrakeActuator:
+    """The brake command after the dead time and the lag of the train file, followed from stamp to stamp.
+
+    Attributes:
+        commands: Commands that may still act.
+        output: Present output [m/s^2, <= 0], that of a brake of rate 1.
+        delay_ns: Dead time [ns].
+    """
+
+    STATE: ClassVar[State] = declare('commands', 'output')
+
+    def __init__(self, brake: Brake) -> None:
+        self.delay_ns = round(brake.delay * NS_PER_S)
+        self._time_constant = brake.time_constant
+        self.commands, self.output = CommandHistory(), 0.0
+
+    def advance(self, start_ns: int, end_ns: int) -> float:
+        """Advance over (start, end] [ns]; return the integral of the output over it [m/s]."""
+        self.output, integral = actuator_response(
+            self.commands, start_ns, end_ns, self.output, delay_ns=self.delay_ns, time_constant=self._time_constant
+        )
+        self.commands.prune(end_ns - self.delay_ns)
+        return integral
 
 
 def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from ato.knowledge import TrainValues
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
-from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, acceleration, actuator_response, davis
+from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, acceleration, davis
 
 if TYPE_CHECKING:
     from trainid_ros.interface.records import Record
@@ -48,15 +48,15 @@ class LearnedRate:
 
     def __init__(self, train_file: TrainFile) -> None:
         """Start from the train file."""
-        self._file, self._commands = train_file, CommandHistory()
+        self._file, self._actuator = train_file, BrakeActuator(train_file.brake)
         self._rate = train_file.brake.rate
-        self._stamp_ns, self._speed, self._gradient, self._target = 0, math.nan, 0.0, 0.0
+        self._stamp_ns, self._speed, self._gradient = 0, math.nan, 0.0
         self._lost = self._nominal = 0.0
 
     def observe(self, record: Record) -> None:
         """Take in what a sensor has measured."""
         if isinstance(record, BrakeRecord):
-            self._commands.follow((BrakeCommandChange(record.stamp_ns, record.target_acceleration),))
+            self._actuator.commands.follow((BrakeCommandChange(record.stamp_ns, record.target_acceleration),))
         elif isinstance(record, GradientRecord):
             self._gradient = record.gradient
         elif isinstance(record, SpeedRecord):
@@ -67,24 +67,15 @@ class LearnedRate:
         return TrainValues(self._file.resistance, replace(self._file.brake, rate=self._rate))
 
     def _follow(self, record: SpeedRecord) -> None:
-        brake, before, start_ns = self._file.brake, self._speed, self._stamp_ns
+        before, start_ns = self._speed, self._stamp_ns
         self._speed, self._stamp_ns = record.speed, record.stamp_ns
         if math.isnan(before):
             return
-        delay_ns = round(brake.delay * NS_PER_S)
-        self._target, integral = actuator_response(
-            self._commands,
-            start_ns,
-            record.stamp_ns,
-            self._target,
-            delay_ns=delay_ns,
-            time_constant=brake.time_constant,
-        )
-        self._commands.prune(record.stamp_ns - delay_ns)
-        if self._target < _BRAKED and min(before, record.speed) > _SLOWEST:
+        integral = self._actuator.advance(start_ns, record.stamp_ns)
+        if self._actuator.output < _BRAKED and min(before, record.speed) > _SLOWEST:
             dt, v = (record.stamp_ns - start_ns) / NS_PER_S, 0.5 * (before + record.speed)
             self._lost += before - record.speed + dt * self._by_track(v)
-            self._nominal -= brake.shape_at(v) * integral
+            self._nominal -= self._file.brake.shape_at(v) * integral
         if record.speed == 0.0:
             self._learn()
 
