@@ -165,7 +165,7 @@ def campaign(files: int, folder: Path, compression: CompressionType, kind: str, 
     return score
 
 
-def measure(files: int = 1000) -> tuple[Table, ...]:
+def measure(files: int) -> tuple[Table, ...]:
     """Damage many files in every way; return the table."""
     header = (
         'damage',

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _SEED: Final = 1
-_KILLS: Final = 200
 _PERIOD_S: Final = 0.2
 _SAMPLE_S: Final = 0.2
 # Of four kills one comes within this time from the start of the process, the others from its first estimates.
@@ -79,7 +78,7 @@ class Outcome:
     unsaved: int = 0
 
 
-def measure(kills: int = _KILLS) -> tuple[Table, ...]:
+def measure(kills: int) -> tuple[Table, ...]:
     """Run the campaign; return its table."""
     with tempfile.TemporaryDirectory() as folder:
         outcome = Campaign(Path(folder)).run(kills)

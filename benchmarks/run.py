@@ -16,54 +16,114 @@ import time
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from benchmarks.tables import Plot, Table
 
     Results = Sequence[Table | Plot]
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
-PARTS: Final = ('cost', 'live', 'replay', 'commands', 'memory', 'kills', 'soak', 'damage', 'faults_live', 'accuracy')
-# Simulated real trains, and the discrepancy workflow on hidden cases: the number of drives or cases follows the seeds.
-SEEDED: Final = (
-    *('real_trains', 'unknowns', 'rates', 'brake_worlds', 'faults', 'integrity', 'explain', 'fleet'),
-    *('closed_loop', 'drives'),
-)
-# Experiments of the four papers and comparisons with other libraries, repeated over seeds.
-PAPERS: Final = ('liu2018', 'resistance', 'yuan2017', 'xia2023', 'zheng2015', 'peers')
-_ALL: Final = (*PARTS, *SEEDED, *PAPERS)
+
+
+class Part(NamedTuple):
+    """A part of the results.
+
+    Attributes:
+        measure: Module and function that measure it.
+        seeds: Number of seeds, or of what else it repeats, if no other is asked for; 0 if it has no such number.
+        minutes: Time that it takes with these on two idle cores [min]; 0 if the whole run leaves it out.
+
+    """
+
+    measure: str
+    seeds: int
+    minutes: float
+
+
+PARTS: Final[Mapping[str, Part]] = {
+    # Computing time and memory.
+    'cost': Part('benchmarks.cost:measure', 0, 0.5),
+    'live': Part('benchmarks.live:measure', 0, 2.0),
+    'replay': Part('benchmarks.replay:measure', 0, 0.5),
+    'commands': Part('benchmarks.commands:measure', 0, 0.5),
+    'memory': Part('benchmarks.memory:measure', 0, 0.5),
+    # Running nodes and damaged files; of kills, soak [min] and damage the number is not of seeds.
+    'kills': Part('benchmarks.kills:measure', 30, 3.0),
+    'soak': Part('benchmarks.soak:measure', 2, 5.0),
+    'damage': Part('benchmarks.damage:measure', 100, 0.5),
+    'faults_live': Part('benchmarks.faults_live:measure', 0, 10.0),
+    # Simulated drives.
+    'accuracy': Part('benchmarks.scenario_parts:accuracy', 12, 6.0),
+    'real_trains': Part('benchmarks.scenario_parts:real_trains', 12, 9.0),
+    'unknowns': Part('benchmarks.scenario_parts:unknowns', 2, 5.0),
+    'rates': Part('benchmarks.scenario_parts:rates', 4, 2.0),
+    'brake_worlds': Part('benchmarks.scenario_parts:brake_worlds', 6, 4.0),
+    'faults': Part('benchmarks.fault_matrix:measure', 1, 6.0),
+    'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.0),
+    'explain': Part('benchmarks.explain:measure', 12, 6.0),
+    'fleet': Part('benchmarks.fleet:measure', 6, 3.0),
+    'closed_loop': Part('benchmarks.closed_loop:measure', 6, 2.0),
+    'drives': Part('benchmarks.drives:measure', 1, 2.0),
+    # Experiments of the four papers, and comparisons with other libraries.
+    'liu2018': Part('research.papers.liu2018:measure', 6, 1.0),
+    'resistance': Part('research.papers.resistance:measure', 6, 1.0),
+    'yuan2017': Part('research.papers.yuan2017:measure', 6, 1.0),
+    'xia2023': Part('research.papers.xia2023:measure', 6, 1.0),
+    'zheng2015': Part('research.papers.zheng2015:measure', 6, 1.0),
+    'peers': Part('research.peers.peers:measure', 6, 2.0),
+    'mutation': Part('benchmarks.mutation:measure', 300, 0.0),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the selected parts, print their tables and write the Markdown file."""
-    parser = argparse.ArgumentParser(prog='benchmarks/run.py', description=__doc__.splitlines()[0])
-    which = f'run only these parts: {", ".join(_ALL)}'
-    parser.add_argument('--only', action='extend', nargs='+', choices=_ALL, metavar='NAME', help=which)
+    parser = argparse.ArgumentParser(
+        prog='benchmarks/run.py',
+        description=__doc__.splitlines()[0],
+        epilog=_table(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        '--only', action='extend', nargs='+', choices=PARTS, metavar='NAME', help='run only these parts'
+    )
     parser.add_argument('--out', type=Path, metavar='FILE', default=REPOSITORY / 'benchmarks' / 'RESULTS.md')
-    parser.add_argument('--seeds', type=int, default=60, metavar='N', help='repetitions of seeded parts (default 60)')
+    parser.add_argument('--seeds', type=int, metavar='N', help='repetitions of all parts that have a number of them')
     budget = 'begin no part after this time, and fail if parts are left (default: no limit)'
     parser.add_argument('--budget', type=float, default=float('inf'), metavar='MINUTES', help=budget)
     args = parser.parse_args(arguments)
     prepare()
-    left = [name for name in _ALL if args.only is None or name in args.only]
+    left = [name for name, part in PARTS.items() if (part.minutes if args.only is None else name in args.only)]
     revision, end = _revision(), time.monotonic() + 60 * args.budget
     while left and time.monotonic() < end:
         if _revision() != revision:
             print(f'the sources are no longer those of {revision}: stopped', file=sys.stderr)
             break
-        _run(left.pop(0), args.seeds, args.out)
+        name = left.pop(0)
+        _run(name, args.seeds or PARTS[name].seeds, args.out)
     if left:
         print(f'not measured: {", ".join(left)}', file=sys.stderr)
     print(f'written to {args.out}')
     return 1 if left else 0
 
 
+def _table() -> str:
+    """Return the parts with their defaults as text."""
+    rows = [
+        f'{name:14}{part.seeds or "":>5}  {part.minutes or "not in the whole run"!s:>5}' for name, part in PARTS.items()
+    ]
+    whole = sum(part.minutes for part in PARTS.values())
+    return '\n'.join(('part          seeds  minutes on two idle cores', *rows, f'{"all":14}{whole:12.0f}'))
+
+
 def prepare() -> None:
     """Make the benchmarks importable and limit numpy to one thread, in this process and its children."""
-    sys.path[:1] = [str(REPOSITORY), str(REPOSITORY / 'examples' / 'python')]
+    added = [str(REPOSITORY), str(REPOSITORY / 'examples' / 'python')]
+    sys.path[:1] = added
+    # Child processes do not inherit sys.path where they are commands.
+    os.environ['PYTHONPATH'] = os.pathsep.join((*added, *filter(None, [os.environ.get('PYTHONPATH')])))
     for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
         os.environ.setdefault(name, '1')
 
@@ -85,17 +145,10 @@ def _run(name: str, seeds: int, out: Path) -> None:
 
 
 def _measure(name: str, seeds: int) -> Results:
-    if name in PAPERS:
-        results: Results = import_module(f'research.{_folder(name)}.{name}').measure(seeds)
-    elif name in SEEDED:
-        results = import_module(f'benchmarks.{name}').measure(seeds)
-    else:
-        results = import_module(f'benchmarks.{name}').measure()
+    module, _, function = PARTS[name].measure.partition(':')
+    measure = getattr(import_module(module), function)
+    results: Results = measure(seeds) if PARTS[name].seeds else measure()
     return results
-
-
-def _folder(name: str) -> str:
-    return 'peers' if name == 'peers' else 'papers'
 
 
 def _written(item: Table | Plot, out: Path) -> str:
@@ -138,7 +191,7 @@ def _store(out: Path, name: str, text: str) -> None:
     folder = out.parent / 'results'
     folder.mkdir(exist_ok=True)
     (folder / f'{name}.md').write_text(text, encoding='utf-8')
-    out.write_text(summary(folder, _ALL), encoding='utf-8')
+    out.write_text(summary(folder, [*PARTS]), encoding='utf-8')
 
 
 if __name__ == '__main__':

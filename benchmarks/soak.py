@@ -235,8 +235,9 @@ def _missed(times: list[float]) -> str:
     return f'{len(times)}, from {min(times):.1f} to {max(times):.1f} s' if times else '0'
 
 
-def measure(seconds: float = 600.0, rate: float = 20.0) -> tuple[Table, ...]:
+def measure(minutes: float, rate: float = 20.0) -> tuple[Table, ...]:
     """Run the nodes on a machine whose cores are all busy, without and with real-time priority; return the table."""
+    seconds = 60.0 * minutes
     busy = os.cpu_count() or 1
     columns = [_values(soak(seconds, rate, busy, realtime=realtime)) for realtime in (False, True)]
     rows = tuple((name, plain, columns[1][name]) for name, plain in columns[0].items())
@@ -266,9 +267,9 @@ def _values(result: Soak) -> dict[str, str]:
 
 if __name__ == '__main__':
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--minutes', type=float, default=10.0, metavar='N', help='duration (default 10)')
+    parser.add_argument('--minutes', type=float, default=3.0, metavar='N', help='duration (default 3)')
     parser.add_argument('--rate', type=float, default=20.0, metavar='R', help='x real time (default 20)')
     args = parser.parse_args()
-    for table in measure(60.0 * args.minutes, args.rate):
+    for table in measure(args.minutes, args.rate):
         print(as_text(table))
     sys.exit(0)

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +32,16 @@ class Plot:
     title: str
     figure: Figure
     note: str
+
+
+def spread(values: NDArray[np.float64], unit: float = 1.0, digits: int = 3, sign: str = '') -> str:
+    """Return the mean and its standard error; values that are not finite are left out."""
+    finite = unit * values[np.isfinite(values)]
+    if not finite.size:
+        return '-'
+    if finite.size == 1:
+        return f'{finite[0]:{sign}.{digits}f}'
+    return f'{finite.mean():{sign}.{digits}f} ± {finite.std(ddof=1) / math.sqrt(finite.size):.{digits}f}'
 
 
 def as_text(table: Table) -> str:

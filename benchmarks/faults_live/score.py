@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from benchmarks.faults.catalogue import BY_NAME
+from benchmarks.faults import BY_NAME
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, MAY_BE_UNKNOWN, NS_PER_S, RESISTANCE_TOPIC, stamp_of
 from trainid_ros.interface.results import Status
 

@@ -16,8 +16,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from benchmarks.days import assumed_train, simulated_day
-from benchmarks.faults.catalogue import BY_NAME
-from benchmarks.faults.injection import injected, second_command
+from benchmarks.faults import BY_NAME, SECOND_COMMAND, injected
 from benchmarks.faults_live.cases import HEALTHY, NODES
 from benchmarks.faults_live.listener import Listener
 from benchmarks.kills import Nodes
@@ -169,7 +168,7 @@ class Trial:
 def _of_second(sendings: Sequence[Sending]) -> list[Sending]:
     """Return what a second publisher of the brake command sends between the messages of the first."""
     rows = [item.row for item in sendings if item.row[0] == BRAKE]
-    both = second_command().change(rows, rows[0][1], rows[-1][1] + 1)
+    both = SECOND_COMMAND.change(rows, rows[0][1], rows[-1][1] + 1)
     return [Sending(row[1], row) for row in both if row not in rows]
 
 

@@ -8,10 +8,9 @@ from itertools import pairwise
 
 import pytest
 
-from benchmarks.faults.catalogue import BY_NAME, FAULTS, PAIRS
-from benchmarks.faults.injection import injected
-from benchmarks.faults.trial import Drive, Injection, _healthy, _rows, run
-from benchmarks.rides import DAY, ride
+from benchmarks.fault_matrix import Injection, judge
+from benchmarks.faults import BY_NAME, FAULTS, PAIRS, injected
+from benchmarks.scenarios import ride
 from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
@@ -78,22 +77,11 @@ def test_pairs_are_of_different_topics() -> None:
 
 
 @pytest.mark.slow
-def test_a_trial_that_continues_from_a_saved_state_publishes_the_same() -> None:
-    all_rows, source = _rows(DAY, SEED)
-    healthy = _healthy(DAY, SEED)
-    resumed = Drive(source.train_file, healthy.states)
-    resumed.feed(all_rows[healthy.count :])
-    whole = healthy.drive
-    for outputs, others in zip(resumed.outputs, whole.outputs, strict=True):
-        assert repr(outputs) == repr(others[-len(outputs) :])
-    assert resumed.rejected == whole.rejected
-
-
-@pytest.mark.slow
 def test_two_faults_are_named_and_nothing_is_wrong_or_not_finite() -> None:
-    outcome = run(Injection(('speed not a number', 'force +1 s'), SEED, from_start=False))
+    outcome = judge(Injection(('speed not a number', 'force +1 s'), SEED, from_start=False))
     assert math.isfinite(outcome.named_s)
-    assert (outcome.wrong_s, outcome.non_finite) == (0.0, 0)
+    assert outcome.is_finite
+    assert outcome.wrong_s == 0.0
     assert outcome.seen_s <= outcome.named_s
 
 
@@ -113,10 +101,9 @@ def test_two_faults_are_named_and_nothing_is_wrong_or_not_finite() -> None:
 )
 def test_faults_of_other_trains_are_named(train: str, seed: int, fault: str, within_s: float, text: str) -> None:
     found = ride(train, seed)
-    all_rows = [record.row() for record in found.records]
-    end_ns = all_rows[0][1] + round(within_s * SECOND)
-    all_rows = [row for row in all_rows if row[1] < end_ns]
-    begin_ns = all_rows[0][1] + (0 if fault != 'speed frozen' else 200 * SECOND)
+    end_ns = found.start_ns + round(within_s * SECOND)
+    all_rows = [row for row in found.rows if row[1] < end_ns]
+    begin_ns = found.start_ns + (0 if fault != 'speed frozen' else 200 * SECOND)
     stream = SampleStream(StreamConfig(found.train_file))
     findings: set[str] = set()
     for row in injected(all_rows, [BY_NAME[fault]], begin_ns, end_ns):
@@ -132,6 +119,6 @@ def test_faults_of_other_trains_are_named(train: str, seed: int, fault: str, wit
 def test_nothing_is_found_on_healthy_drives_of_other_trains(train: str, seed: int) -> None:
     found = ride(train, seed)
     stream = SampleStream(StreamConfig(found.train_file))
-    for record in found.records:
-        stream.push(record)
+    for row in found.rows:
+        stream.push_row(*row)
         assert stream.finding == ''

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.faults.catalogue import BY_NAME
+from benchmarks.faults import BY_NAME
 from benchmarks.faults_live import trial
 from benchmarks.faults_live.cases import CASES, HEALTHY, NODES, Case
 from benchmarks.faults_live.score import score
