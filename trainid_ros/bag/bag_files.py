@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _MESSAGES_AT_ONCE: Final = 5000  # from a sqlite3 file
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
-# SQLite stores any type in any column: what is no time is larger than every number, and a text may be the bytes.
+# SQLite stores any type in any column: texts compare above all numbers as times, and may stand for payloads.
 _TIMES: Final = 'SELECT timestamp FROM messages WHERE timestamp >= 0 AND typeof(timestamp) = "integer" ORDER BY 1'
 _COUNTS: Final = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
 _MESSAGES: Final = (
@@ -224,7 +224,7 @@ def _bag_files(path: Path) -> tuple[Path, ...]:
 
 
 def _hint(path: Path) -> str:
-    """Return what a directory without a bag holds instead, '' if that is not known."""
+    """Return a hint about the contents of a directory without a bag, '' if they are not known."""
     entries = (entry for entry in sorted(path.iterdir()) if entry.is_file())
     return next((f'; {entry.name}{hint}' for entry in entries if (hint := hint_of(_start(entry)))), '')
 

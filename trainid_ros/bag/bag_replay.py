@@ -149,7 +149,8 @@ def replay_through(
     resistance, speed_model, brake_rate = pipelines
     group, observed, records = PipelineGroup(pipelines), _ObservedRows(observers), 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
-    end_ns = _end_ns(reader, duration_s)
+    start_ns, _ = reader.time_range() or (0, 0)
+    end_ns = math.inf if math.isinf(duration_s) else start_ns + round(duration_s * NS_PER_S)
     by_table = chain.from_iterable(table.rows() for table in reader.tables(end_ns))
     rows = observed.rows(reader.rows(end_ns)) if observers else by_table
     while count := group.push_rows(islice(rows, PROGRESS_EVERY), observed.publish if observers else None):
@@ -189,19 +190,12 @@ class _ObservedRows:
             observer.on_output(output, self._log_ns)
 
 
-def _end_ns(reader: BagReader, duration_s: float) -> float:
-    """Return the last log time of the part to replay [ns]."""
-    span = reader.time_range()
-    return math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
-
-
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
-    rejections = tuple(pipeline.rejections.most_common())
     return Result(
         prior,
         pipeline.current(),
         pipeline.samples,
-        rejections,
+        tuple(pipeline.rejections.most_common()),
         tuple(pipeline.statuses),
         pipeline.resets,
         pipeline.consistency,

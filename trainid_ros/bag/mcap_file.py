@@ -63,7 +63,7 @@ _MAX_INDEX: Final = 1 << 24  # bytes
 _BLOCK: Final = 1 << 12  # bytes that are read at once
 _INDEX: Final = struct.Struct('<BQHI')  # opcode, length, channel, size of the entries
 _START: Final = struct.Struct('<BQHIQ')  # of a message record: opcode, length, channel, sequence, log time
-# What is no MCAP, by its first bytes.
+# Other formats by their first bytes.
 _HINTS: Final = {
     b'\x28\xb5\x2f\xfd': ': it is compressed by zstd, as ros2 bag does in mode file; unpack it with zstd -d',
     b'\x1f\x8b': ': it is compressed by gzip; unpack it with gunzip',
@@ -338,7 +338,7 @@ class McapFile:
         return found
 
     def _take_start_of_chunk(self, offset: int) -> None:
-        """Take in what is there of a chunk whose end is missing, if one starts at an offset."""
+        """Take in the start of a chunk whose end is missing, if one starts at an offset."""
         if offset + HEAD.size < self._file.end and self._file.read(offset, 1) == _CHUNK:
             self._take(Piece(offset, self._file.end, is_chunk=True, is_cut=True))
 
@@ -452,7 +452,7 @@ class McapFile:
 
 
 def hint_of(start: bytes) -> str:
-    """Return what a file is instead of MCAP by its first bytes, and how to make it one; '' if that is not known."""
+    """Return the format of a file other than MCAP by its first bytes, with the remedy; '' if it is not known."""
     return next((text for sign, text in _HINTS.items() if start.startswith(sign)), '')
 
 

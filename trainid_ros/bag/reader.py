@@ -135,7 +135,7 @@ class TopicNames:
 
     def relative(self, name: str) -> str:
         """Return a name as it is in the namespace."""
-        # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
+        # A name outside the namespace keeps its slash, and is no input: two trains may share a bag.
         return self._full(name, '/').removeprefix(self._prefix)
 
     def is_needed(self, name: str) -> bool:
@@ -205,7 +205,7 @@ class BagReader:
             path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
             namespace: Namespace of the topics; those outside keep their full name without the slash.
             max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
-            inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
+            inputs: Factory of the mapped inputs; without it only our own topics are read.
             mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
             opening: Called while the bag is opened with the share of its bytes scanned since its last call [1].
         """
@@ -241,7 +241,7 @@ class BagReader:
         return self
 
     def _open(self, paths: Sequence[Path]) -> None:
-        """Open the files, and report what is scanned of them."""
+        """Open the files, and report the progress of scanning them."""
         total = max(math.fsum(path.stat().st_size for path in paths if path.is_file()), 1.0)
         for path in paths:
             file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
@@ -261,7 +261,7 @@ class BagReader:
 
     @property
     def warnings(self) -> list[str]:
-        """What is wrong with the bag although it can be read; messages that cannot be read are known after reading."""
+        """Faults of a readable bag; unreadable messages are counted while it is read."""
         skipped = [
             f'{self.path}: topic {topic}: {pluralise(count, "message")} skipped that cannot be read'
             for topic, count in sorted(self._unreadable.items())
@@ -310,18 +310,18 @@ class BagReader:
         return (entry.record for entry in self.logged_records())
 
     def logged_records(self) -> Iterator[LoggedRecord]:
-        """Yield what :meth:`records` yields, with log time and topic."""
+        """Yield the records of :meth:`records` with log time and topic."""
         return (LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row)) for log_ns, row in self.rows())
 
     def rows(self, last_ns: float = math.inf) -> Iterator[tuple[int, Row]]:
-        """Yield what :meth:`records` yields as log time [ns] and row of numbers, up to a log time [ns]."""
+        """Yield log times [ns] and rows of the records, up to a log time [ns]."""
         for table in self.tables(last_ns):
             yield from zip(table.log_ns.tolist(), table.rows(), strict=True)
 
     def events(
         self, stream: SampleStream, advance: Callable[[float], None], last_ns: float = math.inf
     ) -> Iterator[tuple[int, StreamEvent]]:
-        """Yield what a stream makes of the records, with the log time [ns] of the record that completed it.
+        """Yield the events of a stream of the records, with the log time [ns] of the record that completed each.
 
         Args:
             stream: The stream.
@@ -335,7 +335,7 @@ class BagReader:
                 advance(PROGRESS_EVERY)
 
     def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
-        """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each."""
+        """Yield the records up to a log time [ns] as tables of many records each."""
         if self._inputs is not None:
             self._made = self._inputs()
             yield from self._mapped_tables(self._made, last_ns)
@@ -376,7 +376,7 @@ class BagReader:
         return joined((concatenated(tables)[np.argsort(np.concatenate(places))],))
 
     def _mapped_tables(self, inputs: MappedInputs, last_ns: float) -> Iterator[RecordTable]:
-        """Yield what the inputs make of the messages, up to a log time [ns]."""
+        """Yield the records of mapped messages up to a log time [ns]."""
         logged: list[tuple[int, Row]] = []
         own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
         for log_ns, source, payload in self._payloads({*own, *inputs.topics}):
@@ -488,7 +488,7 @@ def in_namespaces(topics: Iterable[str]) -> str:
 def in_two(
     advance: Callable[[float], None], opening_share: float = OPENING
 ) -> tuple[Callable[[float], None], Callable[[float], None]]:
-    """Return what reports the progress of opening a bag and of reading it, as shares of each, as that of the whole.
+    """Split a report of progress into one for opening and one for reading a bag, each in shares of its own work.
 
     Opening counts only as far as the bag is scanned then, which one with an index is not.
     """

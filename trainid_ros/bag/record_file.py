@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The records of an MCAP file by their places: read where one is expected, found again after damage.
 
-What a record holds is read by the library ``mcap``. Records may be longer than known, and of unknown kinds; what is not
-known is ignored.
+The library ``mcap`` reads their content. Records may be longer than known, and of unknown kinds; both are skipped.
 
 Record layout: MCAP specification, https://mcap.dev/spec.
 """
@@ -36,7 +35,7 @@ HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
 MESSAGE_BYTES: Final = 22
 """Size of the head of a message: channel, sequence, log time, publish time."""
 UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
-"""What reading the content of a damaged record raises."""
+"""Errors of the library on the content of a damaged record."""
 _FOOTER: Final = struct.Struct('<BQQQI')  # with its head; start of summary, start of its offsets, checksum of both
 _CRC: Final = struct.Struct('<I')
 _CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
@@ -64,7 +63,7 @@ _MIN_BYTES: Final[dict[int, int]] = {
     Opcode.DATA_END: 4,
 }
 _FIXED_BYTES: Final[dict[int, int]] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4}  # these never grow
-# What damage may be followed by: records whose content shows that they are whole, and what may lie outside chunks.
+# Records that are looked for after damage: their content shows that they are whole. Others may lie outside chunks.
 _TARGETS: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER})
 _UNCHUNKED_TARGETS: Final = _TARGETS | {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 _SUMMARY: Final = frozenset(
@@ -245,7 +244,7 @@ class RecordFile:
         return stated
 
     def _summary_from(self, start: int, crc: int) -> tuple[Summary, bool]:
-        """Return what can be read of a summary that starts at an offset, and whether that is all of it."""
+        """Return the readable part of a summary that starts at an offset, and whether it is whole."""
         found = Summary()
         if not 0 < start < self.end or self.size - start > _MAX_SUMMARY:
             return found, False

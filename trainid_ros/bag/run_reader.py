@@ -94,7 +94,7 @@ def read_runs(
         train_file: Train file, for its effects and parameters.
         namespace: Namespace of their topics.
         max_chunk: Largest chunk to unpack [bytes].
-        inputs: Makes what turns messages of other topics into records, see :class:`BagReader`.
+        inputs: Factory of the mapped inputs, see :class:`BagReader`.
         workers: Number of processes; 1 reads them here.
         advance: Called with the number of inputs read since its last call.
         warn: Called with each fault that only reading shows, such as messages that cannot be read.
@@ -133,7 +133,7 @@ def _read(
     advance: Callable[[float], None],
 ) -> _Reading:
     bag, path = item
-    # The train file may be what is wrong, so it must not decide which samples are used.
+    # The train file itself may be wrong, so it must not decide which samples are used.
     monitor, collector = PlausibilityMonitor(KnownForce(train_file)), RunCollector(train_file, bag)
     samples = contradictory = 0
     with BagReader(path, *how) as reader:

@@ -60,7 +60,7 @@ _WIDE_NAME: Final = 'wide_text/msg/WideText'
 WIDE_CHARACTERS: Final = 'wide_characters'
 _WIDE: Final = (f'uint16[] {WIDE_CHARACTERS}', f'uint32[] {WIDE_CHARACTERS}')
 _WIDE_FIELD: Final = re.compile(r'^[ \t]*wstring(?:<=\d+)?(\[[^\]]*\])?[ \t]+(\w+)(?![ \t]*=)[^\n]*$', re.MULTILINE)
-# What rosbags does not read of IDL, and what has the same bytes: includes, wide strings, arrays of two dimensions.
+# IDL that rosbags does not read, with a form of the same bytes: includes, wide strings, arrays of two dimensions.
 _SAME_IDL: Final = (
     (re.compile(r'^[ \t]*#[^\n]*$', re.MULTILINE), ''),
     (re.compile(r'\bwstring\b(?:\s*<[^>]*>)?'), _WIDE_NAME.replace('/', '::')),

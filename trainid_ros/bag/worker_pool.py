@@ -100,7 +100,7 @@ class _Progress:
         self._reported = 0.0
 
     def report(self) -> None:
-        """Report what was done since the last call; nothing while work is done again."""
+        """Report progress since the last call; none while work is repeated."""
         amount = sum(self.amounts)
         if amount > self._reported:
             self._advance(amount - self._reported)

@@ -210,7 +210,7 @@ class BagWriter:
         latched = full.removeprefix('/') in _LATCHED
         profile = LATCHED_QOS if latched else STREAM_QOS
         package, _, message = name.partition('/msg/')
-        # That of the typestore has no comments.
+        # The definition in the typestore has no comments.
         text, rihs01 = (full_definition(message), digest(message)) if package == PACKAGE else (None, None)
         connection = writer.add_connection(
             full, name, typestore=self._types, msgdef=text, rihs01=rihs01, offered_qos_profiles=[profile]

@@ -91,7 +91,7 @@ class MappedInputs:
 
     @property
     def warnings(self) -> list[str]:
-        """What was wrong with the messages so far."""
+        """Faults of the messages so far."""
         return [
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
             for (topic, raw), count in sorted(self._unlisted.most_common(_MAX_LISTED))
@@ -142,7 +142,7 @@ class MappedInputs:
         return records
 
     def take_record(self, record: Record) -> list[Record]:
-        """Return what becomes of a record from one of our own topics."""
+        """Return the records that a record of one of our own topics completes."""
         if not isinstance(record, SpeedRecord):
             return [record]
         return self._at_speed(record.stamp_ns, record.speed, record.position)
@@ -191,7 +191,7 @@ class MappedInputs:
 
 
 def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[], MappedInputs] | None:
-    """Return what makes the inputs of a mapping file, None without one; InputError if it cannot be used."""
+    """Return the factory of the inputs of a mapping file, None without one; InputError if it cannot be used."""
     if path is None:
         return None
     make = partial(MappedInputs, load_mapping(path), train_file)

@@ -149,7 +149,7 @@ class UserFunction:
 
     path: Path  # The Python file
     name: str  # Name of the function in it
-    unit: Unit  # Unit of what it returns
+    unit: Unit  # Unit of its values
 
     def __str__(self) -> str:
         """Return file and name, as in a mapping."""
@@ -201,7 +201,7 @@ def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
 
 @cache
 def _names_of(path: Path) -> dict[str, Any]:
-    """Run a file and return what it defines; unlike an import this writes no bytecode and finds no files beside it."""
+    """Run a file and return its names; unlike an import this writes no bytecode and finds no files beside it."""
     names: dict[str, Any] = {'__name__': path.stem, '__file__': str(path)}
     try:
         exec(compile(path.read_bytes(), path, 'exec'), names)
@@ -260,14 +260,14 @@ class Source:
 
     def raw(self, message: Any) -> float:
         """Return the number in a message as it is; InputError, naming topic and field, if it has no such number."""
-        value, reached = message, ''
+        value, steps = message, 0
         try:
             for step in self.path:
                 value = value[step] if isinstance(step, int) else getattr(value, step)
-                reached = f'{reached}.{step}'.lstrip('.')
+                steps += 1
             return float(value)
         except (AttributeError, IndexError, TypeError, ValueError):
-            names = ', '.join(names_of(value))
+            names, reached = ', '.join(names_of(value)), '.'.join(map(str, self.path[:steps]))
             hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
             raise InputError(
                 f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
@@ -404,7 +404,7 @@ OWN: Final = Mapping()
 
 
 _COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
-# Of what a function is given, in its own unit.
+# Unit of the arguments of a function: as they are.
 _RAW: Final = Unit('', 1.0)
 
 
@@ -524,7 +524,7 @@ def _unit(section: Section, key: str) -> Unit:
 
 
 def _raw(section: Section, *, is_table: bool) -> Source:
-    """Return a source of what a function is given: the number as it is."""
+    """Return a source of an argument of a function: the number as it is."""
     if is_table:
         return Source('', (section.only(('field',)).text('field'),), _RAW)
     section.only(('topic', 'field', 'stamp'))

@@ -128,7 +128,7 @@ def _number(cell: str, decimal: str) -> float | None:
         return math.nan
     if grouped := _GROUPED[decimal].fullmatch(text):
         text = text.replace(grouped[1], '')
-    # What float() would take: a point for the decimal sign, and underscores.
+    # float() would take a point for the decimal sign, and underscores.
     if (decimal == ',' and '.' in text) or '_' in text:
         return None
     try:
@@ -193,7 +193,7 @@ class CsvTable(Table):
     """
 
     def __init__(self, path: Path, form: CsvFormat) -> None:
-        """Name the file, and what is known of its form."""
+        """Name the file and its known form."""
         super().__init__(path)
         self._form = form
 
@@ -344,7 +344,7 @@ def _names(row: list[str]) -> list[str]:
 
 
 def _in_brackets(name: str) -> str:
-    """Return what is in brackets at the end of a name, such as a unit."""
+    """Return the text in brackets at the end of a name, such as a unit."""
     found = re.search(r'[\[(]([^\[\]()]+)[\])]$', name)
     return found[1] if found else ''
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, whether it can be used, and the mapping that it needs."""
+"""Contents of a bag, whether it can be used, and the mapping that it needs."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, and whether the estimators can use it: topics, stamps, ranges, units and signs.
+"""Contents of a bag, and whether the estimators can use it: topics, stamps, ranges, units and signs.
 
 Whether the inputs fit together shows in the samples that a replay makes of them. With a train file the checks are those
 of a replay. Without one the mass is not known, so that units of forces cannot be checked, but forces must still go with
@@ -178,7 +178,7 @@ def inspect(
         path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
         namespace: Namespace of the topics.
         max_chunk: Largest chunk to unpack [bytes].
-        inputs: Makes what turns messages of other topics into records; they are then summarised as our own topics.
+        inputs: Factory of the mapped inputs, which are then summarised as our own topics.
         train_file: The train, if it is known: units, signs and gradients are then checked as in a replay.
         advance: Called with the share that was read since its last call [1].
 
@@ -404,19 +404,19 @@ _TOO_LARGE: Final = 0.1
 _LARGE_STD: Final = 30.0
 # Per mille in each unit.
 _UNITS: Final = {'per cent': 10.0, 'degrees': 1000.0 * math.pi / 180.0, 'a ratio or radians': 1000.0}
-# Any train: only what the train file does not change is then checked.
+# Any train: then only checks that do not depend on the train file apply.
 _ANY_TRAIN: Final = TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
 
 
 class Findings(NamedTuple):
-    """What is wrong with the inputs of a bag."""
+    """Faults of the inputs of a bag."""
 
     problems: tuple[str, ...]  # Why it cannot be used
     warnings: tuple[str, ...]  # What the estimators leave out
 
 
 def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: TrainFile | None) -> Findings:
-    """Return what is wrong with inputs as rows of numbers; names of topics are our own.
+    """Return the faults of inputs as rows of numbers; names of topics are our own.
 
     Args:
         rows: The inputs, by log time.
@@ -450,7 +450,7 @@ def _wrong_brake(above: int) -> str:
 
 
 class _GradientCheck:
-    """What the samples of a drive say about the unit of the gradient."""
+    """Check of unit and sign of the gradient by the samples of a drive."""
 
     def __init__(self) -> None:
         # Means over some seconds without brake: time [s], acceleration [m/s^2], gradient as reported [per mille], force
@@ -477,7 +477,7 @@ class _GradientCheck:
         self._released_s, self._sums = 0.0, [0.0] * 6
 
     def finding(self) -> str:
-        """Return what is wrong with the gradient, '' if nothing is, or if it does not show."""
+        """Return the fault of the gradient, '' if there is none, or if it does not show."""
         if len(self._blocks) < _MIN_BLOCKS or (slope := _slope(np.array(self._blocks))) is None:
             return ''
         size = abs(slope.value)
@@ -505,7 +505,7 @@ def _slope(blocks: NDArray[np.float64]) -> Slope | None:
 
 
 class _Check:
-    """What a stream of samples says about its inputs."""
+    """Checks of the inputs by a stream of samples."""
 
     def __init__(self, alignment: AlignmentConfig, train_file: TrainFile | None) -> None:
         self._known = KnownForce(train_file or _ANY_TRAIN)
@@ -588,7 +588,7 @@ class _Check:
     def unusable(self) -> list[str]:
         """Say so if most samples in motion cannot be used."""
         left_out = Counter({reason: count for reason, count in self._reasons.items() if reason is not Reason.NONE})
-        del left_out[Reason.CONTRADICTION]  # named by what contradicts what
+        del left_out[Reason.CONTRADICTION]  # named as a contradiction
         if not left_out or self._reasons[Reason.NONE] >= (1.0 - _MAJORITY) * self._moving:
             return []
         reason, count = left_out.most_common(1)[0]

@@ -33,17 +33,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-MAX_S: Final = 3600.0
-"""Part of a bag that is read [s]."""
-# Of a topic with more messages in the bag, each k-th is read.
-_MAX_SAMPLES: Final = 20_000
-# Larger messages are images and the like [bytes].
-_MAX_BYTES: Final = 4096
-_MAX_ARRAY: Final = 8
-_MAX_FIELDS: Final = 64
+MAX_S: Final = 3600.0  # part of a bag that is read [s]
+_MAX_SAMPLES: Final = 20_000  # of a topic with more messages, each k-th is read
+_MAX_BYTES: Final = 4096  # larger messages are images and the like
+_MAX_ARRAY: Final = 8  # numbers of an array that are read
+_MAX_FIELDS: Final = 64  # of a message
 _PACKAGE: Final = 'trainid_msgs/'
 _TYPE: Final = re.compile(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+')
 _IMAGES: Final = ('Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo')
+_RAW: Final = Unit('', 1.0)
 # Our own topics are not read, and their types not checked.
 _NONE: Final = Signal(())
 _NOTHING: Final = Mapping(speed=_NONE, force=_NONE, gradient=_NONE, brake_command=_NONE, mass=_NONE)
@@ -65,7 +63,7 @@ class NumberSeries:
     def rate(self) -> float:
         """Median rate [Hz], NaN for a single message."""
         steps = np.diff(np.unique(self.time))
-        return 1.0 / float(np.median(steps)) if steps.size else float('nan')
+        return 1.0 / float(np.median(steps)) if steps.size else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +131,7 @@ def _train_of(name: str, kind: str) -> str:
 
 def _naming(topics: Iterable[str]) -> Mapping:
     """Return a mapping that names topics, and none of our own."""
-    sources = tuple(Source(name, ('data',), Unit('', 1.0)) for name in topics)
+    sources = tuple(Source(name, ('data',), _RAW) for name in topics)
     return replace(_NOTHING, speed=Signal(sources))
 
 
@@ -175,7 +173,7 @@ class _Collector:
         self._every = every
         self._count = 0
         self._type = ''
-        self._paths: list[tuple[str | int, ...]] = []
+        self._sources: list[Source] = []
         self._whole: list[bool] = []
         self._rows: list[tuple[int, int, list[float]]] = []
 
@@ -196,11 +194,12 @@ class _Collector:
         if not self._rows:
             self._type = kind.name
             leaves = list(_leaves(message))[:_MAX_FIELDS]
-            self._paths, self._whole = [path for path, _ in leaves], [whole for _, whole in leaves]
+            self._sources = [Source(self.topic, path, _RAW) for path, _ in leaves]
+            self._whole = [whole for _, whole in leaves]
         stamp_ns = stamp_of(message) if hasattr(message, 'header') else 0
         try:
-            self._rows.append((stamp_ns, log_ns, [_number(message, path) for path in self._paths]))
-        except IndexError:  # an array that has become shorter
+            self._rows.append((stamp_ns, log_ns, [source.raw(message) for source in self._sources]))
+        except InputError:  # an array that has become shorter
             return
 
     def series(self, first_ns: int) -> Iterator[NumberSeries]:
@@ -212,12 +211,19 @@ class _Collector:
         time = (stamps[:, 0 if has_stamps else 1] - first_ns) / NS_PER_S
         order = np.argsort(time, kind='stable')
         values = np.array([row[2] for row in self._rows], dtype=np.float64).reshape(len(self._rows), -1)
-        for place, path in enumerate(self._paths):
+        for place, source in enumerate(self._sources):
             column = values[order, place]
             known = np.isfinite(column)
             if np.any(column[known] != 0.0):
-                where = self.topic, self._type, '.'.join(map(str, path))
-                yield NumberSeries(*where, time[order][known], column[known], has_stamps, self._whole[place])
+                yield NumberSeries(
+                    self.topic,
+                    self._type,
+                    source.field,
+                    time[order][known],
+                    column[known],
+                    has_stamps,
+                    self._whole[place],
+                )
 
 
 def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], bool]]:
@@ -231,12 +237,6 @@ def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple
                 yield from _leaves(getattr(part, item.name), (*path, item.name))
     elif isinstance(part, int | float):
         yield path, isinstance(part, int)
-
-
-def _number(message: Any, path: tuple[str | int, ...]) -> float:
-    for step in path:
-        message = message[step] if isinstance(step, int) else getattr(message, step)
-    return float(message)
 
 
 USUAL_ROTARY: Final = 0.08
@@ -284,7 +284,7 @@ def derivative(values: Array) -> Array:
 
 
 def correlation(x: Array, y: Array) -> float:
-    """Return the correlation of two series where both are known [1]; 0 if that is hardly anywhere."""
+    """Return the correlation of two series where both are known [1]; 0 for too few numbers."""
     known = np.isfinite(x) & np.isfinite(y)
     if np.count_nonzero(known) < MIN_NUMBERS or np.ptp(x[known]) == 0.0 or np.ptp(y[known]) == 0.0:
         return 0.0
@@ -359,7 +359,7 @@ class Slope(NamedTuple):
     value: float  # Slope
     std: float  # Its standard deviation
     spread: float  # Standard deviation of the other series that the further ones do not explain
-    share: float  # Share of the variance, of what the further ones leave, that the slope explains [1]
+    share: float  # Share of the variance beside the further ones that the slope explains [1]
 
 
 def partial_slope(y: Array, x: Array, others: Sequence[Array], time: Array) -> Slope | None:

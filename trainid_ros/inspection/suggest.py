@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suggest a mapping for a bag, from the names of its topics and fields and from what its numbers do together.
+"""Suggest a mapping for a bag, from the names of its topics and fields and from relations between its numbers.
 
 Speed is what positions are the integral of, and forces go with its derivative; units follow from ratios.
 """
@@ -48,7 +48,7 @@ _PLAIN: Final = re.compile(r'[A-Za-z/][A-Za-z0-9_/.]*')
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One source of a quantity, with what is not usual about it."""
+    """One source of a quantity, with its unit, sign and table."""
 
     series: NumberSeries
     unit: str
@@ -71,7 +71,7 @@ class Part:
 
 @dataclass(slots=True)
 class Choice:
-    """What is suggested for one quantity."""
+    """The suggestion for one quantity."""
 
     quantity: str  # The quantity
     parts: tuple[Part, ...] = ()  # Its sources, which are summed
@@ -148,7 +148,7 @@ _WORDS: Final = {
     'acceleration': 'acceleration accel acc',
 }
 _KNOWN: Final = {quantity: frozenset(words.split()) for quantity, words in _WORDS.items()}
-# Words of what is never an input, and of components across the train.
+# Words of other measurements, and of components across the train.
 _OTHER: Final = frozenset(
     {'temperature', 'temp', 'voltage', 'volt', 'current', 'ampere', 'pressure', 'humidity', 'battery', 'fuel'}
     | {'angular', 'orientation', 'latitude', 'longitude', 'altitude', 'heading', 'yaw', 'roll', 'rpm', 'torque'}
@@ -181,7 +181,7 @@ def score(quantity: str, topic: str, field: str) -> float:
 
 
 def is_nameless(topic: str, field: str) -> bool:
-    """Return whether a name says nothing about what it carries."""
+    """Return whether a name speaks for no quantity."""
     return all(score(quantity, topic, field) == 0.0 for quantity in _KNOWN)
 
 
@@ -231,7 +231,7 @@ _ADVICE: Final = {
 
 
 def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
-    """Return what may be each quantity, also of those that come from our own topics."""
+    """Return candidates for each quantity, also for those that come from our own topics."""
     own = [item for item in numbers.series if item.topic in numbers.own]
     foreign = [item for item in numbers.series if item.topic not in numbers.own]
     speeds = [item for item in own if item.field == 'speed'] or _possible_speeds(foreign) or _speeds_by_numbers(foreign)
@@ -666,7 +666,7 @@ _MIN_COMMANDS: Final = 10
 
 
 def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array | None) -> list[Choice]:
-    """Return the brake command: what is named so and precedes decelerations; empty if nothing does.
+    """Return the brake command: a number that is named so and precedes decelerations; empty if none does.
 
     ``effort`` is the force by mass [m/s^2], shape (n,), None if it is not known. While braking it is the effort of a
     nominal brake, which is what a command asks for.
@@ -704,7 +704,7 @@ class _Candidate(NamedTuple):
 
 
 def _ranked(series: Sequence[NumberSeries], motion: _Motion) -> list[_Candidate]:
-    """Return what is named like a brake command and precedes decelerations, the likeliest first."""
+    """Return the numbers that are named like a brake command and precede decelerations, the likeliest first."""
     found = []
     for item in series:
         named = score('brake_command', item.topic, item.field)
