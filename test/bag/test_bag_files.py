@@ -104,10 +104,11 @@ def test_suffixes_in_capitals_are_those_of_bags(bag: Path, records: list[Record]
     assert bags_below(bag.parent) == [bag / 'BAG.MCAP']
 
 
-def test_compression_of_whole_files_is_named(bag: Path) -> None:
-    packed = pack(bag / 'bag.mcap')
-    change(bag, compression_mode='FILE', relative_file_paths=[packed.name])
-    assert "compression mode 'file' of ros2 bag is not supported" in error_of(bag)
+@pytest.mark.parametrize('mode', ['file', 'message'])
+def test_compression_by_ros2_bag_is_named(bag: Path, mode: str) -> None:
+    packed = pack(bag / 'bag.mcap') if mode == 'file' else bag / 'bag.mcap'
+    change(bag, compression_mode=mode.upper(), relative_file_paths=[packed.name])
+    assert f"compression mode '{mode}' of ros2 bag is not supported" in error_of(bag)
 
 
 def test_files_that_were_unpacked_by_hand_are_read(bag: Path, records: list[Record]) -> None:
@@ -115,11 +116,6 @@ def test_files_that_were_unpacked_by_hand_are_read(bag: Path, records: list[Reco
     found, (warning,) = read(bag)
     assert found == records
     assert warning.endswith("metadata.yaml: compression mode 'file', but the files are unpacked, and were read")
-
-
-def test_compression_of_messages_is_named(bag: Path) -> None:
-    change(bag, compression_mode='MESSAGE')
-    assert "compression mode 'message' of ros2 bag is not supported" in error_of(bag)
 
 
 @pytest.mark.parametrize('has_metadata', [True, False])
@@ -215,17 +211,13 @@ def test_messages_of_equal_log_times_stay_together(
     db3: Path, records: list[Record], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_files, '_MESSAGES_AT_ONCE', 7)
-    with closing(sqlite3.connect(db3 / 'run.db3')) as connection:
-        connection.execute('UPDATE messages SET timestamp = 1700000000000000000 WHERE id BETWEEN 3 AND 30')
-        connection.commit()
+    execute(db3, 'UPDATE messages SET timestamp = 1700000000000000000 WHERE id BETWEEN 3 AND 30')
     found, _ = read_twice(db3)
     assert sorted(found, key=lambda record: record.stamp_ns) == records
 
 
 def test_another_definition_is_an_error(db3: Path) -> None:
-    with closing(sqlite3.connect(db3 / 'run.db3')) as connection:
-        connection.execute("UPDATE message_definitions SET encoded_message_definition = 'float64 x'")
-        connection.commit()
+    execute(db3, "UPDATE message_definitions SET encoded_message_definition = 'float64 x'")
     with pytest.raises(InputError, match=r'run\.db3: topic ato/\w+: definition of .* differs'):
         read_twice(db3)
 
@@ -287,42 +279,42 @@ def test_no_other_file_is_read_instead(db3: Path, records: list[Record], asked: 
     assert read_twice(db3 / asked) == (records, [])
 
 
-@pytest.mark.parametrize('encoding', ['unknown', '', 'omgidl'])
-def test_a_topic_without_a_known_definition_costs_no_other(db3: Path, records: list[Record], encoding: str) -> None:
-    execute(
-        db3,
+def other_topic(encoding: str) -> tuple[str, ...]:
+    return (
         "INSERT INTO topics VALUES (99, '/doors/_action/feedback', 'my/action/Doors', 'cdr', '', '')",
         f"INSERT INTO message_definitions VALUES (99, 'my/action/Doors', '{encoding}', '', '')",
         "INSERT INTO messages VALUES (9999, 99, 1700000000000000000, x'00010000')",
     )
-    assert read_twice(db3 / 'run.db3') == (records, [])
 
 
-@pytest.mark.parametrize('profiles', ['- history: 1\n  depth: 10', 'no: [yaml', ''])
-def test_profiles_written_by_hand_do_not_matter(db3: Path, records: list[Record], profiles: str) -> None:
-    execute(db3, f"UPDATE topics SET offered_qos_profiles = '{profiles}'")
-    assert read_twice(db3 / 'run.db3') == (records, [])
-
-
-def test_a_message_stored_as_text_is_the_only_one_skipped(db3: Path, records: list[Record]) -> None:
-    execute(db3, "UPDATE messages SET data = 'no message' WHERE id = 5")
-    path = db3 / 'run.db3'
-    found, warnings = read_twice(path)
-    assert found == records[:4] + records[5:]
-    assert warnings == [f'{path}: topic ato/speed: 1 message skipped that cannot be read']
-
-
-@pytest.mark.parametrize('time', ['-1', "'yesterday'"])
-def test_a_message_without_a_valid_log_time_is_the_only_one_left_out(
-    db3: Path, records: list[Record], time: str
+@pytest.mark.parametrize(
+    'statements',
+    [
+        *(other_topic(encoding) for encoding in ('unknown', '', 'omgidl')),
+        ("UPDATE topics SET offered_qos_profiles = '- history: 1\n  depth: 10'",),
+        ("UPDATE topics SET offered_qos_profiles = 'no: [yaml'",),
+        ("UPDATE topics SET offered_qos_profiles = ''",),
+        ('UPDATE topics SET id = id + 70000', 'UPDATE messages SET topic_id = topic_id + 70000'),
+    ],
+)
+def test_unknown_definitions_profiles_and_large_numbers_lose_nothing(
+    db3: Path, records: list[Record], statements: tuple[str, ...]
 ) -> None:
-    execute(db3, f'UPDATE messages SET timestamp = {time} WHERE id = 5')
-    path = db3 / 'run.db3'
-    found, warnings = read_twice(path)
-    assert found == records[:4] + records[5:]
-    assert warnings == [f'{path}: 1 message without a valid log time left out']
-
-
-def test_numbers_of_topics_may_be_large(db3: Path, records: list[Record]) -> None:
-    execute(db3, 'UPDATE topics SET id = id + 70000', 'UPDATE messages SET topic_id = topic_id + 70000')
+    execute(db3, *statements)
     assert read_twice(db3 / 'run.db3') == (records, [])
+
+
+@pytest.mark.parametrize(
+    ('change_to', 'warning'),
+    [
+        ("data = 'no message'", 'topic ato/speed: 1 message skipped that cannot be read'),
+        ('timestamp = -1', '1 message without a valid log time left out'),
+        ("timestamp = 'yesterday'", '1 message without a valid log time left out'),
+    ],
+)
+def test_a_damaged_message_is_the_only_one_left_out(
+    db3: Path, records: list[Record], change_to: str, warning: str
+) -> None:
+    execute(db3, f'UPDATE messages SET {change_to} WHERE id = 5')
+    path = db3 / 'run.db3'
+    assert read_twice(path) == (records[:4] + records[5:], [f'{path}: {warning}'])

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import lz4.frame  # type: ignore[import-untyped]
 import pytest
-import yaml
 import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
@@ -306,13 +305,20 @@ def test_missing_metadata_is_reported_and_the_bag_read(bag: Path, records: list[
     assert 'metadata.yaml is missing' in warning
 
 
-@pytest.mark.parametrize('text', ['{', 'nothing: here', '', 'rosbag2_bagfile_information: 3', '\udcff'])
+@pytest.mark.parametrize('text', ['{', 'nothing: here', '', 'rosbag2_bagfile_information: 3', '\udcff', 'mcaq', 'nonf'])
 def test_unreadable_metadata_is_reported_and_the_bag_read(bag: Path, records: list[Record], text: str) -> None:
-    (bag / 'metadata.yaml').write_bytes(text.encode('utf-8', 'surrogateescape'))
+    path = bag / 'metadata.yaml'
+    whole = path.read_text()
+    flipped = {
+        'mcaq': whole.replace('storage_identifier: mcap', 'storage_identifier: mcaq'),
+        'nonf': whole.replace("compression_mode: ''", 'compression_mode: nonf'),
+    }
+    path.write_bytes(flipped.get(text, text).encode('utf-8', 'surrogateescape'))
     found, (warning,) = read(bag)
     assert found == records
     assert 'metadata.yaml: unreadable' in warning
     assert '\n' not in warning
+    assert text not in flipped or text in warning
 
 
 def test_file_named_in_metadata_but_missing(bag: Path, records: list[Record]) -> None:
@@ -322,16 +328,6 @@ def test_file_named_in_metadata_but_missing(bag: Path, records: list[Record]) ->
     assert warning.startswith(f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing, ')
     (bag / 'other.mcap').unlink()
     assert error_of(bag) == f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing'
-
-
-@pytest.mark.parametrize(('key', 'value'), [('storage_identifier', 'mcaq'), ('compression_mode', 'nonf')])
-def test_flipped_bit_in_the_metadata_does_not_reject_the_bag(
-    bag: Path, records: list[Record], key: str, value: str
-) -> None:
-    change(bag, **{key: value})
-    found, (warning,) = read(bag)
-    assert found == records
-    assert value in warning
 
 
 def test_pipes_and_devices_are_no_bags(tmp_path: Path, bag: Path) -> None:
@@ -349,18 +345,8 @@ def test_a_table_is_no_bag(tmp_path: Path) -> None:
     assert error_of(tmp_path / 'x.csv').endswith('x.csv: is a table, not a bag; trainid import makes a bag of it')
 
 
-def change(bag: Path, **values: str) -> None:
-    path = bag / 'metadata.yaml'
-    document = yaml.safe_load(path.read_text())
-    document['rosbag2_bagfile_information'] |= values
-    path.write_text(yaml.safe_dump(document))
-
-
-def test_nothing_at_the_path(tmp_path: Path) -> None:
+def test_a_path_without_a_bag_is_named(tmp_path: Path) -> None:
     assert error_of(tmp_path / 'nope') == f'{tmp_path / "nope"}: no such bag'
-
-
-def test_directory_without_bag(tmp_path: Path) -> None:
     assert 'no bag in this directory' in error_of(tmp_path)
 
 

@@ -195,27 +195,15 @@ def test_a_line_without_gradients_is_rejected() -> None:
 def test_numbers_that_are_not_in_the_table_are_counted() -> None:
     text = 'brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}'
     inputs = MappedInputs(parse_mapping(text, 'map.yaml'), None)
+    problems = []
     for stamp_ns, notch in enumerate((0, 50, 1, 50, 7), 1):
         inputs.take('/notch', SimpleNamespace(data=notch), stamp_ns)
+        problems.append(inputs.problem('/notch'))
+    assert problems == ['', '/notch: 50 is not in table', '', '/notch: 50 is not in table', '/notch: 7 is not in table']
     assert inputs.warnings == ['/notch: 7 is not in table (1 message)', '/notch: 50 is not in table (2 messages)']
 
 
-def test_a_number_that_is_not_in_the_table_is_the_problem_of_the_last_message() -> None:
-    text = 'brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}'
-    inputs = MappedInputs(parse_mapping(text, 'map.yaml'), None)
-    problems = []
-    for stamp_ns, notch in enumerate((0, 50, 1), 1):
-        inputs.take('/notch', SimpleNamespace(data=notch), stamp_ns)
-        problems.append(inputs.problem('/notch'))
-    assert problems == ['', '/notch: 50 is not in table', '']
-
-
 S = NS_PER_S
-
-
-def test_a_single_series_passes_at_once() -> None:
-    series = JoinedSeries(1)
-    assert [series.add(0, k * S, float(k)) for k in (1, 2, 5)] == [[(S, [1.0])], [(2 * S, [2.0])], [(5 * S, [5.0])]]
 
 
 def test_others_are_interpolated_to_the_stamps_of_the_first() -> None:

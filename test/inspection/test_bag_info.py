@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
+START_NS = 1_700_000_000 * NS_PER_S
 PERIOD_NS = NS_PER_S // 5
 
 
@@ -50,9 +51,9 @@ def write(path: Path, records: Iterable[Record]) -> Path:
 @pytest.fixture
 def short() -> list[Record]:
     """Return the four required topics at 5 Hz over 10 s, each with its own stamps."""
-    start_ns, found = 1_700_000_000 * NS_PER_S, list[Record]()
+    found = list[Record]()
     for i in range(50):
-        stamp_ns = start_ns + i * PERIOD_NS
+        stamp_ns = START_NS + i * PERIOD_NS
         found += [
             SpeedRecord(stamp_ns, 0.1 * i, 100.0 + i),
             ForceRecord(stamp_ns + 1, 1e5 - i),
@@ -155,23 +156,19 @@ def test_topics_in_another_namespace_are_suggested(tmp_path: Path, short: list[R
     assert 'ato/speed' not in inspect(tmp_path / 'bag', '/t7').missing
 
 
-def test_a_train_at_rest_makes_a_bag_unusable(tmp_path: Path, short: list[Record]) -> None:
-    still = [replace(record, speed=0.0) if isinstance(record, SpeedRecord) else record for record in short]
-    assert inspect(write(tmp_path / 'bag', still)).problems == ('the train does not move',)
-
-
-def test_topics_without_overlap_make_a_bag_unusable(tmp_path: Path, short: list[Record]) -> None:
-    hour = 3600 * NS_PER_S
-    moved = [
-        replace(record, stamp_ns=record.stamp_ns + hour) if isinstance(record, ForceRecord) else record
-        for record in short
-    ]
-    assert inspect(write(tmp_path / 'bag', moved)).problems == ('the stamps of the required topics do not overlap',)
-
-
-def test_a_topic_without_valid_messages_makes_a_bag_unusable(tmp_path: Path, short: list[Record]) -> None:
-    broken = [replace(record, force=math.nan) if isinstance(record, ForceRecord) else record for record in short]
-    assert inspect(write(tmp_path / 'bag', broken)).problems == ('ato/force: no message can be used',)
+@pytest.mark.parametrize(
+    ('kind', 'change', 'problem'),
+    [
+        (SpeedRecord, {'speed': 0.0}, 'the train does not move'),
+        (ForceRecord, {'stamp_ns': START_NS + 3600 * NS_PER_S}, 'the stamps of the required topics do not overlap'),
+        (ForceRecord, {'force': math.nan}, 'ato/force: no message can be used'),
+    ],
+)
+def test_a_topic_of_no_use_makes_a_bag_unusable(
+    tmp_path: Path, short: list[Record], kind: type[Record], change: dict[str, Any], problem: str
+) -> None:
+    changed = [replace(record, **change) if isinstance(record, kind) else record for record in short]
+    assert inspect(write(tmp_path / 'bag', changed)).problems == (problem,)
 
 
 def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
