@@ -249,7 +249,8 @@ class EstimatorPipeline(Generic[EstimateT]):
             now = self.estimator.save()
             self.estimator.idle(age_s)
             self._published = self._estimate = self.estimator.estimate(self._speed)
-            self._status = aged_status(self._status, converged=self.estimator.converged)
+            if self._status in (Status.VALID, Status.HOLDING) and not self.estimator.converged:
+                self._status = Status.CONVERGING
             self.estimator.restore(now)
 
     def current(self) -> Output[EstimateT]:
@@ -324,11 +325,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.rejections[rejection.reason] += 1
         self._rejected += 1
         self.last_rejection = rejection
-
-
-def aged_status(saved: Status, *, converged: bool) -> Status:
-    """Return the status of a restored estimate until its next sample; ``converged`` if its age allows to use it."""
-    return Status.CONVERGING if saved in (Status.VALID, Status.HOLDING) and not converged else saved
 
 
 def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleStream, ...]:

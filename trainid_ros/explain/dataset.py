@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-from trainid_ros.train.forces import CommandHistory, actuator_response, davis, specific_force, specific_inertia
+from trainid_ros.train.forces import BrakeActuator, davis, specific_force, specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,9 +86,8 @@ class RunCollector:
     origin_ns: int = 0  # Time stamp at which times are zero; 0 = that of the first sample
     runs: list[Run] = field(init=False, default_factory=list)  # Completed runs
     _rows: list[_Row] = field(init=False, default_factory=list)
-    _commands: CommandHistory = field(init=False, default_factory=CommandHistory)
+    _actuator: BrakeActuator = field(init=False)
     _stamp_ns: int = field(init=False, default=0)
-    _brake: float = field(init=False, default=0.0)
     _heat: float = field(init=False, default=0.0)
     _since_release: float = field(init=False, default=math.inf)
     _distance: float = field(init=False, default=0.0)
@@ -97,10 +96,14 @@ class RunCollector:
     _speed: float = field(init=False, default=math.nan)
     _weighed: bool = field(init=False, default=False)
 
+    def __post_init__(self) -> None:
+        """Begin with a released brake."""
+        self._actuator = BrakeActuator(self.train_file.brake)
+
     def add(self, sample: Sample) -> None:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
-        self._commands.follow(sample.brake_changes)
+        self._actuator.commands.follow(sample.brake_changes)
         gap = math.isnan(sample.dt)
         brake = self._follow_brake(sample, gap=gap)
         if gap:
@@ -122,7 +125,7 @@ class RunCollector:
     def start_over(self) -> None:
         """End the current run and forget the history of the drive, as after a jump of the stamps."""
         self.end_run()
-        self._commands, self._stamp_ns, self._brake = CommandHistory(), 0, 0.0
+        self._actuator, self._stamp_ns = BrakeActuator(self.train_file.brake), 0
         self._heat, self._since_release, self._speed = 0.0, math.inf, math.nan
 
     def _add_row(self, sample: Sample, brake: float) -> None:
@@ -174,20 +177,14 @@ class RunCollector:
 
     def _follow_brake(self, sample: Sample, *, gap: bool) -> float:
         """Return the mean acceleration by the train file's brake model since the previous sample [m/s^2, <= 0]."""
-        brake, now = self.train_file.brake, sample.stamp_ns
-        delay_ns = round(brake.delay * NS_PER_S)
+        actuator, now, rate = self._actuator, sample.stamp_ns, self.train_file.brake.rate_at(sample.speed)
         before, self._stamp_ns = self._stamp_ns, now
-        if gap or before == 0:
-            self._brake = min(0.0, self._commands.value(now - delay_ns))
-            self._commands.prune(now - delay_ns)
-            return brake.rate_at(sample.speed) * self._brake
-        tau = brake.time_constant
-        self._brake, change = actuator_response(
-            self._commands, before, now, self._brake, delay_ns=delay_ns, time_constant=tau
-        )
-        self._commands.prune(now - delay_ns)
-        mean = brake.rate_at(sample.speed) * change / sample.dt
-        self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
+        if gap or before == 0:  # what has acted until now is not known
+            actuator.output = min(0.0, actuator.commands.value(now - actuator.delay_ns))
+            actuator.commands.prune(now - actuator.delay_ns)
+            return rate * actuator.output
+        mean = rate * actuator.advance(before, now) / sample.dt
+        self._since_release = 0.0 if actuator.output < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean
 

@@ -85,7 +85,7 @@ _MAX_GAP_S: Final = 10.0
 
 
 class DriveHistory:
-    """Follows a drive sample by sample, with the brake of the train file."""
+    """History of the drive that effects depend on, followed with the brake of the train file."""
 
     STATE: ClassVar[State] = declare('_stamp_ns', '_speed', 'motion', '_actuator')
 
@@ -139,7 +139,7 @@ _MIN_CHANGES: Final = 100
 
 
 class StuckSpeed:
-    """Checks the speed sample by sample."""
+    """Detects a stuck speed sensor, sample by sample."""
 
     STATE: ClassVar[State] = declare(unknown('_speed'), '_missing', '_repeats', '_max_repeats', '_changes', '_braked_s')
 
