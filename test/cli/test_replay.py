@@ -99,7 +99,7 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, printed: Printed
 
 def test_summary_shows_estimates_reasons_and_speed(printed: Printed) -> None:
     wanted_words = (
-        *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
+        *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'rejected: braking', 'used'),
         *('resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a'),
     )
     for wanted in wanted_words:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.reader import require_topics
-from trainid_ros.cli.opening import opened
+from trainid_ros.cli.bags import davis_rows, opened
 from trainid_ros.cli.output import print_json, progress, show, table, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
@@ -134,10 +134,7 @@ def _deviations(fit: DavisFit) -> list[float]:
 
 def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
     """Return the fit as text."""
-    units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
-    parameters = zip('abc', fit.theta.tolist(), _deviations(fit), units, strict=True)
-    rows = [('value', 'estimate', 'std', 'unit')]
-    rows += [(name, f'{value:.5g}', f'{std:.2g}', unit) for name, value, std, unit in parameters]
+    rows = [('value', 'estimate', 'std', 'unit'), *davis_rows(fit.theta.tolist(), _deviations(fit))]
     slow, fast = fit.speed_range
     for v in (slow, 0.5 * (slow + fast), fast):
         w, std = fit.resistance(v)

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.reader import NAMESPACE
+from trainid_ros.cli.bags import BagResult, run_per_bag
 from trainid_ros.cli.output import table, to_plain
-from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.bag_info import inspect
 from trainid_ros.interface.errors import InputError

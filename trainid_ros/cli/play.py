@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from trainid_ros.cli.opening import opened
+from trainid_ros.cli.bags import opened
 from trainid_ros.cli.output import progress
 from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError

@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.opening import load_setups
+from trainid_ros.cli.bags import BagResult, davis_rows, load_setups, run_per_bag
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
-from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.bag_info import brake_sign
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
-from trainid_ros.interface.results import Reason
+from trainid_ros.interface.results import Reason, SpeedModelEstimate, deviations, parameters, quantities
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.davis_posterior import observe, resistance_std
@@ -196,19 +195,16 @@ def find_truth(bag: Path, given: Path | None) -> Truth | None:
 def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
-    m, f = model.output.estimate, brake.output.estimate
     body = {
         'samples': resistance.samples,
         'duration_s': outcome.duration_s,
         'used': resistance.output.used,
         'rejected': dict(resistance.rejections),
         'resistance': _resistance(resistance),
-        'speed_model': {
-            **{'a1': m.a1, 'a2': m.a2, 'b1': m.b1, 'd0': m.d0, 'status': model.output.status},
-            **_counters(model),
-        },
+        'speed_model': {**_parameters(model), 'status': model.output.status, **_counters(model)},
         'brake_rate': {
-            **{'value': f.brake_rate, 'std': f.brake_rate_std, 'status': brake.output.status},
+            **_with_std(brake, 'brake_rate'),
+            'status': brake.output.status,
             **_counters(brake),
             'findings': list(outcome.brake_findings),
         },
@@ -225,13 +221,13 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
 
 
 def _resistance(result: Result[ResistanceEstimate]) -> dict[str, Any]:
-    output, w = result.output, result.output.estimate
+    w = result.output.estimate
     return {
-        **{'a': w.a, 'b': w.b, 'c': w.c, 'std': _deviations(w.covariance)},
-        'status': output.status,
+        **_parameters(result),
+        'std': deviations(w.covariance),
+        'status': result.output.status,
         'speed_range': [w.speed_min, w.speed_max] if w.speed_max > 0.0 else [None, None],
-        'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
-        'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
+        **{name: _with_std(result, name) for name in ('force_scale', 'force_delay')},
         'findings': list(force_findings(w)),
         'why_converging': result.why_converging,
     }
@@ -241,9 +237,14 @@ def _counters(result: Result[Any]) -> dict[str, Any]:
     return {'used': result.output.used, 'rejected': dict(result.rejections), 'why_converging': result.why_converging}
 
 
-def _deviations(covariance: Sequence[float]) -> list[float]:
-    size = math.isqrt(len(covariance))
-    return [math.sqrt(max(0.0, covariance[i * (size + 1)])) for i in range(size)]
+def _parameters(result: Result[Any]) -> dict[str, float]:
+    estimate = result.output.estimate
+    return {name: getattr(estimate, name) for name in parameters(type(estimate))}
+
+
+def _with_std(result: Result[Any], name: str) -> dict[str, float]:
+    estimate = result.output.estimate
+    return {'value': getattr(estimate, name), 'std': getattr(estimate, f'{name}_std')}
 
 
 def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> str:
@@ -277,11 +278,8 @@ def _why_converging(outcome: Replay) -> Iterator[str]:
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
     w, status = outcome.resistance.output.estimate, outcome.resistance.output.status.name
-    units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
-    parameters = zip('abc', (w.a, w.b, w.c), _deviations(w.covariance), units, strict=True)
-    rows: list[tuple[str, ...]] = [
-        (name, f'{value:.5g}', f'{std:.2g}', unit, status) for name, value, std, unit in parameters
-    ]
+    known = davis_rows((w.a, w.b, w.c), deviations(w.covariance))
+    rows: list[tuple[str, ...]] = [(*row, status) for row in known]
     for v in _SPEEDS:
         name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
         std = resistance_std(w.covariance, v)
@@ -295,10 +293,13 @@ def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
 def _other_rows(outcome: Replay) -> list[tuple[str, ...]]:
     f, m = outcome.brake_rate.output.estimate, outcome.speed_model.output.estimate
     rate_status, model_status = outcome.brake_rate.output.status.name, outcome.speed_model.output.status.name
-    model = (('a1', m.a1, '1/(m/s)'), ('a2', m.a2, '1'), ('b1', m.b1, 'm/s per N/kN'), ('d0', m.d0, 'm/s'))
+    known = quantities(SpeedModelEstimate)
     return [
         ('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate_status),
-        *((name, f'{value:.6g}', '', unit, model_status) for name, value, unit in model),
+        *(
+            (name, f'{getattr(m, name):.6g}', '', known[name].unit, model_status)
+            for name in parameters(SpeedModelEstimate)
+        ),
     ]
 
 
@@ -309,7 +310,7 @@ def _usage(outcome: Replay) -> str:
     rows = [
         ('samples', 'resistance', 'speed model', 'brake rate'),
         ('used', *(str(result.output.used) for result in results)),
-        *((f'not: {reason.name}', *(str(count.get(reason, 0)) for count in counts)) for reason in reasons),
+        *((f'rejected: {reason.text}', *(str(count.get(reason, 0)) for count in counts)) for reason in reasons),
     ]
     return table(rows, numbers=(1, 2, 3))
 

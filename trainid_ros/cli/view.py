@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.cli.opening import load_setups, opened
+from trainid_ros.cli.bags import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError

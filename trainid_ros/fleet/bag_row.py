@@ -24,7 +24,7 @@ from trainid_ros.fleet.table_file import SPEEDS, Row, empty_row, reason_column, 
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.results import Status, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.setup.pipelines import force_findings
@@ -215,8 +215,7 @@ def _resistance(outcome: Replay) -> Row:
 
 def _davis(w: ResistanceEstimate) -> Row:
     row: Row = {'a': w.a, 'b': w.b, 'c': w.c, 'speed_min': w.speed_min, 'speed_max': w.speed_max}
-    for i, name in enumerate('abc'):
-        row[f'{name}_std'] = math.sqrt(max(0.0, w.covariance[4 * i]))
+    row |= {f'{name}_std': std for name, std in zip('abc', deviations(w.covariance), strict=True)}
     for v in SPEEDS:
         row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
     for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):

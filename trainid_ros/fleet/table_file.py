@@ -10,11 +10,21 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.files import write_whole
-from trainid_ros.interface.results import Reason, Status
+from trainid_ros.interface.results import (
+    BrakeRateEstimate,
+    Reason,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+    parameters,
+    quantities,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from trainid_ros.interface.results import Estimate
 
 Row = dict[str, Any]
 """Values by name of the column; None where a value is not known. Times are in seconds since 1970 (UTC)."""
@@ -42,14 +52,20 @@ def share_column(status: Status) -> str:
     return f'share_{status.name.lower()}'
 
 
-_PARAMETERS: Final = (('a', 'N/kN'), ('b', 'N/kN per m/s'), ('c', 'N/kN per (m/s)^2'))
 _REASONS: Final = tuple(reason for reason in Reason if reason not in (Reason.NONE, Reason.THINNED))
+
+
+def _field(kind: type[Estimate], *names: str) -> Iterator[Column]:
+    """Yield columns that hold fields of an estimate."""
+    known = quantities(kind)
+    return (Column(name, 'float', known[name].unit, known[name].text) for name in names)
 
 
 def _with_std(name: str, unit: str, text: str) -> tuple[Column, Column]:
     return Column(name, 'float', unit, text), Column(f'{name}_std', 'float', unit, f'standard deviation of {name}')
 
 
+_DAVIS: Final = tuple(_field(ResistanceEstimate, *parameters(ResistanceEstimate)))
 COLUMNS: Final = (
     Column('bag', 'text', '', 'absolute path of the bag'),
     Column('train', 'text', '', 'train, from --label, --namespace or the custom data of the bag'),
@@ -60,18 +76,16 @@ COLUMNS: Final = (
     Column('duration_s', 'float', 's', 'time covered by the samples'),
     Column('status', 'text', '', 'status of the resistance at the end; empty if the bag was not replayed'),
     Column('error', 'text', '', 'why there is no estimate'),
-    *(Column(name, 'float', unit, f'Davis parameter {name}') for name, unit in _PARAMETERS),
-    *(Column(f'{name}_std', 'float', unit, f'standard deviation of {name}') for name, unit in _PARAMETERS),
+    *_DAVIS,
+    *(column._replace(name=f'{column.name}_std', text=f'standard deviation of {column.name}') for column in _DAVIS),
     *(column for speed in SPEEDS for column in _with_std(f'w{speed}', 'N/kN', f'running resistance at {speed} m/s')),
-    Column('speed_min', 'float', 'm/s', 'slowest speed learned from'),
-    Column('speed_max', 'float', 'm/s', 'fastest speed learned from'),
-    *_with_std('brake_rate', '1', 'brake rate, 1 = nominal'),
+    *_field(ResistanceEstimate, 'speed_min', 'speed_max'),
+    *_field(BrakeRateEstimate, 'brake_rate', 'brake_rate_std'),
     Column('brake_status', 'text', '', 'status of the brake rate at the end'),
     *_with_std('dead_time', 's', 'dead time of the brake; empty where none was learned'),
-    *_with_std('force_scale', '1', 'actual over reported specific force'),
-    *_with_std('force_delay', 's', 'delay of the stamps of the force'),
+    *_field(ResistanceEstimate, 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'),
     *_with_std('wheel_ratio', '1', 'distance by the speed over that by the position, from stop to stop'),
-    Column('mass_factor', 'float', '1', 'true over stated mass, with rotating masses, from the speed model'),
+    *_field(SpeedModelEstimate, 'mass_factor'),
     Column('used', 'int', '1', 'samples that the resistance was learned from'),
     Column('brake_used', 'int', '1', 'samples that the brake rate was learned from'),
     Column('rejected', 'int', '1', 'records and samples that the resistance was not learned from'),

@@ -12,20 +12,14 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import (
-    BRAKE_RATE_TOPIC,
-    NS_PER_S,
-    RESISTANCE_TOPIC,
-    SPEED_MODEL_TOPIC,
-    output_topic,
-    output_values,
-)
-from trainid_ros.interface.results import Reason, Status
+from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, output_topic, output_values
+from trainid_ros.interface.results import Reason, Status, deviations, parameters, quantities
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from trainid_ros.interface.records import OutputTopic
     from trainid_ros.interface.results import Output
 
 
@@ -35,28 +29,8 @@ Row: TypeAlias = 'list[Any]'
 _ROWS_AT_ONCE: Final = 5000
 # Estimators whose settings differ may give their estimates of one sample some messages apart.
 _MAX_OPEN: Final = 200
-_W, _WV, _WV2, _V = 'N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2', 'm/s'
-_COUNTERS: Final = {'status': '', 'used': '', 'rejected': '', 'last_reject_reason': ''}
-_UNITS: Final[dict[str, dict[str, str]]] = {
-    RESISTANCE_TOPIC.name: {
-        **{'a': _W, 'b': _WV, 'c': _WV2, 'a_std': _W, 'b_std': _WV, 'c_std': _WV2, 'covariance': ''},
-        **{'resistance': _W, 'resistance_std': _W, 'speed': _V, 'innovation': _W, 'innovation_variance': '(N/kN)^2'},
-        **{'test_ratio': '1', 'speed_min': _V, 'speed_max': _V, 'resistance_std_max': _W},
-        **{'force_scale': '1', 'force_scale_std': '1', 'force_delay': 's', 'force_delay_std': 's', **_COUNTERS},
-    },
-    SPEED_MODEL_TOPIC.name: {
-        **{'a1': '1/(m/s)', 'a2': '1', 'b1': 'm/s per N/kN', 'd0': _V, 'a1_std': '1/(m/s)', 'a2_std': '1'},
-        **{'b1_std': 'm/s per N/kN', 'd0_std': _V, 'covariance': '', 'forgetting_factor': '1', 'predicted_speed': _V},
-        **{'prediction_error': _V, 'prediction_variance': '(m/s)^2', 'a': _W, 'b': _WV, 'c': _WV2},
-        **{'mass_factor': '1', **_COUNTERS},
-    },
-    BRAKE_RATE_TOPIC.name: {
-        **{'brake_rate': '1', 'brake_rate_std': '1', 'position': 'm', 'speed': _V, 'control_acceleration': 'm/s^2'},
-        **{'filtered_target': 'm/s^2', 'effective_particles': '1', 'observable': '', 'innovation': _V},
-        **{'innovation_variance': '(m/s)^2', 'test_ratio': '1', **_COUNTERS},
-    },
-}
-_PARAMETERS: Final = {RESISTANCE_TOPIC.name: ('a', 'b', 'c'), SPEED_MODEL_TOPIC.name: ('a1', 'a2', 'b1', 'd0')}
+_COVARIANCE: Final = 'covariance'
+_COUNTERS: Final = ('status', 'used', 'rejected', 'last_reject_reason')
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +47,19 @@ class TableColumn:
         return f'{self.topic.rpartition("/")[2]}_{self.field}'
 
 
-COLUMNS: Final = tuple(TableColumn(topic, *item) for topic, units in _UNITS.items() for item in units.items())
+def _columns(topic: OutputTopic) -> Iterator[TableColumn]:
+    """Yield the fields of an estimate, with the standard deviations before their covariance, and the counters."""
+    known = quantities(topic.estimate)
+    for name, quantity in known.items():
+        if name == _COVARIANCE:
+            for parameter in parameters(topic.estimate):
+                yield TableColumn(topic.name, f'{parameter}_std', known[parameter].unit)
+        yield TableColumn(topic.name, name, quantity.unit)
+    for name in _COUNTERS:
+        yield TableColumn(topic.name, name, '')
+
+
+COLUMNS: Final = tuple(column for topic in OUTPUT_TOPICS for column in _columns(topic))
 """All columns but the time."""
 
 
@@ -101,10 +87,10 @@ class EstimateTable:
     def on_output(self, output: Output[Any], log_ns: int) -> None:  # noqa: ARG002 - rows have stamps
         """Take an estimate."""
         topic = output_topic(output.estimate).name
-        self._open.setdefault(output.stamp_ns, {})[topic] = _values(topic, output)
+        self._open.setdefault(output.stamp_ns, {})[topic] = _values(output)
         while self._open:
             stamp_ns, estimates = next(iter(self._open.items()))
-            if len(estimates) < len(_UNITS) and len(self._open) <= _MAX_OPEN:
+            if len(estimates) < len(OUTPUT_TOPICS) and len(self._open) <= _MAX_OPEN:
                 return
             self._close_row(stamp_ns)
 
@@ -122,14 +108,15 @@ class EstimateTable:
             self._rows = []
 
 
-def _values(topic: str, output: Output[Any]) -> dict[str, Any]:
+def _values(output: Output[Any]) -> dict[str, Any]:
     """Return the fields of an estimate with standard deviations; status and reason as words."""
     values: dict[str, Any] = output_values(output)
     values['status'] = Status(values['status']).name
     values['last_reject_reason'] = Reason(values['last_reject_reason']).name
-    names = _PARAMETERS.get(topic, ())
-    for place, name in enumerate(names):
-        values[f'{name}_std'] = math.sqrt(max(0.0, values['covariance'][place * (len(names) + 1)]))
+    names = parameters(type(output.estimate))
+    if names:
+        stds = deviations(values[_COVARIANCE])
+        values |= {f'{name}_std': std for name, std in zip(names, stds, strict=True)}
     return values
 
 
@@ -140,7 +127,7 @@ class CsvSink:
         """Create the file."""
         self._file = path.open('w', encoding='utf-8', newline='')
         self._writer = csv.writer(self._file, lineterminator='\n')
-        self._places = [place for place, column in enumerate(COLUMNS, 1) if column.field != 'covariance']
+        self._places = [place for place, column in enumerate(COLUMNS, 1) if column.field != _COVARIANCE]
         named = (COLUMNS[place - 1] for place in self._places)
         self._writer.writerow(['time', *(f'{item.name} [{item.unit}]' if item.unit else item.name for item in named)])
 
@@ -172,7 +159,7 @@ class ParquetSink:
         from pyarrow import parquet  # noqa: PLC0415
 
         words, count = pa.dictionary(pa.int8(), pa.string()), pa.uint64()
-        types = {'covariance': pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
+        types = {_COVARIANCE: pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
         types |= {'used': count, 'rejected': count, 'observable': pa.bool_()}
         columns = [
             pa.field(

@@ -20,6 +20,7 @@ from trainid_ros.interface.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
+    quantities,
 )
 
 if TYPE_CHECKING:
@@ -153,8 +154,6 @@ _CASTS: Final[dict[str, Callable[[Any], Any]]] = {
     'bool': bool,
     'tuple': lambda values: list(map(float, values)),
 }
-MAY_BE_UNKNOWN: Final = frozenset({'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'})
-"""NaN where an algorithm does not estimate them; the position may be unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +174,10 @@ BRAKE_RATE_TOPIC: Final = OutputTopic(
     'trainid/brake_rate', 'BrakeRateEstimate', BrakeRateEstimate, 'trainid/last_valid/brake_rate'
 )
 OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC)
+MAY_BE_UNKNOWN: Final = frozenset(
+    name for topic in OUTPUT_TOPICS for name, item in quantities(topic.estimate).items() if item.may_be_unknown
+)
+"""NaN where an algorithm does not estimate them; the position may be unknown."""
 _OUTPUT_OF: Final[dict[type[Any], OutputTopic]] = {topic.estimate: topic for topic in OUTPUT_TOPICS}
 _STATUSES: Final = frozenset(map(int, Status))
 

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of an estimator: an estimate, or a rejection with its reason and numbers.
 
-Field names of the estimates are those of the messages in ``trainid_msgs``; drivers copy
-them by name.
+Field names of the estimates are those of the messages in ``trainid_msgs``; drivers copy them by name. Each field states
+its unit and meaning in :class:`Quantity`: tables, replay and fleet loop over these, in the order of the fields.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 from trainid_ros.interface.state import stored
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Status(IntEnum):
@@ -54,6 +57,11 @@ class Reason(IntEnum):
     # Reasons are counted; that of an enumeration hashes the name.
     __hash__ = int.__hash__
 
+    @property
+    def text(self) -> str:
+        """Return it as words, such as ``not braking``."""
+        return self.name.lower().replace('_', ' ')
+
 
 # The constructor that a dataclass writes for itself is interpreted, and takes 2 us where these classes are compiled.
 # They are made for every sample, so they have constructors of their own; none is changed after that.
@@ -81,27 +89,79 @@ class Rejection:
         return f'{self.reason.name} (value {self.value:.6g}, limit {self.limit:.6g})'
 
 
+class Quantity(NamedTuple):
+    """What a field of an estimate is."""
+
+    unit: str  # Its unit, '1' for a ratio, '' for none
+    text: str  # Its meaning
+    is_parameter: bool = False  # Whether ``covariance`` holds its variance, in the order of such fields
+    may_be_unknown: bool = False  # Whether it is NaN where an algorithm does not estimate it
+
+
+_QUANTITY: Final = 'quantity'
+
+
+def _is(unit: str, text: str, *, is_parameter: bool = False, may_be_unknown: bool = False) -> dict[str, Quantity]:
+    """Return the metadata of a field."""
+    return {_QUANTITY: Quantity(unit, text, is_parameter, may_be_unknown)}
+
+
+def quantities(kind: type[Any]) -> dict[str, Quantity]:
+    """Return what the fields of an estimate are, by name."""
+    return {item.name: item.metadata[_QUANTITY] for item in fields(kind)}
+
+
+def parameters(kind: type[Any]) -> tuple[str, ...]:
+    """Return the names of the fields whose covariance an estimate states."""
+    return tuple(name for name, quantity in quantities(kind).items() if quantity.is_parameter)
+
+
+def deviations(covariance: Sequence[float]) -> list[float]:
+    """Return the standard deviations of a covariance, row-major."""
+    size = math.isqrt(len(covariance))
+    return [math.sqrt(max(covariance[i * (size + 1)], 0.0)) for i in range(size)]
+
+
+def deviation_of(estimate: Any, name: str) -> float:
+    """Return the standard deviation of a field in its unit, NaN if the estimate states none."""
+    names = parameters(type(estimate))
+    if name in names:
+        return deviations(estimate.covariance)[names.index(name)]
+    return float(getattr(estimate, f'{name}_std', math.nan))
+
+
+_W: Final = 'N/kN'
+_WV: Final = 'N/kN per m/s'
+_WV2: Final = 'N/kN per (m/s)^2'
+_V: Final = 'm/s'
+_TEST_RATIO: Final = 'squared innovation over gate^2 times its variance; above 1 the sample is rejected'
+_INNOVATION_VARIANCE: Final = 'variance of innovation; 0 before the first update'
+
+
 @dataclass(slots=True)
 class ResistanceEstimate:
     """Running resistance w(v) = a + b v + c v^2 [N/kN, v in m/s]."""
 
-    a: float  # Davis parameter a [N/kN]
-    b: float  # Davis parameter b [N/kN per m/s]
-    c: float  # Davis parameter c [N/kN per (m/s)^2]
-    covariance: tuple[float, ...]  # Of (a, b, c), 3x3, row-major
-    resistance: float  # w at ``speed`` [N/kN]
-    resistance_std: float  # Standard deviation of ``resistance`` [N/kN]
-    speed: float  # Current speed [m/s]
-    innovation: float  # Innovation of the last update [N/kN]
-    innovation_variance: float  # Its variance [(N/kN)^2]; 0 before the first update
-    test_ratio: float  # Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected
-    speed_min: float  # Slowest speed learned from [m/s]
-    speed_max: float  # Fastest speed learned from [m/s]; 0 before the first
-    resistance_std_max: float  # Largest standard deviation of w at the speeds learned from and at ``speed`` [N/kN]
-    force_scale: float = math.nan  # Actual over reported specific force (force over weight) [1]; NaN if not estimated
-    force_scale_std: float = math.nan  # Standard deviation of ``force_scale`` [1]; NaN if not estimated
-    force_delay: float = math.nan  # Delay of the stamps of the force [s], > 0 if stamped too late; NaN if not estimated
-    force_delay_std: float = math.nan  # Standard deviation of ``force_delay`` [s]; NaN if not estimated
+    a: float = field(metadata=_is(_W, 'Davis parameter a', is_parameter=True))
+    b: float = field(metadata=_is(_WV, 'Davis parameter b', is_parameter=True))
+    c: float = field(metadata=_is(_WV2, 'Davis parameter c', is_parameter=True))
+    covariance: tuple[float, ...] = field(metadata=_is('', 'covariance of (a, b, c), 3x3, row-major'))
+    resistance: float = field(metadata=_is(_W, 'w at speed'))
+    resistance_std: float = field(metadata=_is(_W, 'standard deviation of resistance'))
+    speed: float = field(metadata=_is(_V, 'current speed'))
+    innovation: float = field(metadata=_is(_W, 'innovation of the last update'))
+    innovation_variance: float = field(metadata=_is('(N/kN)^2', _INNOVATION_VARIANCE))
+    test_ratio: float = field(metadata=_is('1', _TEST_RATIO))
+    speed_min: float = field(metadata=_is(_V, 'slowest speed learned from'))
+    speed_max: float = field(metadata=_is(_V, 'fastest speed learned from'))  # 0 before the first
+    resistance_std_max: float = field(
+        metadata=_is(_W, 'largest standard deviation of w at the speeds learned from and at speed')
+    )
+    force_scale: float = field(metadata=_is('1', 'actual over reported specific force', may_be_unknown=True))
+    force_scale_std: float = field(metadata=_is('1', 'standard deviation of force_scale', may_be_unknown=True))
+    # > 0 if stamped too late
+    force_delay: float = field(metadata=_is('s', 'delay of the stamps of the force', may_be_unknown=True))
+    force_delay_std: float = field(metadata=_is('s', 'standard deviation of force_delay', may_be_unknown=True))
 
     def __init__(
         self,
@@ -146,20 +206,21 @@ class ResistanceEstimate:
 class SpeedModelEstimate:
     """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and the physical values derived from it."""
 
-    a1: float  # Coefficient of the squared speed [1/(m/s)]
-    a2: float  # Coefficient of the speed [1]
-    b1: float  # Coefficient of the specific force [m/s per N/kN]
-    d0: float  # Constant [m/s]
-    covariance: tuple[float, ...]  # Of (a1, a2, b1, d0), 4x4, row-major
-    forgetting_factor: float  # In (0, 1] [1]
-    predicted_speed: float  # Prediction one step ahead of the previous sample [m/s]
-    prediction_error: float  # Measured minus predicted speed [m/s]
-    a: float  # Davis parameter a derived from the model [N/kN]
-    b: float  # Davis parameter b derived from the model [N/kN per m/s]
-    c: float  # Davis parameter c derived from the model [N/kN per (m/s)^2]
-    mass_factor: float  # (M / M_nominal)(1 + gamma) derived from the model [1]
-    # Variance of ``prediction_error`` as stated before the measurement [(m/s)^2]; 0 if the algorithm states none
-    prediction_variance: float = 0.0
+    a1: float = field(metadata=_is('1/(m/s)', 'coefficient of the squared speed', is_parameter=True))
+    a2: float = field(metadata=_is('1', 'coefficient of the speed', is_parameter=True))
+    b1: float = field(metadata=_is('m/s per N/kN', 'coefficient of the specific force', is_parameter=True))
+    d0: float = field(metadata=_is(_V, 'constant', is_parameter=True))
+    covariance: tuple[float, ...] = field(metadata=_is('', 'covariance of (a1, a2, b1, d0), 4x4, row-major'))
+    forgetting_factor: float = field(metadata=_is('1', 'forgetting factor, in (0, 1]'))
+    predicted_speed: float = field(metadata=_is(_V, 'prediction one step ahead of the previous sample'))
+    prediction_error: float = field(metadata=_is(_V, 'measured minus predicted speed'))
+    # As stated before the measurement; 0 if the algorithm states none
+    prediction_variance: float = field(metadata=_is('(m/s)^2', 'variance of prediction_error'))
+    a: float = field(metadata=_is(_W, 'Davis parameter a derived from the model'))
+    b: float = field(metadata=_is(_WV, 'Davis parameter b derived from the model'))
+    c: float = field(metadata=_is(_WV2, 'Davis parameter c derived from the model'))
+    # (M / M_nominal)(1 + gamma)
+    mass_factor: float = field(metadata=_is('1', 'true over stated mass, with rotating masses, from the speed model'))
 
     def __init__(
         self,
@@ -196,17 +257,18 @@ class SpeedModelEstimate:
 class BrakeRateEstimate:
     """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state."""
 
-    brake_rate: float  # Brake rate [1]
-    brake_rate_std: float  # Its standard deviation [1]
-    position: float  # Filtered position along the line [m], NaN if unknown
-    speed: float  # Filtered speed [m/s]
-    control_acceleration: float  # Present acceleration by the brake [m/s^2, <= 0]
-    filtered_target: float  # Command after delay and lag of a nominal brake [m/s^2, <= 0]
-    effective_particles: float  # Inverse of the sum of squared weights [1]
-    observable: bool  # True while braking provides information on the brake rate
-    innovation: float  # Speed innovation of the last update [m/s]
-    innovation_variance: float  # Its variance [(m/s)^2]; 0 before the first update
-    test_ratio: float  # Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected
+    # Actual over expected braking
+    brake_rate: float = field(metadata=_is('1', 'brake rate, 1 = nominal'))
+    brake_rate_std: float = field(metadata=_is('1', 'standard deviation of brake_rate'))
+    position: float = field(metadata=_is('m', 'filtered position along the line', may_be_unknown=True))
+    speed: float = field(metadata=_is(_V, 'filtered speed'))
+    control_acceleration: float = field(metadata=_is('m/s^2', 'present acceleration by the brake, <= 0'))
+    filtered_target: float = field(metadata=_is('m/s^2', 'command after delay and lag of a nominal brake, <= 0'))
+    effective_particles: float = field(metadata=_is('1', 'inverse of the sum of squared weights'))
+    observable: bool = field(metadata=_is('', 'true while braking provides information on the brake rate'))
+    innovation: float = field(metadata=_is(_V, 'speed innovation of the last update'))
+    innovation_variance: float = field(metadata=_is('(m/s)^2', _INNOVATION_VARIANCE))
+    test_ratio: float = field(metadata=_is('1', _TEST_RATIO))
 
     def __init__(
         self,

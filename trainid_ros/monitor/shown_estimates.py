@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, KM_H, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.results import Status, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def resistance_at(message: Any, speed: float) -> tuple[float, float]:
 
 
 def _resistance_details(message: Any) -> str:
-    a, b, c = (math.sqrt(max(message.covariance[i], 0.0)) for i in (0, 4, 8))
+    a, b, c = deviations(message.covariance)
     text = f'a {message.a:.2f} ± {a:.2f}  b {message.b:.4f} ± {b:.4f}  c {message.c:.5f} ± {c:.5f}'
     if not message.speed_max > 0.0:
         return f'{text}  nothing learned yet'

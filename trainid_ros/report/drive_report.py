@@ -232,9 +232,7 @@ def _rejections_table(chapter: Chapter) -> Table:
     reasons = sorted({reason for count in counts for reason in count})
     outputs = (chapter.resistance, chapter.speed_model, chapter.brake_rate)
     rows = [['used', *(f'{output.used}' for output in outputs)]]
-    for reason in reasons:
-        word = reason.name.lower().replace('_', ' ')
-        rows.append([word, *(f'{count[reason]}' if reason in count else DASH for count in counts)])
+    rows += [[item.text, *(f'{count[item]}' if item in count else DASH for count in counts)] for item in reasons]
     return Table('Samples used, and samples rejected by reason', ('', *names), rows)
 
 

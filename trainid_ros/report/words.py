@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_text
+from trainid_ros.interface.results import ResistanceEstimate, quantities
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.effects import EFFECTS
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 DASH: Final = '–'
-DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
+_DAVIS: Final = quantities(ResistanceEstimate)
+DAVIS_UNITS: Final = tuple(_DAVIS[name].unit.replace('^2', '²') for name in 'abc')
 _CLEAR: Final = 3.0
 _STRONGEST: Final = 3
 _TIMES: Final = {2: 'twice', 3: 'three times'}

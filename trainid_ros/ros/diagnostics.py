@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.interface.results import Reason, Status
+from trainid_ros.interface.results import Reason, Status, deviation_of, quantities
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.topics import (
     NO_PUBLISHER_EVENTS,
@@ -69,30 +69,6 @@ _REJECTED: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ShownValue:
-    """A value of an estimate to show in the diagnostics, with its unit.
-
-    ``std`` names the field of its standard deviation; ``variance`` is its index on the diagonal of ``covariance``
-    (-1: none).
-    """
-
-    name: str
-    unit: str
-    std: str = ''
-    variance: int = -1
-
-    def deviation(self, estimate: Any) -> float:
-        """Return the standard deviation in the unit of the value, NaN if there is none."""
-        if self.std:
-            return float(getattr(estimate, self.std))
-        if self.variance < 0:
-            return math.nan
-        covariance = estimate.covariance
-        size = math.isqrt(len(covariance))
-        return math.sqrt(max(covariance[self.variance * (size + 1)], 0.0))
-
-
 def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
     return ()
 
@@ -102,7 +78,7 @@ class EstimatorSpec:
     """What distinguishes one estimator node from the others."""
 
     kind: EstimatorKind[Any]  # What it estimates
-    shown: tuple[ShownValue, ...]  # Values to show in the diagnostics, the most important first
+    shown: tuple[str, ...]  # Fields to show in the diagnostics, the most important first
     # Returns further diagnostics, as names and values, for the prior and the current estimate
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
@@ -159,14 +135,14 @@ def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: 
 def estimator_status(
     health: NodeHealth,
     pipeline: EstimatorPipeline[Any],
-    shown: tuple[ShownValue, ...],
+    shown: tuple[str, ...],
     prior: Any,
     steps: StepTimeSummary,
     details: Iterable[tuple[str, str]],
 ) -> Any:
     """Return the status of a configured estimator."""
     output, first = pipeline.current(), shown[0]
-    value = f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
+    value = f'{first} {getattr(output.estimate, first):.4g} {_unit(output.estimate, first)}'.rstrip()
     findings = [*health.problems.values(), _judge(health, output, value, pipeline.why_converging)]
     message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
     levels = [finding.level for finding in findings]
@@ -194,13 +170,19 @@ def estimator_status(
     return _status(f'{health.name}: estimator', level, message, values)
 
 
-def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:
-    for item in shown:
-        unit = f' [{item.unit}]' if item.unit else ''
-        yield f'{item.name}{unit}', f'{getattr(live, item.name):.6g}'
-        if not math.isnan(deviation := item.deviation(live)):
-            yield f'{item.name} std{unit}', f'{deviation:.3g}'
-        yield f'{item.name} prior{unit}', f'{getattr(prior, item.name):.6g}'
+def _unit(estimate: Any, name: str) -> str:
+    """Return the unit of a field, '' for a ratio."""
+    unit = quantities(type(estimate))[name].unit
+    return '' if unit == '1' else unit
+
+
+def _compared(shown: tuple[str, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:
+    for name in shown:
+        unit = f' [{_unit(live, name)}]' if _unit(live, name) else ''
+        yield f'{name}{unit}', f'{getattr(live, name):.6g}'
+        if not math.isnan(deviation := deviation_of(live, name)):
+            yield f'{name} std{unit}', f'{deviation:.3g}'
+        yield f'{name} prior{unit}', f'{getattr(prior, name):.6g}'
 
 
 def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, finding: Finding) -> Any:

@@ -21,11 +21,11 @@ from std_srvs.srv import Trigger
 
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
-from trainid_ros.interface.results import Rejection, Status
+from trainid_ros.interface.results import Rejection, ResistanceEstimate, SpeedModelEstimate, Status, parameters
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
-from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec, ShownValue
+from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec
 from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, NodeMapping, SharedInputs
@@ -421,34 +421,16 @@ def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
 
 RESISTANCE: Final = EstimatorSpec(
     kind=RESISTANCE_KIND,
-    shown=(
-        ShownValue('resistance', 'N/kN', std='resistance_std'),
-        ShownValue('a', 'N/kN', variance=0),
-        ShownValue('b', 'N/kN per m/s', variance=1),
-        ShownValue('c', 'N/kN per (m/s)^2', variance=2),
-    ),
+    shown=('resistance', *parameters(ResistanceEstimate)),
     details=_details,
 )
 SPEED_MODEL: Final = EstimatorSpec(
     kind=SPEED_MODEL_KIND,
-    shown=(
-        ShownValue('prediction_error', 'm/s'),
-        ShownValue('a1', '1/(m/s)', variance=0),
-        ShownValue('a2', '', variance=1),
-        ShownValue('b1', 'm/s per N/kN', variance=2),
-        ShownValue('d0', 'm/s', variance=3),
-        ShownValue('a', 'N/kN'),
-        ShownValue('b', 'N/kN per m/s'),
-        ShownValue('c', 'N/kN per (m/s)^2'),
-        ShownValue('mass_factor', ''),
-    ),
+    shown=('prediction_error', *parameters(SpeedModelEstimate), 'a', 'b', 'c', 'mass_factor'),
 )
 BRAKE_RATE: Final = EstimatorSpec(
     kind=BRAKE_RATE_KIND,
-    shown=(
-        ShownValue('brake_rate', '', std='brake_rate_std'),
-        ShownValue('effective_particles', ''),
-    ),
+    shown=('brake_rate', 'effective_particles'),
 )
 SPECS: Final = {spec.kind.node_name: spec for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE)}
 """The nodes by name, in starting order."""

@@ -1,22 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that do the same for each of several bags: one that fails does not stop the others."""
+"""What verbs that read bags share: the set-up of the nodes, opening a bag, the same work on each of several bags."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.results import ResistanceEstimate, quantities
+from trainid_ros.setup.params_file import Setup, node_setups
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.inputs.mapping import Mapping
+
     Work = Callable[[argparse.Namespace, Path, Callable[[float], None]], 'BagResult']
+
+
+def load_setups(
+    args: argparse.Namespace, train: Path, warn: Callable[[str], None] = lambda _: None
+) -> tuple[Setup, ...]:
+    """Return the set-ups of the three nodes, by a train file and ``params``, ``algorithm``, ``map`` and ``namespace``.
+
+    Raises:
+        InputError: Train file, mapping or parameters cannot be used.
+    """
+    foreign = () if args.map is None else load_mapping(args.map).topics
+    train_file = load_train_file(train)
+    return node_setups(
+        train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
+    )
+
+
+@contextmanager
+def opened(
+    args: argparse.Namespace, inputs: Callable[[], MappedInputs] | None = None, mapping: Mapping = OWN
+) -> Iterator[BagReader]:
+    """Open ``args.bag`` with a progress bar: a bag without an index is read as a whole for that.
+
+    The other arguments are those of :class:`BagReader`.
+
+    Raises:
+        InputError: If the bag cannot be read.
+    """
+    with ExitStack() as stack:
+        with progress(f'open {args.bag.name}', 1.0) as advance:
+            reader = BagReader(args.bag, args.namespace, args.max_chunk, inputs, mapping=mapping, opening=advance)
+            stack.enter_context(reader)
+        yield reader
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,3 +120,12 @@ def _exit_code(result: BagResult) -> int:
     if not result.error:
         return 0
     return EXIT_BAD_INPUT if result.shown is None else EXIT_NO_ANSWER
+
+
+def davis_rows(values: Sequence[float], stds: Sequence[float]) -> list[tuple[str, str, str, str]]:
+    """Return a row of text for each Davis parameter: name, value, standard deviation, unit."""
+    known = quantities(ResistanceEstimate)
+    return [
+        (name, f'{value:.5g}', f'{std:.2g}', known[name].unit)
+        for name, value, std in zip('abc', values, stds, strict=True)
+    ]

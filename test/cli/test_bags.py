@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.bags import run_per_bag
 from trainid_ros.cli.main import main
-from trainid_ros.cli.per_bag import run_per_bag
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 WORK = """
 import os
 import signal
-from trainid_ros.cli.per_bag import BagResult
+from trainid_ros.cli.bags import BagResult
 
 def work(args, bag, advance):
     if bag.name == 'none':
@@ -86,10 +86,10 @@ def test_processes_give_the_same_as_one_bag_at_a_time(bags: list[str], capsys: p
 def test_a_killed_process_costs_the_result_of_its_own_bag_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / 'work_of_test_per_bag.py').write_text(WORK, encoding='utf-8')
+    (tmp_path / 'work_of_test_bags.py').write_text(WORK, encoding='utf-8')
     monkeypatch.syspath_prepend(tmp_path)
     args = Namespace(bags=[tmp_path / name for name in ('one', 'none', 'two')], jobs=2, json=False)
-    assert run_per_bag(args, import_module('work_of_test_per_bag').work, 'try') == 2
+    assert run_per_bag(args, import_module('work_of_test_bags').work, 'try') == 2
     captured = capsys.readouterr()
     assert captured.out == 'one\n\ntwo\n'
     killed = 'the process that worked on it was killed (out of memory?)'
