@@ -8,14 +8,14 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
 import trainid_ros
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.estimators import algorithm_registry
-from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms, PlugIn
+from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record
@@ -136,8 +136,8 @@ def forget_plug_ins() -> None:
 def unread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every reading of plug-ins fail."""
 
-    def fail(job: str) -> tuple[PlugIn, ...]:
-        pytest.fail(f'plug-ins for {job} are read')
+    def fail(kind: str) -> NoReturn:
+        pytest.fail(f'plug-ins for {kind} are read')
 
     monkeypatch.setattr(algorithm_registry, 'plugged_in', fail)
     forget_plug_ins()

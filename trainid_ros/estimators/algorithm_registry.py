@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 from trainid_ros.interface.errors import InputError, setting_info
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from importlib.metadata import EntryPoint
 
     import numpy as np
@@ -60,36 +60,6 @@ class Estimator(Protocol[EstimateT_co]):
 
     def restore(self, text: str) -> None:
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
-
-
-GROUP: Final = 'trainid_ros.algorithms'
-
-
-@dataclass(frozen=True, slots=True)
-class PlugIn:
-    """An entry point."""
-
-    entry: EntryPoint
-
-    def __str__(self) -> str:
-        """Return the names of its distribution, of the kind and of its object."""
-        entry = self.entry
-        return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
-
-    def load(self) -> object:
-        """Return its object; InputError if that cannot be imported."""
-        try:
-            return self.entry.load()
-        except Exception as error:  # whatever its code raises
-            raise InputError(f'{self} cannot be loaded: {type(error).__name__}: {error}') from error
-
-
-def plugged_in(kind: str) -> tuple[PlugIn, ...]:
-    """Return the plug-ins for a kind of estimator."""
-    # Imported here because start-up must not pay for it.
-    from importlib.metadata import entry_points  # noqa: PLC0415
-
-    return tuple(map(PlugIn, entry_points(group=GROUP, name=kind)))
 
 
 EstimateT = TypeVar('EstimateT', bound='Estimate')
@@ -169,15 +139,15 @@ class Algorithms(Generic[EstimateT]):
         """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in; first problem."""
         found: dict[str, Algorithm[EstimateT]] = {}
         problems, twice = [], set()
-        for plug_in in plugged_in(self.kind):
+        for entry in plugged_in(self.kind):
             try:
-                given = _algorithms(plug_in)
+                given = _algorithms(entry)
             except InputError as error:
                 problems.append(str(error))
                 continue
             for item in given:
                 if item.name in self._built_in or item.name in found:
-                    problems.append(f'{plug_in}: there are two algorithms {item.name!r}')
+                    problems.append(f'{_described(entry)}: there are two algorithms {item.name!r}')
                     twice.add(item.name)
                 found.setdefault(item.name, item)
         usable = {name: algorithm for name, algorithm in found.items() if name not in twice}
@@ -196,9 +166,28 @@ class Algorithms(Generic[EstimateT]):
         return self[choice.algorithm].make(train_file, choice.config, generator)
 
 
-def _algorithms(plug_in: PlugIn) -> tuple[Algorithm[Any], ...]:
-    """Return what a plug-in gives; raise InputError, naming it, if that is not a tuple of algorithms."""
-    given = plug_in.load()
+GROUP: Final = 'trainid_ros.algorithms'
+
+
+def plugged_in(kind: str) -> Iterable[EntryPoint]:
+    """Return the entry points for a kind of estimator."""
+    # Imported here because start-up must not pay for it.
+    from importlib.metadata import entry_points  # noqa: PLC0415
+
+    return entry_points(group=GROUP, name=kind)
+
+
+def _described(entry: EntryPoint) -> str:
+    """Return an entry point with its distribution, its kind and its object."""
+    return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
+
+
+def _algorithms(entry: EntryPoint) -> tuple[Algorithm[Any], ...]:
+    """Return the algorithms of an entry point; raise InputError, naming it, if it gives anything else."""
+    try:
+        given = entry.load()
+    except Exception as error:  # whatever its code raises
+        raise InputError(f'{_described(entry)} cannot be loaded: {type(error).__name__}: {error}') from error
     if not isinstance(given, tuple) or not all(isinstance(item, Algorithm) for item in given):
-        raise InputError(f'{plug_in} must be a tuple of Algorithm, not {type(given).__name__}')
+        raise InputError(f'{_described(entry)} must be a tuple of Algorithm, not {type(given).__name__}')
     return given
