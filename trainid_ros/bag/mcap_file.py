@@ -46,14 +46,12 @@ if TYPE_CHECKING:
     from mcap.records import ChunkIndex
     from numpy.typing import NDArray
 
-_RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
 _MAX_EXPANSION: Final = 50  # bytes unpacked for each byte of a file whose chunks together exceed the largest chunk
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
 _MAX_NAMED: Final = 5  # losses
-_REPORT_BYTES: Final = 1 << 20  # from one report of progress to the next
-_MB: Final = 1 << 20
+_MB: Final = 1 << 20  # also from one report of progress to the next, and of messages outside chunks taken together
 # Channel, sequence, log time and publish time of a message; its length stands before them.
 _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
 _LENGTH: Final = np.dtype('<i8')
@@ -219,12 +217,12 @@ class McapFile:
         """Take in the data section; return where the last record used ends, and the end of data if there is one."""
         file, position, run = self._file, len(MAGIC), len(MAGIC)
         while True:
-            if position >= self._reported + _REPORT_BYTES:
+            if position >= self._reported + _MB:
                 self._advance(position - self._reported)
                 self._reported = position
             record = file.record(position) if position < file.end else None
             plain = record is not None and record.opcode in _PLAIN
-            if run < position and (record is None or not plain or record.end - run > _RUN_BYTES):
+            if run < position and (record is None or not plain or record.end - run > _MB):
                 self._take(Piece(run, position, is_chunk=False))
                 run = position
             if record is None:

@@ -64,8 +64,6 @@ _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
 }
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
-_NO_ROWS: Final = np.empty(0, dtype=np.intp)
-_MAX_LOG_NS: Final = 2**64 - 1
 PROGRESS_EVERY: Final = 500  # records from one report of progress to the next
 _ROWS_AT_ONCE: Final = 5000
 
@@ -341,7 +339,7 @@ class BagReader:
             yield from self._mapped_tables(self._made, last_ns)
             return
         self._unreadable.clear()
-        pending, end_ns = EMPTY, np.uint64(min(last_ns, _MAX_LOG_NS))
+        pending, end_ns = EMPTY, np.uint64(min(last_ns, 2**64 - 1))
         for first_ns, index, segment in self._segments():
             ready = int(np.searchsorted(pending.log_ns, np.uint64(first_ns)))
             if ready:
@@ -362,8 +360,7 @@ class BagReader:
         block = segment.read()
         tables, places = [], []
         for number, source in self._sources[index].items():
-            rows = np.flatnonzero(block.channel == number) if source.topic in _INPUT_NAMES else _NO_ROWS
-            if rows.size:
+            if source.topic in _INPUT_NAMES and (rows := np.flatnonzero(block.channel == number)).size:
                 topic = _TOPIC_NUMBERS[source.topic]
                 table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
                 if skipped := rows.size - len(table):

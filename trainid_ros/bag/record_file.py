@@ -37,13 +37,9 @@ MESSAGE_BYTES: Final = 22
 UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
 """Errors of the library on the content of a damaged record."""
 _FOOTER: Final = struct.Struct('<BQQQI')  # with its head; start of summary, start of its offsets, checksum of both
-_CRC: Final = struct.Struct('<I')
 _CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
 _SIZE: Final = struct.Struct('<Q')
-_MAX_CHUNK_HEAD: Final = 64
-_COMPRESSIONS: Final = ('', 'lz4', 'zstd')
-_INDEX: Final = struct.Struct('<HI')  # channel, size of the entries
-_ENTRY_BYTES: Final = 16
+_INDEX: Final = struct.Struct('<HI')  # channel, size of the entries, which have 16 bytes each
 _PRIVATE: Final = 0x80  # opcodes from here on are for records of others
 _MIN_BYTES: Final[dict[int, int]] = {
     Opcode.HEADER: 8,
@@ -175,19 +171,19 @@ class RecordFile:
             return None
         if opcode == Opcode.MESSAGE_INDEX:
             _, size = _INDEX.unpack(self.read(found.start, _INDEX.size))
-            if size % _ENTRY_BYTES or _INDEX.size + size > length:
+            if size % 16 or _INDEX.size + size > length:
                 return None
         return found
 
     def chunk_head(self, chunk: Record) -> ChunkHead | None:
         """Return the head of a chunk, None if it does not fit; the end of the stored records may be missing."""
-        content = self.read(chunk.start, min(_MAX_CHUNK_HEAD, chunk.end - chunk.start))
+        content = self.read(chunk.start, min(64, chunk.end - chunk.start))
         if len(content) < _CHUNK.size:
             return None
         _, _, size, crc, name_length = _CHUNK.unpack_from(content)
         end = _CHUNK.size + name_length
         name = content[_CHUNK.size : end].decode('ascii', errors='replace')
-        if name not in _COMPRESSIONS or len(content) < end + _SIZE.size:
+        if name not in {'', 'lz4', 'zstd'} or len(content) < end + _SIZE.size:
             return None
         (stored,) = _SIZE.unpack_from(content, end)
         start = end + _SIZE.size
@@ -249,7 +245,7 @@ class RecordFile:
         if not 0 < start < self.end or self.size - start > _MAX_SUMMARY:
             return found, False
         content = self.read(start, self.size - start)
-        if crc and zlib.crc32(content[: -_CRC.size - len(MAGIC)]) != crc:
+        if crc and zlib.crc32(content[: -4 - len(MAGIC)]) != crc:
             return found, False
         try:
             for record in StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True).records:

@@ -49,7 +49,6 @@ _IN_CHUNK: Final = HEAD.size + 24  # after two log times and the size
 _SUMMARY_START: Final = struct.Struct('<Q')
 # zstd can check its own data, which also serves files that were never finished.
 _OPTIONS: Final = {int(zstd.CompressionParameter.checksum_flag): 1}
-_VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 _LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
@@ -139,7 +138,7 @@ class BagWriter:
         """
         if self.path.exists() or self.path.is_symlink():
             raise InputError(f'{self.path}: exists already and is not overwritten')
-        self._writer = Writer(self.path, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         if self._compress:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:

@@ -81,10 +81,9 @@ def find_unit(text: str, quantity: str) -> Unit:
     return Unit(text, whole / 100.0)
 
 
-def spelled(text: str, quantity: str) -> str:
-    """Return the name of a unit of a quantity as it is spelled here; others may write another case, such as KM/H."""
-    names = (*_FACTORS[quantity], *(_FACTORS['angle'] if quantity == 'gradient' else ()))
-    return next((name for name in names if name.lower() == text.lower()), text)
+def unit_names(quantity: str) -> tuple[str, ...]:
+    """Return the names of the units of a quantity."""
+    return (*_FACTORS[quantity], *(_FACTORS['angle'] if quantity == 'gradient' else ()))
 
 
 # After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.

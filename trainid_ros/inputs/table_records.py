@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Signal, find_unit, spelled
+from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Signal, find_unit, unit_names
 from trainid_ros.inputs.tables import ROWS_AT_ONCE, Block, joined, open_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
@@ -191,7 +191,9 @@ class TableRecords:
         for name, unit, quantity in columns:
             stated = self._table.units.get(name, '')
             with suppress(ValueError):
-                read = find_unit(spelled(_UNIT_SIGNS.get(stated.lower(), stated), quantity), quantity)
+                text = _UNIT_SIGNS.get(stated.lower(), stated)
+                # A file may write another case, such as KM/H.
+                read = find_unit(next((n for n in unit_names(quantity) if n.lower() == text.lower()), text), quantity)
                 if read.factor != unit.factor:
                     yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 

@@ -28,7 +28,15 @@ from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_top
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.types import EMPTY, joined
 from trainid_ros.estimators.pipeline import Contradiction
-from trainid_ros.inspection.number_series import USUAL_ROTARY, Slope, is_near, partial_slope
+from trainid_ros.inspection.number_series import (
+    PER_MILLE,
+    USUAL_ROTARY,
+    Slope,
+    comes_on_change,
+    is_near,
+    nearest_unit,
+    partial_slope,
+)
 from trainid_ros.interface.records import (
     BRAKE,
     BRAKE_TOPIC,
@@ -66,9 +74,7 @@ if TYPE_CHECKING:
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s
 _INT64_MAX: Final = 2**63 - 1  # log times are unsigned
-# Brake commands of which so many differ from the one before are published on change [1].
-_MIN_CHANGING: Final = 0.9
-_MIN_COMMANDS: Final = 3
+_MIN_COMMANDS: Final = 3  # that show whether they are published on change
 # Distances by speed and by position are compared from this distance on [m], and may differ by this share [1]. A larger
 # step of the position is a correction [m].
 _MIN_DISTANCE_M: Final = 500.0
@@ -76,7 +82,6 @@ _MAX_DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
 _MAX_INTERVAL_S: Final = AlignmentConfig().max_interval
-_REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 # Topic, field and unit of the ranges that are reported.
 _QUANTITIES: Final = (
     (SPEED_TOPIC.name, 'speed', 'm/s'),
@@ -313,7 +318,8 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
     if missing:
         where = in_namespaces(topic.name for topic in topics if topic.count)
         return [f'no messages on {", ".join(missing)}{f" ({where})" if where else ""}']
-    required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
+    names = {topic.name for topic in REQUIRED_TOPICS}
+    required = {topic.name: topic for topic in topics if topic.name in names}
     problems = [f'{name}: no message can be used' for name, topic in required.items() if not _has_usable(topic)]
     spans = [topic.stamps for topic in required.values() if topic.stamps is not None and _has_usable(topic)]
     if not problems and max(span.first_ns for span in spans) > min(span.last_ns for span in spans):
@@ -337,10 +343,10 @@ def _command_warnings(column: _Column | None) -> list[str]:
     if column is None or column.hold_s > GAP_S or column.stamps.size < _MIN_COMMANDS:
         return []
     order = np.argsort(column.stamps, kind='stable')
-    changes = np.diff(column.values['target_acceleration'][order]) != 0.0
-    longest_s = float(np.diff(column.stamps[order]).max()) / NS_PER_S
-    if np.mean(changes) < _MIN_CHANGING or longest_s <= AlignmentConfig().command_timeout:
+    time = (column.stamps[order] - column.stamps[order[0]]) / NS_PER_S
+    if not comes_on_change(time, column.values['target_acceleration'][order]):
         return []
+    longest_s = float(np.diff(time).max())
     return [
         f'{BRAKE_TOPIC.name}: published only on change: set alignment.command_hold to the longest time that a command '
         f'holds, here {longest_s:.0f} s or more'
@@ -402,8 +408,8 @@ _MIN_SIGMAS_BEYOND: Final = 3.0
 # deviation [per mille].
 _TOO_LARGE: Final = 0.1
 _LARGE_STD: Final = 30.0
-# Per mille in each unit.
-_UNITS: Final = {'per cent': 10.0, 'degrees': 1000.0 * math.pi / 180.0, 'a ratio or radians': 1000.0}
+# Units that a gradient may have instead of per mille, as people call them.
+_OTHER_UNITS: Final = {'percent': 'per cent', 'deg': 'degrees', 'rad': 'a ratio or radians'}
 # Any train: then only checks that do not depend on the train file apply.
 _ANY_TRAIN: Final = TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
 
@@ -486,8 +492,8 @@ class _GradientCheck:
         how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
         sign = ', with the wrong sign' if slope.value < 0.0 else ''
         if size - _MIN_SIGMAS_BEYOND * slope.std > _TOO_SMALL:
-            unit = min(_UNITS, key=lambda name: abs(math.log(size / _UNITS[name])))
-            what = f'like {unit}' if is_near(size, _UNITS[unit]) else 'too small'
+            unit = nearest_unit(size, {name: PER_MILLE[name] for name in _OTHER_UNITS})
+            what = f'like {_OTHER_UNITS[unit]}' if unit else 'too small'
             return f'{GRADIENT_TOPIC.name} looks {what}{sign}: {how}'
         if is_near(size, _TOO_LARGE) and slope.spread > _LARGE_STD:
             return f'{GRADIENT_TOPIC.name} looks ten times too large{sign}: {how}'

@@ -22,6 +22,7 @@ from trainid_ros.bag.types import WIDE_CHARACTERS, full_type
 from trainid_ros.inputs.mapping import Mapping, Signal, Source, Unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
+from trainid_ros.stream.alignment import AlignmentConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -58,6 +59,11 @@ class NumberSeries:
     value: NDArray[np.float64]  # The numbers, shape (n,)
     has_stamps: bool  # Whether the stamps are of headers; if not, they are log times
     is_whole: bool  # Whether the type of the field is that of whole numbers
+
+    @property
+    def name(self) -> str:
+        """Topic and field."""
+        return f'{self.topic} {self.field}'
 
     @property
     def rate(self) -> float:
@@ -243,6 +249,7 @@ USUAL_ROTARY: Final = 0.08
 """Share by which rotating masses raise the inertia of a usual train [1]."""
 PER_MILLE: Final = {'per_mille': 1.0, 'percent': 10.0, 'deg': 1000.0 * math.pi / 180.0, 'rad': 1000.0}
 """Per mille in each unit of a gradient."""
+_MIN_CHANGING: Final = 0.9  # share of commands that differ from the one before, if published on change [1]
 # Slopes of regressions are exact to this factor [1].
 _SLOPE_FACTOR: Final = 1.6
 # Residuals over this time may be alike, as in a gust [s].
@@ -289,6 +296,12 @@ def correlation(x: Array, y: Array) -> float:
     if np.count_nonzero(known) < MIN_NUMBERS or np.ptp(x[known]) == 0.0 or np.ptp(y[known]) == 0.0:
         return 0.0
     return float(np.corrcoef(x[known], y[known])[0, 1])
+
+
+def comes_on_change(time: Array, command: Array) -> bool:
+    """Return whether commands at times [s] are published on change: most differ from the one before, after pauses."""
+    changes = np.mean(np.diff(command) != 0.0) >= _MIN_CHANGING
+    return bool(changes and np.diff(time).max() > AlignmentConfig().command_timeout)
 
 
 class Travel(NamedTuple):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import QUANTITIES, find_unit
+from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_names
 from trainid_ros.inspection.number_series import (
     MIN_NUMBERS,
     PER_MILLE,
@@ -23,6 +23,7 @@ from trainid_ros.inspection.number_series import (
     USUAL_ROTARY,
     Travel,
     at_times,
+    comes_on_change,
     common_times,
     compare_travel,
     correlation,
@@ -32,7 +33,6 @@ from trainid_ros.inspection.number_series import (
     partial_slope,
     regress,
 )
-from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def listed(names: Sequence[str], most: int = 6) -> str:
 def described(series: NumberSeries) -> str:
     """Return topic, field, type and rate of a series."""
     rate = '' if math.isnan(series.rate) else f', {series.rate:.3g} Hz'
-    return f'{series.topic} {series.field} ({series.type}{rate})'
+    return f'{series.name} ({series.type}{rate})'
 
 
 def _quoted(text: str) -> str:
@@ -288,8 +288,6 @@ def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeri
     return any(correlation(speed, abs(at_times(other, times))) < _MIN_ALIKE for other in others)
 
 
-_SPEED_UNITS: Final = ('m/s', 'km/h', 'mph')
-_LENGTH_UNITS: Final = ('m', 'km', 'mi', 'ft')
 # Ratios of two units are told apart to this share [1].
 _MAX_RATIO_ERROR: Final = 0.04
 # A speed in m/s has a smaller maximum [m/s], and 99th percentile of its changes [m/s^2].
@@ -377,7 +375,7 @@ def _choose_speed(
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons += reasons
     alike = [
-        f'{item.speed.topic} {item.speed.field}'
+        item.speed.name
         for item in ranked[1:]
         if abs(correlation(motion.speed, np.abs(at_times(item.speed, times)))) > _MIN_ALIKE
     ]
@@ -409,7 +407,7 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
         if unnamed or max(score('force', *where), score('acceleration', *where)) > 0.0:
             with_it = correlation(slope, at_times(item, times))
             if abs(with_it) > abs(push[0]):
-                push = (with_it, f'{item.topic} {item.field}')
+                push = (with_it, item.name)
     if travel.correlation < _MIN_ALIKE:
         position = None
     points = score('speed', speed.topic, speed.field) + 2.0 * (position is not None) + 1.5 * abs(push[0])
@@ -419,19 +417,19 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
 def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
     """Return the units of speed and position ('' if none fits both), the reasons, and what to decide."""
     speed, position = best.speed, best.position
-    named = unit_in(f'{speed.topic} {speed.field}', _SPEED_UNITS)
+    named = unit_in(speed.name, unit_names('speed'))
     pairs = [
         (unit, length)
-        for length in (_LENGTH_UNITS if position is not None else ())
-        for unit in _SPEED_UNITS
+        for length in (unit_names('length') if position is not None else ())
+        for unit in unit_names('speed')
         if abs(best.travel.ratio * find_unit(length, 'length').factor / find_unit(unit, 'speed').factor - 1.0)
         < _MAX_RATIO_ERROR
     ]
     if position is not None and pairs:
-        also = unit_in(f'{position.topic} {position.field}', _LENGTH_UNITS)
+        also = unit_in(position.name, unit_names('length'))
         unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
         reason = (
-            f'unit {unit}: {position.topic} {position.field} changes by {best.travel.ratio:.4g} for each unit and '
+            f'unit {unit}: {position.name} changes by {best.travel.ratio:.4g} for each unit and '
             f'second (correlation {best.travel.correlation:.2f}), so positions are in {length}'
         )
         contradiction = f'its name says {named}, its integral {unit}'
@@ -445,18 +443,22 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
     return unit, '', [text], ['nothing but its range shows the unit of the speed']
 
 
-_FORCE_UNITS: Final = ('N', 'kN', 'lbf')
-_MASS_UNITS: Final = ('kg', 't', 'lb')
 # Factor within which a slope is 1 or g [1].
 _UNIT_FACTOR: Final = 1.25
 # Another force explains at least so much more of the variance of the acceleration [1], a gradient so much.
 _MIN_FORCE_GAIN: Final = 0.02
 _MIN_GRADIENT_GAIN: Final = 1e-3
-# Largest numbers in a unit, where only the range shows it.
-_MAX_KN: Final = 2000.0
-_MAX_PERCENT: Final = 6.0
-_MAX_RAD: Final = 0.1
-_MAX_T: Final = 3000.0
+# Largest number in each unit, where only the range shows it.
+_MAX_IN: Final = {
+    'force': {'kN': 2000.0, 'N': math.inf},
+    'gradient': {'rad': 0.1, 'percent': 6.0, 'per_mille': math.inf},
+    'mass': {'t': 3000.0, 'kg': math.inf},
+}
+
+
+def _unit_by_range(quantity: str, top: float) -> str:
+    """Return the unit of the largest number of a quantity."""
+    return next(unit for unit, limit in _MAX_IN[quantity].items() if top <= limit)
 
 
 def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
@@ -531,13 +533,13 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: Tra
 
 def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, train_file: TrainFile | None) -> str:
     """Return the unit of a force, and note the reason; ``slope`` is the acceleration for each unit [m/s^2]."""
-    named = unit_in(f'{series.topic} {series.field}', _FORCE_UNITS)
+    named = unit_in(series.name, unit_names('force'))
     if train_file is None:
         choice.reasons.append('unit by its name' if named else f'up to {top:.3g}')
         choice.decisions.append('the unit; with --train the mass shows it')
-        return named or ('N' if top > _MAX_KN else 'kN')
+        return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    fitting = nearest_unit(newtons, {name: find_unit(name, 'force').factor for name in _FORCE_UNITS})
+    fitting = nearest_unit(newtons, {name: find_unit(name, 'force').factor for name in unit_names('force')})
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -597,9 +599,9 @@ def _gradient(
     series: NumberSeries, motion: _Motion, total: Array | None, train_file: TrainFile | None
 ) -> tuple[float, Choice]:
     """Return how much more of the acceleration a gradient explains [1], and the choice."""
-    named = unit_in(f'{series.topic} {series.field}', tuple(PER_MILLE))
+    named = unit_in(series.name, unit_names('gradient'))
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
-    unit, sign = named or ('per_mille' if top > _MAX_PERCENT else 'percent' if top > _MAX_RAD else 'rad'), 1.0
+    unit, sign = named or _unit_by_range('gradient', top), 1.0
     permille, gain = _slowing(series, motion, total, train_file)
     by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _MIN_GRADIENT_GAIN else ''
     if by_slope:
@@ -632,15 +634,15 @@ def _slowing(
 
 def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -> list[Choice]:
     """Return a mass that fits the train file, or whose name and range say so; empty if there is none."""
-    units = {name: find_unit(name, 'mass').factor for name in _MASS_UNITS}
+    units = {name: find_unit(name, 'mass').factor for name in unit_names('mass')}
     for item in series:
         value = float(np.median(item.value))
         if score('mass', item.topic, item.field) <= 0.0 or value <= 0.0:
             continue
-        named = unit_in(f'{item.topic} {item.field}', _MASS_UNITS)
+        named = unit_in(item.name, unit_names('mass'))
         choice = Choice('mass', reasons=[f'median {value:.4g}'])
         if train_file is None:
-            unit = named or ('t' if value < _MAX_T else 'kg')
+            unit = named or _unit_by_range('mass', value)
             choice.decisions.append('is it the mass of the whole train, or of its load (then with an offset)?')
         else:
             mass = train_file.train.mass
@@ -660,9 +662,7 @@ _MAX_NOTCHES: Final = 16
 # Decelerations of a brake [m/s^2].
 _MIN_BRAKING: Final = 0.1
 _MAX_BRAKING: Final = 3.0
-# Brake commands of which so many differ from the one before are published on change [1]; fewer than that always are.
-_MIN_CHANGING: Final = 0.9
-_MIN_COMMANDS: Final = 10
+_MIN_COMMANDS: Final = 10  # fewer are published on change
 
 
 def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array | None) -> list[Choice]:
@@ -678,7 +678,9 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
     target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
     target = _earlier(target, _precedes(item, motion, target)[0])
-    choice = Choice('brake_command', on_change=_on_change(item))
+    choice = Choice(
+        'brake_command', on_change=item.value.size < _MIN_COMMANDS or comes_on_change(item.time, item.value)
+    )
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
     if item.is_whole and np.unique(item.value).size <= _MAX_NOTCHES:
@@ -689,7 +691,7 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
         _scale(choice, item, values, target, by_force)
     if choice.on_change:
         choice.reasons.append(f'published only on change, up to {float(np.diff(item.time).max()):.0f} s apart')
-    if others := [f'{entry.item.topic} {entry.item.field}' for entry in ranked[1:]]:
+    if others := [entry.item.name for entry in ranked[1:]]:
         choice.decisions.append(f'also like a brake: {", ".join(others[:3])}')
     return [choice]
 
@@ -730,14 +732,6 @@ def _earlier(values: Array, by_s: float) -> Array:
     return np.concatenate((values[steps:], np.full(steps, np.nan)))
 
 
-def _on_change(item: NumberSeries) -> bool:
-    """Return whether a command comes only when it changes."""
-    if item.value.size < _MIN_COMMANDS:
-        return True
-    changes = np.mean(np.diff(item.value) != 0.0) >= _MIN_CHANGING
-    return bool(changes and np.diff(item.time).max() > AlignmentConfig().command_timeout)
-
-
 def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
     """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
     wait = round(_SETTLED_S / STEP_S)
@@ -763,7 +757,7 @@ def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_
     braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MIN_BRAKING)
     ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
     sign = 1.0 if ratio > 0.0 else -1.0
-    named = unit_in(f'{item.topic} {item.field}', ('percent',))
+    named = unit_in(item.name, ('percent',))
     if not named and top <= _MAX_BRAKING and 0.5 < abs(ratio) < 2.0:
         choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
         choice.parts = (Part(item, 'm/s^2', sign),)
