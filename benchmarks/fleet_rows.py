@@ -22,8 +22,8 @@ from benchmarks.tables import Table
 from trainid_ros.bag.types import table_of
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.fleet.analysis import FleetView, analyse
-from trainid_ros.fleet.bag_row import Odometer
 from trainid_ros.fleet.mixed_model import CHANNELS
+from trainid_ros.fleet.run_fleet import Odometer
 from trainid_ros.fleet.table_file import Row, empty_row
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 

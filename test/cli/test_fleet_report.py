@@ -17,7 +17,7 @@ from trainid_ros.fleet.table_file import write_table
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from trainid_ros.fleet.workflow import Run
+    from trainid_ros.fleet.plan import FleetRun
 
 
 class Explained(NamedTuple):
@@ -87,12 +87,12 @@ def test_each_bag_is_explained_with_the_setup_of_its_table(
         (tmp_path / f'{name}.plan.json').write_text(json.dumps(plan), encoding='utf-8')
     used = []
 
-    def explain(run: Run) -> Explained:
+    def explain(run: FleetRun) -> Explained:
         assert run.setup is not None
         used.append((run.row['bag'], run.setup.train.name, str(run.setup.mapping), run.setup.namespace))
         return Explained()
 
-    monkeypatch.setattr('trainid_ros.fleet.workflow._explain', explain)
+    monkeypatch.setattr('trainid_ros.fleet.analysis._explain', explain)
     assert main(['fleet', 'report', str(tmp_path / 'old.csv'), str(tmp_path / 'new.csv'), '--explain', '1']) == 0
     assert 'By its bags: no effect that is new' in capsys.readouterr().out
     old, new = ('old.yaml', 'old.csv.map', '/old'), ('new.yaml', 'new.csv.map', '/new')
@@ -106,7 +106,7 @@ def test_a_cause_in_the_bags_agrees_with_channels_that_name_none(
     write_table(fleet_rows(5001, 8, 12, {3: (6, np.array([0.0, -0.08, 0.12, 0.0]))}), table, {})
     drag = FoundEffect('dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, '', ())
     effects: list[tuple[FoundEffect, ...]] = [(), *[(drag,)] * 3]  # of the bag before, and of three after
-    monkeypatch.setattr('trainid_ros.fleet.workflow._explain', lambda _: Explained(effects.pop(0)))
+    monkeypatch.setattr('trainid_ros.fleet.analysis._explain', lambda _: Explained(effects.pop(0)))
     assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
     text = capsys.readouterr().out
     assert 'By the channels alone: no single known cause (' in text

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from test.fleet.surrogate import DAY, ERROR, LEVEL, MEAN, fleet_rows
-from trainid_ros.fleet.mixed_model import CHANNELS, Cells, Labels, _Problem, cells_of, common_effects, fit, labels_of
+from trainid_ros.fleet.mixed_model import CHANNELS, Cells, Labels, _Problem, cells_of, fit, labels_of, shared_effects
 
 W15 = CHANNELS[0]
 
@@ -21,7 +21,7 @@ def cells(seed: int, trains: int, days: int, lines: int = 1) -> tuple[Cells, Lab
 
 def test_effects_and_likelihood_are_those_of_the_dense_model() -> None:
     found, labels = cells(1, 5, 4, lines=2)
-    effects = common_effects(found, labels)
+    effects = shared_effects(found, labels)
     assert effects.names == ('line', 'day', 'line on a day')
     problem = _Problem(found, effects, 5, np.ones(found.value.size, dtype=np.bool_), LEVEL[0])
     x = np.array([-2.0, -1.0, 0.5, 0.1, -0.4, -1.5])
@@ -71,4 +71,4 @@ def test_single_bad_runs_do_not_count() -> None:
 
 def test_days_of_two_trains_have_no_effect_of_their_own() -> None:
     found, labels = cells(5, 2, 10)
-    assert common_effects(found, labels).names == ()
+    assert shared_effects(found, labels).names == ()

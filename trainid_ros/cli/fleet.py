@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
-from trainid_ros.fleet.bag_row import check_setup
 from trainid_ros.fleet.plan import (
     Setup,
     find_bags,
@@ -20,7 +19,7 @@ from trainid_ros.fleet.plan import (
     read_plan,
     setup_of,
 )
-from trainid_ros.fleet.run_fleet import known_rows, rows_folder, rows_here, rows_on_cluster, run_plan
+from trainid_ros.fleet.run_fleet import check_setup, known_rows, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise

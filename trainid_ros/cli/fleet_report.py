@@ -6,18 +6,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.output import check_output, print_json, progress, show
-from trainid_ros.fleet.plan import read_plan, setup_of
+from trainid_ros.fleet.plan import FleetRun, read_plan, setup_of
 from trainid_ros.fleet.table_file import read_table
-from trainid_ros.fleet.workflow import Run, name_cause
 from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping
 
-    from trainid_ros.fleet.analysis import FleetView, TrainView
+    from trainid_ros.fleet.analysis import CauseByBags, FleetView, TrainView
     from trainid_ros.fleet.changes import Step
-    from trainid_ros.fleet.workflow import Cause
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,23 +44,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace) -> list[Run]:
+def _read(args: argparse.Namespace) -> list[FleetRun]:
     """Return the rows of all tables, each train of a bag once, with how their table was made."""
-    runs: dict[tuple[str, str, str], Run] = {}
+    runs: dict[tuple[str, str, str], FleetRun] = {}
     for path in args.tables:
         rows, about = read_table(path)
         setup = setup_of(about) or setup_of(read_plan(path))
         namespace = '' if setup is None else setup.namespace.strip('/')
-        runs |= {(row['bag'], row['train'], namespace): Run(row, setup) for row in rows}
+        runs |= {(row['bag'], row['train'], namespace): FleetRun(row, setup) for row in rows}
     return list(runs.values())
 
 
-def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[Run]) -> dict[str, Cause]:
+def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[FleetRun]) -> dict[str, CauseByBags]:
     """Return what ``explain`` finds in the bags of the worst trains, by their names."""
     worst = [train for train in view.found if train.main][: args.explain]
     if not worst:
         return {}
     named = {}
+    from trainid_ros.fleet.analysis import name_cause  # noqa: PLC0415 - as in run
+
     with progress('explain', total=len(worst), unit='trains') as advance:
         for train in worst:
             named[train.name] = name_cause(view, train, runs)
@@ -70,7 +70,7 @@ def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[Run]) -> 
     return named
 
 
-def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Cause]) -> None:
+def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, CauseByBags]) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
     from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
@@ -80,7 +80,7 @@ def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Cause]
     write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
 
 
-def _named_text(train: TrainView, cause: Cause) -> str:
+def _named_text(train: TrainView, cause: CauseByBags) -> str:
     """Return what the bags of a train say, and how that goes with what its channels say."""
     from trainid_ros.fleet.changes import OTHER  # noqa: PLC0415
     from trainid_ros.report.words import parameters_text  # noqa: PLC0415
@@ -97,7 +97,7 @@ def _named_text(train: TrainView, cause: Cause) -> str:
     return f'By its bags{more}: {"; ".join(effects) or "no effect that is new"}.'
 
 
-def describe(view: FleetView, named: Mapping[str, Cause]) -> str:
+def describe(view: FleetView, named: Mapping[str, CauseByBags]) -> str:
     """Return the findings as text."""
     from trainid_ros.report.fleet_report import findings, summary  # noqa: PLC0415
 
@@ -108,7 +108,7 @@ def describe(view: FleetView, named: Mapping[str, Cause]) -> str:
     return '\n\n'.join(blocks)
 
 
-def to_json(view: FleetView, limit: float, named: Mapping[str, Cause]) -> dict[str, Any]:
+def to_json(view: FleetView, limit: float, named: Mapping[str, CauseByBags]) -> dict[str, Any]:
     """Return the object of ``--json``."""
     return {
         'trains': len(view.labels.trains),
@@ -160,7 +160,7 @@ def _steps(view: FleetView, steps: tuple[Step | None, ...]) -> dict[str, Any]:
     }
 
 
-def _named(cause: Cause | None) -> dict[str, Any]:
+def _named(cause: CauseByBags | None) -> dict[str, Any]:
     """Return what ``explain`` found."""
     if cause is None:
         return {}

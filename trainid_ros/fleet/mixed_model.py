@@ -135,8 +135,8 @@ def _mean(runs: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Effects:
-    """Random effects that trains have in common, numbered through; number 0 is the mean of the fleet."""
+class SharedEffects:
+    """Shared random effects, numbered through; number 0 is the mean of the fleet."""
 
     of_cell: Numbers  # Effects of each cell, shape (n, 1 + factors)
     factor: Numbers  # Factor of each effect, shape (m,); -1 for the mean, whose prior is flat
@@ -162,7 +162,7 @@ class MixedFit:
     degrees: float  # Degrees of freedom of the errors
 
 
-def common_effects(cells: Cells, labels: Labels) -> Effects:
+def shared_effects(cells: Cells, labels: Labels) -> SharedEffects:
     """Return the effects that can be told apart: those with two levels or more, and days with trains enough."""
     factors = [('line', cells.line), ('weather', cells.weather)]
     if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= MIN_TRAINS:
@@ -177,7 +177,7 @@ def common_effects(cells: Cells, labels: Labels) -> Effects:
             columns.append(column + len(owners))
             owners += [len(names)] * levels.size
             names.append(name)
-    return Effects(np.stack(columns, axis=1), np.array(owners), tuple(names))
+    return SharedEffects(np.stack(columns, axis=1), np.array(owners), tuple(names))
 
 
 class _Problem:
@@ -185,13 +185,15 @@ class _Problem:
 
     Args:
         cells: Values.
-        effects: Effects in common.
+        effects: Shared random effects.
         trains: Number of trains.
         used: Cells that count, shape (n,).
         level_std: Usual standard deviation among trains.
     """
 
-    def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_], level_std: float) -> None:
+    def __init__(
+        self, cells: Cells, effects: SharedEffects, trains: int, used: NDArray[np.bool_], level_std: float
+    ) -> None:
         self.cells, self.effects, self.used, self._trains = cells, effects, used, trains
         self.weights = used.astype(float)
         # Numbers near zero: sums of squares of values far from it would lose all digits.
@@ -285,7 +287,7 @@ def fit(
         rounds: How often the weights are found anew.
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
-    problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used, level_std)
+    problem = _Problem(cells, shared_effects(cells, labels), len(labels.trains), used, level_std)
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
     for _ in range(rounds):
         x = minimize(
@@ -315,7 +317,7 @@ def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
     )
 
 
-def _stds(effects: Effects) -> tuple[str, ...]:
+def _stds(effects: SharedEffects) -> tuple[str, ...]:
     return ('stated', 'error', 'train', *effects.names)
 
 

@@ -14,7 +14,7 @@ from datetime import UTC, date, datetime
 from glob import glob, has_magic
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import trainid_ros
 from trainid_ros.bag.bag_files import METADATA, SUFFIXES, bags_below, locate
@@ -26,6 +26,8 @@ from trainid_ros.interface.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from trainid_ros.fleet.table_file import Row
 
 LABELS: Final = ('train', 'line', 'weather', 'day')
 """What is known of a bag besides its messages; columns of the table."""
@@ -94,6 +96,13 @@ class Plan:
             InputError: It cannot be written.
         """
         write_whole(path, lambda part: part.write_text(json.dumps(self.to_json(), indent=1) + '\n', encoding='utf-8'))
+
+
+class FleetRun(NamedTuple):
+    """A row as read from a table, and how that was made, None if its plan is missing."""
+
+    row: Row
+    setup: Setup | None
 
 
 def plan_file(table: Path) -> Path:

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay the bags of a plan that have no row yet, on this machine or on a cluster, and write the table.
 
+Each bag is replayed as by ``trainid replay``; a failure is a row too. The error of the wheel diameter is the ratio of
+the distance by the speed to that by the position, from stop to stop. Positions corrected by balises or at platforms do
+not depend on the wheels. Where they are integrated from the same wheels, the ratio is one and says nothing.
+
 Each row is kept in a file beside the table, whose name is the digest of all that determines it. A run that was stopped
 or killed is repeated: the rows that exist are taken.
 
@@ -11,27 +15,251 @@ is plain Python, and threads would only wait for each other. Bags and train file
 from __future__ import annotations
 
 import json
+import math
 import re
 import socket
 from contextlib import closing, contextmanager
-from functools import partial
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.worker_pool import each_bag
-from trainid_ros.fleet.bag_row import bag_row, killed_row, labels_in_row
-from trainid_ros.fleet.table_file import empty_row, write_table
-from trainid_ros.interface.errors import InputError
+import numpy as np
+
+from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
+from trainid_ros.bag.reader import BagReader, in_two
+from trainid_ros.bag.worker_pool import each_bag, killed_message
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.fleet.plan import LABELS, day_of
+from trainid_ros.fleet.table_file import SPEEDS, Row, empty_row, reason_column, share_column, write_table
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.files import write_whole
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.results import Status, deviations
+from trainid_ros.resistance.davis_posterior import resistance_std
+from trainid_ros.setup.params_file import node_setups
+from trainid_ros.setup.pipelines import force_findings
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
-    from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from trainid_ros.bag.types import RecordTable
     from trainid_ros.fleet.plan import Plan, PlannedBag, Setup
-    from trainid_ros.fleet.table_file import Row
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
+    from trainid_ros.interface.results import ResistanceEstimate
+    from trainid_ros.setup.params_file import Setup as NodeSetup
 
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
     """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
+
+_SPEED: Final = INPUT_TOPICS.index(SPEED_TOPIC)
+_STANDSTILL: Final = 0.05  # Below this the train stands [m/s].
+_MIN_LEG: Final = 200.0  # Distance from stop to stop that counts [m]: errors of a stop are then below 1 %.
+_MAX_GAP: Final = 2.0  # Between two speeds, for a leg to have a known distance [s]
+_STOP_ERROR: Final = 1.0  # Of the distance between two stops, by balises, overshoot and slip [m]; added to the scatter
+_MAX_RATIO_ERROR: Final = 0.2  # Beyond it is not the wheels: another unit, or positions of something else [1].
+
+
+class Odometer:
+    """Compares distances from stop to stop; tables of records come in the order of the log."""
+
+    def __init__(self) -> None:
+        self._rest = self._position = math.nan  # positions at the last stop, and of the last speed [m]
+        self._driven = self._speed = 0.0
+        self._stamp_ns = 0
+        self._ratios: list[tuple[float, float]] = []
+
+    def add(self, table: RecordTable) -> None:
+        """Take in records; others than speeds do not count."""
+        chosen = np.flatnonzero(table.topic == _SPEED)
+        if chosen.size:
+            self._add(table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen])
+
+    def _add(self, stamp_ns: NDArray[np.int64], speed: NDArray[np.float64], position: NDArray[np.float64]) -> None:
+        gap = np.diff(stamp_ns, prepend=self._stamp_ns or stamp_ns[0]) / NS_PER_S
+        before = np.concatenate(([self._speed], speed[:-1]))
+        # A leg with a gap has no known distance.
+        steps = np.where((gap >= 0.0) & (gap < _MAX_GAP), 0.5 * (before + speed) * gap, math.nan)
+        self._stamp_ns, self._speed = int(stamp_ns[-1]), float(speed[-1])
+        standing = speed < _STANDSTILL
+        # Pieces that start where the train stops or departs.
+        edges = np.flatnonzero(np.diff(standing)) + 1
+        for first, end in zip([0, *edges.tolist()], [*edges.tolist(), speed.size], strict=True):
+            if standing[first]:
+                self._driven += float(steps[first])  # the last step before the stop
+                self._arrive(float(position[end - 1]))
+            else:
+                self._driven += float(steps[first:end].sum())
+
+    def _arrive(self, position: float) -> None:
+        """Close a leg at a stop; positions are corrected while the train stands, so the last one counts."""
+        leg = abs(position - self._rest)
+        if self._driven > 0.0 and leg > _MIN_LEG and abs(self._driven / leg - 1.0) < _MAX_RATIO_ERROR:
+            self._ratios.append((self._driven / leg, leg))
+        self._rest, self._driven = position, 0.0
+
+    @property
+    def ratio(self) -> tuple[float, float] | None:
+        """Mean ratio and its standard deviation, None if there was no leg."""
+        if not self._ratios:
+            return None
+        ratio, leg = np.array(self._ratios).T
+        weight = leg * leg
+        mean = float(np.average(ratio, weights=weight))
+        stated = _STOP_ERROR / math.sqrt(float(weight.sum()))
+        scatter = float(np.average((ratio - mean) ** 2, weights=weight)) / max(1, ratio.size - 1)
+        return mean, math.hypot(stated, math.sqrt(scatter))
+
+
+class OdometerReader(BagReader):
+    """A bag whose records an odometer takes in as they are read."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Name the bag; arguments as of :class:`BagReader`."""
+        super().__init__(*arguments, **options)
+        self.odometer = Odometer()
+
+    def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
+        """Yield the tables of the reader."""
+        for table in super().tables(last_ns):
+            self.odometer.add(table)
+            yield table
+
+
+def bag_row(setup: Setup, revision: str, bag: PlannedBag, advance: Callable[[float], None]) -> Row:
+    """Return the row of a bag.
+
+    Args:
+        setup: How it is replayed.
+        revision: What computes.
+        bag: The bag as listed.
+        advance: Called with the share done since its last call.
+    """
+    row = listed_row(bag, revision)
+    if bag.error:
+        advance(1.0)
+        return row
+    try:
+        _replay(setup, bag, row, advance)
+    except TrainIdError as error:
+        row['error'] = str(error)
+    except OSError as error:
+        row['error'] = f'{error.filename or bag.path}: {error.strerror}'
+    return row
+
+
+def killed_row(revision: str, bag: PlannedBag) -> Row:
+    """Return the row of a bag whose process was killed."""
+    return listed_row(bag, revision) | {'error': killed_message(Path(bag.path))}
+
+
+def listed_row(bag: PlannedBag, revision: str) -> Row:
+    """Return what the list says of a bag."""
+    row = empty_row() | {'bag': bag.path, 'start': bag.start_s, 'revision': revision}
+    return row | labels_in_row(bag, bag.start_s) | {'error': bag.error or None}
+
+
+def labels_in_row(bag: PlannedBag, start_s: float | None) -> Row:
+    """Return the labels of a bag; ``start_s`` is the time of its first message [s], None if it is not known."""
+    labels: Row = {name: getattr(bag, name) or None for name in LABELS}
+    return labels | {'day': day_of(bag.day, start_s, Path(bag.path))}
+
+
+@lru_cache(maxsize=1)
+def _prepared(setup: Setup) -> tuple[tuple[NodeSetup, ...], Callable[[], MappedInputs] | None]:
+    """Return setups of the nodes and what makes the inputs, read once in each process."""
+    train_file = load_train_file(setup.train)
+    setups = node_setups(train_file, str(setup.train), setup.params, namespace=setup.namespace)
+    return setups, mapped_inputs(setup.mapping, setups[0].train_file)
+
+
+def check_setup(setup: Setup) -> None:
+    """Raise InputError if train file, parameters or mapping cannot be used."""
+    _prepared(setup)
+
+
+def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], None]) -> None:
+    """Replay a bag and fill its row.
+
+    Raises:
+        InputError: It cannot be used.
+    """
+    setups, inputs = _prepared(setup)
+    opening, reading = in_two(advance)
+    with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
+        pipelines = Pipelines(*(item.realigned(reader.mapping.alignment).pipeline() for item in setups))
+        before = _dead_time(pipelines)
+        count = max(reader.input_count, 1)
+        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count))
+        span = reader.time_range()
+    if row['start'] is None and span is not None:  # the bag has no index
+        row['start'] = span[0] / NS_PER_S
+        row |= labels_in_row(bag, row['start'])
+    row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
+    row |= _resistance(outcome) | _brake(outcome)
+    for name in ('contradiction', 'finding'):
+        row[name] = row[name] and reader.mapping.named(row[name])
+    row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
+    if before is not None and (learned := _dead_time(pipelines)) is not None and learned[1] < before[1]:
+        row['dead_time'], row['dead_time_std'] = learned
+    if (ratio := reader.odometer.ratio) is not None:
+        row['wheel_ratio'], row['wheel_ratio_std'] = ratio
+
+
+def _resistance(outcome: Replay) -> Row:
+    result = outcome.resistance
+    w = result.output.estimate
+    findings = (*force_findings(w), *outcome.brake_findings)
+    row: Row = {
+        'status': result.output.status.name,
+        'used': result.output.used,
+        'rejected': result.output.rejected,
+        'contradiction': outcome.contradiction.finding or None,
+        'finding': '; '.join(findings) or None,
+    }
+    row |= {reason_column(reason): count for reason, count in result.rejections}
+    outputs = max(1, sum(result.statuses))
+    row |= {share_column(status): result.statuses[status] / outputs for status in Status}
+    reason = outcome.why_no_resistance()
+    return row | ({'error': reason} if reason else _davis(w))
+
+
+def _davis(w: ResistanceEstimate) -> Row:
+    row: Row = {'a': w.a, 'b': w.b, 'c': w.c, 'speed_min': w.speed_min, 'speed_max': w.speed_max}
+    row |= {f'{name}_std': std for name, std in zip('abc', deviations(w.covariance), strict=True)}
+    for v in SPEEDS:
+        row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
+    for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
+        row[name] = _known(getattr(w, name))
+    return row
+
+
+def _brake(outcome: Replay) -> Row:
+    result = outcome.brake_rate
+    if not result.output.used:
+        return {'brake_status': result.output.status.name, 'brake_used': 0}
+    return {
+        'brake_rate': result.output.estimate.brake_rate,
+        'brake_rate_std': result.output.estimate.brake_rate_std,
+        'brake_status': result.output.status.name,
+        'brake_used': result.output.used,
+    }
+
+
+def _dead_time(pipelines: Pipelines) -> tuple[float, float] | None:
+    """Return dead time of the brake and its standard deviation [s], None of an estimator that does not have them."""
+    estimator = pipelines.brake_rate.estimator
+    if not isinstance(estimator, BrakeRateEstimator):
+        return None
+    return estimator.state.timing.delay, estimator.state.timing.delay_std
+
+
+def _known(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
 
 TASK_BAGS: Final = 20
 """Bags of a task: together they take seconds, beside which the milliseconds of the scheduler do not count."""
