@@ -59,7 +59,6 @@ MODULES: Final = (
     'stream/samples',
     'stream/slope_checks',
     'stream/topic_track',
-    'train/effect_point',
     'train/effect_terms',
     'train/forces',
 )

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.explain.dataset import Run
-from trainid_ros.train.effect_point import TrackPoint
-from trainid_ros.train.forces import davis
+from trainid_ros.train.forces import TrackPoint, davis
 from trainid_ros.train.train_file import Davis
 
 

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from trainid_ros.train.forces import G
+
 # Plausible slopes of traction and brake [1]: loads, brake rates and resistances differ by less.
 TRACTION_RANGE = (0.55, 1.8)
 BRAKE_RANGE = (0.35, 2.2)
@@ -50,7 +52,6 @@ _OFF_BLOCKS: Final = 2
 _STRONG: Final = 20.0
 # Slope of a force that certainly acts against the command [1].
 _OPPOSITE: Final = 0.4
-_G: Final = 9.81
 # Ratio within which a slope may be a factor, as far as mass, brake and resistance are known [1].
 _NEAR: Final = 1.0 / 0.7
 # Ratios by which a number in another unit is too large: speeds in km/h and miles per hour, newtons over pounds-force.
@@ -244,7 +245,7 @@ class Effort(Regression):
             return
         by_force, by_speed = self.value, brake.value
         if _is_off(by_force, by_speed):
-            unit = 'looks like g' if is_near(by_force, _G) else 'is off'
+            unit = 'looks like g' if is_near(by_force, G) else 'is off'
             self.finding = f'ato/brake_command {unit}: speed and ato/force brake {by_force:.2g} times as much'
         elif not _agree(by_force, by_speed, _SAME) or _agree(by_force, 1.0, _RIGHT):
             self.finding = ''
@@ -299,7 +300,7 @@ def _traction_text(slope: float, by_position: float) -> str:
 def _brake_text(slope: float, by_position: float) -> str:
     if slope < _NO_BRAKING:
         return 'the train does not brake while ato/brake_command brakes'
-    if is_near(slope, _G):
+    if is_near(slope, G):
         return f'ato/brake_command looks like g: the train brakes {slope:.2g} times as much'
     if unit := _speed_text(slope, by_position):
         return f'ato/speed looks like {unit}: the train brakes {slope:.2g} times as much as ato/brake_command'

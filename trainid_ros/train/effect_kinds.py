@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.effect_point import TrackPoint
+from trainid_ros.train.forces import TrackPoint
 from trainid_ros.train.train_file import Davis
 
 Parameters = Mapping[str, float]

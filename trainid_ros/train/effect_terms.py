@@ -10,8 +10,7 @@ import math
 from typing import Final
 
 from trainid_ros.train.effect_kinds import EffectKind, Parameter, Parameters, Twin
-from trainid_ros.train.effect_point import TrackPoint, share_inside
-from trainid_ros.train.forces import davis
+from trainid_ros.train.forces import TrackPoint, davis, share_inside
 from trainid_ros.train.train_file import Davis
 
 

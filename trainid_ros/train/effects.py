@@ -27,8 +27,8 @@ from typing import Final
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train import effect_terms
 from trainid_ros.train.effect_kinds import EffectKind, Parameter, Parameters, Resistance, Twin
-from trainid_ros.train.effect_point import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
 from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.forces import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
 from trainid_ros.train.train_file import Davis, Effect
 
 __all__ = [

@@ -20,17 +20,18 @@ from trainid_ros.train.fields import Section, as_section, finite_number, parse_y
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
-# Below this speed, the power limits the traction as at it [m/s].
-_SLOWEST = 0.1
-# A brake rate outside this range is a unit error.
+_MIN_SPEED = 0.1
+"""Below this speed, the power limits the traction as at it [m/s]."""
 MIN_RATE, MAX_RATE = 0.01, 10.0
+"""A brake rate outside this range is a unit error [1]."""
 _CARS = 6
-# The time of an answer of the client grows with the rows of the brake rate.
+"""Number of cars of a train without a stated number, as that of Yizhuang Line."""
 _MAX_ROWS = 100
-# Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
+"""Maximum number of rows of the brake rate: the time of an answer of the client grows with them."""
 _MIN_DELAY, _MIN_LAG = 0.67, 0.25
-# Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
-_MAX_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
+"""Added in quadrature to dead time and lag, because the relative error of short ones is larger [s]."""
+_MAX_SPEED, _MAX_GRADIENT, _MIN_RADIUS, _MAX_POSITION = 1000.0, 500.0, 1.0, 1e8
+"""Values beyond are unit errors: speed [m/s], gradient [per mille], radius of a curve [m], position [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class Train:
 
     def traction_limit(self, speed: float) -> float:
         """Return the largest traction [N] at a speed [m/s]."""
-        return min(self.max_traction_force, self.max_traction_power / max(speed, _SLOWEST))
+        return min(self.max_traction_force, self.max_traction_power / max(speed, _MIN_SPEED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,19 +161,11 @@ def parse_train_file(text: str, source: str) -> TrainFile:
 
 def dump_train_file(train_file: TrainFile) -> str:
     """Return a train file as YAML text that reads back as exactly the same values."""
-    line = train_file.line
     document = {
         'train': _plain(train_file.train),
         'resistance': _plain(train_file.resistance),
         'brake': _plain_brake(train_file.brake),
-        'line': {
-            'stops': [float(stop) for stop in line.stops],
-            'gradient': _lists(line.gradient),
-            'curve': _lists(line.curve),
-            'tunnel': _lists(line.tunnel),
-            'speed_limit': _lists(line.speed_limit),
-            'gradient_std': float(line.gradient_std),
-        },
+        'line': _plain(train_file.line),
         'effects': [_plain_effect(effect) for effect in train_file.effects],
     }
     import yaml  # noqa: PLC0415 (slow to load)
@@ -237,7 +230,7 @@ def _line(section: Section) -> Line:
     _check_rising(section, 'stops', stops)
     return Line(
         stops=stops,
-        gradient=_profile(section, 'gradient', 'per mille', low=-_STEEPEST, high=_STEEPEST),
+        gradient=_profile(section, 'gradient', 'per mille', low=-_MAX_GRADIENT, high=_MAX_GRADIENT),
         curve=_curves(section),
         tunnel=_tunnels(section),
         speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MAX_SPEED),
@@ -257,15 +250,15 @@ def _curves(section: Section) -> Pairs:
     curves = _profile(section, 'curve', 'm radius', low=0.0, high=1e9)
     for i, (_, radius) in enumerate(curves):
         if radius:
-            section.check(f'curve[{i}][1]', radius, 'm radius', low=_TIGHTEST)
+            section.check(f'curve[{i}][1]', radius, 'm radius', low=_MIN_RADIUS)
     return curves
 
 
 def _tunnels(section: Section) -> Pairs:
     rows = section.rows('tunnel', ('start m', 'end m'))
     for i, (start, end) in enumerate(rows):
-        section.check(f'tunnel[{i}][0]', start, 'm', low=-_FARTHEST)
-        section.check(f'tunnel[{i}][1]', end, 'm', high=_FARTHEST)
+        section.check(f'tunnel[{i}][0]', start, 'm', low=-_MAX_POSITION)
+        section.check(f'tunnel[{i}][1]', end, 'm', high=_MAX_POSITION)
         if end <= start:
             section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end beyond its start')
     for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
@@ -276,7 +269,7 @@ def _tunnels(section: Section) -> Pairs:
 
 def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> None:
     for i, position in enumerate(positions):
-        section.check(f'{key}[{i}]', position, 'm', low=-_FARTHEST, high=_FARTHEST)
+        section.check(f'{key}[{i}]', position, 'm', low=-_MAX_POSITION, high=_MAX_POSITION)
     for i, (before, after) in enumerate(pairwise(positions)):
         if after <= before:
             problem = f'= {after:g} m must be above {before:g} m: positions must increase'
@@ -322,12 +315,15 @@ def _first(row: tuple[float, float]) -> float:
     return row[0]
 
 
-def _plain(value: Train | Davis) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for item in fields(value):
-        number = getattr(value, item.name)
-        out[item.name] = number if isinstance(number, int) else float(number)
-    return out
+def _plain(section: Train | Davis | Line) -> dict[str, object]:
+    return {item.name: _lists(getattr(section, item.name)) for item in fields(section)}
+
+
+def _lists(value: Any) -> object:
+    """Return a number as one of Python, and nested tuples of numbers as lists."""
+    if isinstance(value, tuple):
+        return [_lists(item) for item in value]
+    return value if isinstance(value, int) else float(value)
 
 
 def _plain_effect(effect: Effect) -> dict[str, object]:
@@ -337,7 +333,3 @@ def _plain_effect(effect: Effect) -> dict[str, object]:
         'std': {key: float(value) for key, value in effect.std},
         'provenance': effect.provenance,
     }
-
-
-def _lists(pairs: Pairs) -> list[list[float]]:
-    return [[float(first), float(second)] for first, second in pairs]
