@@ -148,5 +148,5 @@ _RANGES: Final = {
 
 
 def place_text(axis: str, label: str) -> str:
-    """Return one part of an axis of :func:`~trainid_ros.explain.gap_location.locate` as text."""
+    """Return one part of an axis of :func:`~trainid_ros.explain.proof.locate` as text."""
     return _KINDS.get((axis, label)) or _RANGES.get(axis, f'{axis} {{}}').format(label)

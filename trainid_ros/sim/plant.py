@@ -40,6 +40,7 @@ from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import TrainFile
 
 STEP_NS: Final = 20_000_000
+"""Step of the simulation [ns]."""
 
 
 class Plant:
@@ -265,11 +266,15 @@ class DelayLine:
 
 
 TICK_S: Final = 0.2
+"""Time between two decisions of the driver [s]."""
 _LINEAR_M: Final = 1.0
+"""Distance from the stop within which the speed falls in proportion to it [m]."""
 _BRAKE_EXCESS: Final = -0.3
+"""Speed over the allowed one from which the driver brakes [m/s]."""
 _RELEASE_EXCESS: Final = -0.8
-# Largest gain of the regulator times dead time and lag of the brake: more would swing.
+"""Speed over the allowed one below which the driver releases the brake [m/s]."""
 _MAX_GAIN: Final = 1.0
+"""Maximum gain of the regulator times dead time and lag of the brake [1]: more would swing."""
 
 
 class Phase(Enum):

@@ -35,10 +35,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAP_STEP_M: Final = 10.0
+"""Distance between two values of the map error [m]."""
 MAX_JITTER_NS: Final = 4_000_000
+"""Maximum error of a stamp [ns]: topics keep their order, since they are measured a step of 20 ms apart."""
 _SLIP_DURATION_S: Final = (0.6, 2.0)
-_LOWEST_ADHESION: Final = 10.0
-"""Lowest adhesion, 1 % of the weight: a wheel that transmits less force does not slip [N/kN]."""
+"""Range of the duration of a slip or slide [s]."""
+_MIN_ADHESION: Final = 10.0
+"""Minimum adhesion, 1 % of the weight: a wheel that transmits less force does not slip [N/kN]."""
 _MAX_SLIP_SHARE: Final = 0.9
 """Maximum share of slip in the time with a force above the lowest adhesion [1]."""
 
@@ -157,9 +160,9 @@ class Sensors:
         low, high = _SLIP_DURATION_S
         self._slip_left_s -= self._dt
         self._running_count += 1
-        if abs(force_per_weight) < _LOWEST_ADHESION or force_per_weight * self._slip < 0.0:
+        if abs(force_per_weight) < _MIN_ADHESION or force_per_weight * self._slip < 0.0:
             self._slip = self._slip_left_s = 0.0
-        if abs(force_per_weight) < _LOWEST_ADHESION:
+        if abs(force_per_weight) < _MIN_ADHESION:
             return 0.0
         self._forced_count += 1
         if self._slip_left_s <= 0.0:
@@ -201,11 +204,15 @@ def ar1_path(count: int, std: float, rho: float, rng: np.random.Generator) -> ND
 
 
 DEFAULT_START_NS: Final = 1_700_000_000 * NS_PER_S
+"""Stamp of time zero [ns], 2023-11-14 22:13:20 UTC."""
 TICK_NS: Final = round(TICK_S * NS_PER_S)
+"""Time between two messages of a topic [ns]."""
 MAX_RUN_S: Final = 3600.0
-_MASS_EVERY: Final = 5
-# Steps after a tick at which each topic is measured: topics have different stamps, as on a train.
+"""Maximum duration of a run from stop to stop [s]: what takes longer cannot be driven."""
+_MASS_TICKS: Final = 5
+"""Ticks between two masses."""
 _GRADIENT_STEP, _FORCE_STEP, _SPEED_STEP = 5, 7, 8
+"""Steps after a tick at which each topic is measured: topics have different stamps, as on a train."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,7 +381,7 @@ class _Day:
         decision = self._driver.decide(time_s, plant)
         plant.command(decision.brake)
         self._record(sensors.brake(plant.now_ns, decision.brake))
-        if tick % _MASS_EVERY == 0:
+        if tick % _MASS_TICKS == 0:
             self._record(sensors.mass(plant.now_ns, self._weighed))
         for step in range(1, TICK_NS // STEP_NS + 1):
             plant.step(decision.traction)

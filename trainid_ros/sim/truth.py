@@ -42,7 +42,7 @@ class Truth:
     # (time, a, b, c) in s and N/kN with v in m/s; at least one entry
     resistance: tuple[tuple[float, float, float, float], ...]
     brake_rate: tuple[tuple[float, float], ...] = ()  # (time [s], rate [1]); empty if the rate is not known
-    # True values that are wrong in the train file or missing from it, see ``realism.Unknowns``; SI units
+    # True values that are wrong in the train file or missing from it, see ``sim.worlds.Unknowns``; SI units
     unknowns: NamedValues = ()
 
     def truth_at(self, time_s: float) -> TruthPoint:

@@ -22,7 +22,7 @@ from trainid_ros.sim.plant import DriverModel, GustModel
 from trainid_ros.sim.scenario import Change, Scenario, SensorModel, check_scenario
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.fields import did_you_mean
-from trainid_ros.train.train_file import Brake, Davis, Effect, NamedValues, TrainFile, load_train_file
+from trainid_ros.train.train_file import Davis, Effect, NamedValues, TrainFile, load_train_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +119,11 @@ def usual_duration(world: World, stops: tuple[float, ...], runs: int) -> float:
 
 _CURVE: Final = 'curve_resistance'
 _CURVE_STD: Final = 0.2
+"""Relative standard deviation of a coefficient of curve resistance [1]."""
 _MAX_STDS: Final = 3.0
-"""Largest error in standard deviations, so that no ratio is negative."""
-# Changes happen between these shares of the day, so that there are data before and after.
+"""Maximum error in standard deviations, so that no ratio is negative."""
 _FIRST_CHANGE, _LAST_CHANGE = 0.15, 0.85
+"""Shares of the day between which changes happen [1], so that there are data before and after."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +207,22 @@ def make_case(
                 f'effect {effect.name}: the true train has it already, from its train file or from the unknowns drawn'
             )
     true = replace(true, effects=(*true.effects, *extra))
-    scenario = replace(_scenario(world, true, unknowns, runs), stated=stated)
+    scenario = Scenario(
+        train_file=true,
+        runs=runs,
+        changes=_changes(unknowns, true.resistance, usual_duration(world, true.line.stops, runs)),
+        passengers=world.passengers,
+        sensors=SensorModel(
+            speed_quantum=unknowns.speed_quantum,
+            wheel_ratio=unknowns.wheel_ratio,
+            map_error=unknowns.map_std,
+            map_error_length=unknowns.map_length,
+            force_delay=unknowns.force_delay,
+        ),
+        driver=world.driver,
+        gust=GustModel(unknowns.gust_std, unknowns.gust_time_constant),
+        stated=stated,
+    )
     check_scenario(scenario)
     return Case(scenario, stated, _true_values(unknowns, true))
 
@@ -251,52 +267,25 @@ def stated_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
 
 def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
     """Return the true train; mass and reported force remain as stated, effects represent their errors."""
-    effects = [_true_curve(effect, unknowns.curve_ratio) for effect in file.effects]
+    effects = [
+        replace(effect, parameters=tuple((key, unknowns.curve_ratio * value) for key, value in effect.parameters))
+        if effect.name == _CURVE
+        else effect
+        for effect in file.effects
+    ]
     for name, ratio in (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio)):
         if ratio != 1.0:
             effects.append(Effect(name, (('ratio', ratio),)))
-    davis, (a, b, c) = file.resistance, unknowns.davis_ratios
+    davis, brake, (a, b, c) = file.resistance, file.brake, unknowns.davis_ratios
     return replace(
         file,
         resistance=Davis(davis.a * a, davis.b * b, davis.c * c),
-        brake=_true_brake(file.brake, unknowns),
+        brake=replace(
+            brake,
+            delay=max(0.0, brake.delay + unknowns.brake_delay_error),
+            time_constant=brake.time_constant * unknowns.brake_time_ratio,
+        ),
         effects=tuple(effects),
-    )
-
-
-def _scenario(world: World, true: TrainFile, unknowns: Unknowns, runs: int) -> Scenario:
-    return Scenario(
-        train_file=true,
-        runs=runs,
-        changes=_changes(unknowns, true.resistance, usual_duration(world, true.line.stops, runs)),
-        passengers=world.passengers,
-        sensors=_sensors(unknowns),
-        driver=world.driver,
-        gust=GustModel(unknowns.gust_std, unknowns.gust_time_constant),
-    )
-
-
-def _true_curve(effect: Effect, ratio: float) -> Effect:
-    if effect.name != _CURVE:
-        return effect
-    return replace(effect, parameters=tuple((key, ratio * value) for key, value in effect.parameters))
-
-
-def _true_brake(brake: Brake, unknowns: Unknowns) -> Brake:
-    return replace(
-        brake,
-        delay=max(0.0, brake.delay + unknowns.brake_delay_error),
-        time_constant=brake.time_constant * unknowns.brake_time_ratio,
-    )
-
-
-def _sensors(unknowns: Unknowns) -> SensorModel:
-    return SensorModel(
-        speed_quantum=unknowns.speed_quantum,
-        wheel_ratio=unknowns.wheel_ratio,
-        map_error=unknowns.map_std,
-        map_error_length=unknowns.map_length,
-        force_delay=unknowns.force_delay,
     )
 
 
