@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -249,7 +249,7 @@ def draw_unknowns(names: Collection[str], rng: np.random.Generator) -> Unknowns:
     unknowns = Unknowns()
     for (name, draw), generator in zip(_DRAWS.items(), rng.spawn(len(_DRAWS)), strict=True):
         if name in names:
-            unknowns = draw(unknowns, generator)
+            unknowns = replace(unknowns, **draw(generator))
     return unknowns
 
 
@@ -320,57 +320,23 @@ def _curve_coefficient(file: TrainFile) -> float:
     return effect_value(file.effects, _CURVE, 'coefficient', 0.0)
 
 
-def _mass(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+def _mass(rng: np.random.Generator) -> dict[str, Any]:
     std = rng.uniform(0.02, 0.05)
-    return replace(unknowns, mass_std=std, mass_ratio=_ratio(std, rng))
+    return {'mass_std': std, 'mass_ratio': _ratio(std, rng)}
 
 
-def _force_gain(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+def _force_gain(rng: np.random.Generator) -> dict[str, Any]:
     std = rng.uniform(0.01, 0.03)
-    return replace(unknowns, force_std=std, force_ratio=_ratio(std, rng))
+    return {'force_std': std, 'force_ratio': _ratio(std, rng)}
 
 
-def _force_delay(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, force_delay=rng.uniform(0.0, 0.3))
-
-
-def _curve(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, curve_std=_CURVE_STD, curve_ratio=_ratio(_CURVE_STD, rng))
-
-
-def _map(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, map_std=rng.uniform(0.1, 0.5), map_length=rng.uniform(100.0, 500.0))
-
-
-def _wheels(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, wheel_ratio=1.0 + rng.uniform(-0.005, 0.005))
-
-
-def _gusts(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, gust_std=rng.uniform(0.1, 0.4), gust_time_constant=rng.uniform(3.0, 12.0))
-
-
-def _quantum(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    return replace(unknowns, speed_quantum=rng.uniform(0.1, 0.5) / 3.6)
-
-
-def _changes_during_day(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+def _changes_during_day(rng: np.random.Generator) -> dict[str, Any]:
     resistance = tuple(
         ResistanceChange(share, 1.0 + _signed_uniform(0.1, 0.3, rng), 1.0 + _signed_uniform(0.05, 0.2, rng))
         for share in _change_shares(rng)
     )
     brake = tuple(BrakeChange(share, 1.0 + _signed_uniform(0.05, 0.2, rng)) for share in _change_shares(rng))
-    return replace(unknowns, resistance_changes=resistance, brake_changes=brake)
-
-
-def _brake(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    error, ratio = rng.uniform(-0.3, 0.3), rng.uniform(0.7, 1.3)
-    return replace(unknowns, brake_timing_std=0.2, brake_delay_error=error, brake_time_ratio=ratio)
-
-
-def _resistance(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
-    a, b, c = 1.0 + rng.uniform(-0.2, 0.2, 3)
-    return replace(unknowns, davis_ratios=(float(a), float(b), float(c)))
+    return {'resistance_changes': resistance, 'brake_changes': brake}
 
 
 def _ratio(std: float, rng: np.random.Generator) -> float:
@@ -389,21 +355,25 @@ def _change_shares(rng: np.random.Generator) -> list[float]:
     return sorted(shares)
 
 
-# Append new ones at the end: the order determines the generator that each draws from.
-_DRAWS: Final[Mapping[str, Callable[[Unknowns, np.random.Generator], Unknowns]]] = MappingProxyType(
+_DRAWS: Final[Mapping[str, Callable[[np.random.Generator], dict[str, Any]]]] = MappingProxyType(
     {
         'mass': _mass,
         'force_gain': _force_gain,
-        'force_delay': _force_delay,
-        'curve': _curve,
-        'map': _map,
-        'wheels': _wheels,
-        'gusts': _gusts,
-        'quantum': _quantum,
+        'force_delay': lambda rng: {'force_delay': rng.uniform(0.0, 0.3)},
+        'curve': lambda rng: {'curve_std': _CURVE_STD, 'curve_ratio': _ratio(_CURVE_STD, rng)},
+        'map': lambda rng: {'map_std': rng.uniform(0.1, 0.5), 'map_length': rng.uniform(100.0, 500.0)},
+        'wheels': lambda rng: {'wheel_ratio': 1.0 + rng.uniform(-0.005, 0.005)},
+        'gusts': lambda rng: {'gust_std': rng.uniform(0.1, 0.4), 'gust_time_constant': rng.uniform(3.0, 12.0)},
+        'quantum': lambda rng: {'speed_quantum': rng.uniform(0.1, 0.5) / 3.6},
         'changes': _changes_during_day,
-        'brake': _brake,
-        'resistance': _resistance,
+        'brake': lambda rng: {
+            'brake_timing_std': 0.2,
+            'brake_delay_error': rng.uniform(-0.3, 0.3),
+            'brake_time_ratio': rng.uniform(0.7, 1.3),
+        },
+        'resistance': lambda rng: {'davis_ratios': tuple((1.0 + rng.uniform(-0.2, 0.2, 3)).tolist())},
     }
 )
+"""Fields of :class:`Unknowns` that each unknown draws; its place here determines its generator, so append new ones."""
 UNKNOWNS: Final = tuple(_DRAWS)
 REALISMS: Final[Mapping[str, frozenset[str]]] = MappingProxyType({'clean': frozenset(), 'field': frozenset(UNKNOWNS)})
