@@ -68,7 +68,7 @@ _TITLES: Final = {
     'yizhuang_day': 'A day on the Beijing Yizhuang line',
 }
 _MAX_START_S: Final = 60.0  # within which all nodes must publish
-_QUIET_S: Final = 1.5  # without an estimate after the bag was played, after which none comes any more
+_QUIET_S: Final = 15.0  # without an estimate after the bag was played, after which none comes any more
 _POLL_S: Final = 0.05
 _LINE_S: Final = 5.0  # between the lines that show the newest estimates
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
@@ -78,25 +78,27 @@ _DEPTH: Final = 40000
 class Node(NamedTuple):
     """An estimator node of the demo."""
 
-    label: str
+    key: str  # In the JSON output
+    label: str  # For people
     kind: EstimatorKind[Any]
     name: str
     topic: str
     settings: EstimatorSettings = EstimatorSettings()
 
 
-BANK, MODEL, RATE = (
-    Node(label, kind, kind.node_name, kind.topic.name)
+MISSION: Final = tuple(
+    Node(kind.name, label, kind, kind.node_name, kind.topic.name)
     for label, kind in zip(('resistance w(v)', 'speed model, mass factor', 'brake rate'), KINDS, strict=True)
 )
 V_MILS: Final = Node(
+    'v_mils',
     'resistance w(v) by V-MILS',
     RESISTANCE_KIND,
     'v_mils_estimator',
     'trainid/v_mils/resistance',
     EstimatorSettings(resistance=RESISTANCE.choose('V-MILS')),
 )
-NODES: Final = (BANK, MODEL, RATE, V_MILS)
+NODES: Final = (*MISSION, V_MILS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -174,15 +176,17 @@ def _live(bags: list[DemoBag], args: argparse.Namespace, report: Path, say: Say)
         folder = logs / bag.path.name
         folder.mkdir(exist_ok=True)
         say(f'\n{bag.title}: {bag.path} at {args.rate:g} x real time')
-        played.append(_conclude(bag, play_live(bag, args.rate, duration_s, folder, say), duration_s))
+        played.append(_conclude(bag, *play_live(bag, args.rate, duration_s, folder, say)))
         for note in played[-1].chapter.notes:
             say(note)
     write_report('trainid demo', [one.chapter for one in played], report)
     return played
 
 
-def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: Say) -> Live:
-    """Play a bag to nodes in separate processes and collect what they publish.
+def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: Say) -> tuple[Live, Replayed]:
+    """Play a bag to nodes in separate processes, collect what they publish, and replay the bag off line.
+
+    Nodes that are slower than the playback catch up at its end, while the bag is replayed and after.
 
     Args:
         bag: The bag.
@@ -221,15 +225,20 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
         limit = ('--duration', repr(duration_s)) if math.isfinite(duration_s) else ()
         play = ('play', str(bag.path), '--rate', repr(rate), '--wait', '2', *limit)
         player = group.start('bag_player', *play, '--ros-args', '-p', 'publish_clock:=false')
+        while player.poll() is None:
+            live.take(subscriptions)
+            time.sleep(_POLL_S)
+        group.check(may_end='bag_player')
+        replayed = Replayed(bag, duration_s, live.recorder)
         last_s = time.monotonic()
-        while time.monotonic() < last_s + _QUIET_S:
+        while live.lacks(replayed) and time.monotonic() < last_s + _QUIET_S:
             group.check(may_end='bag_player')
-            if live.take(subscriptions) or player.poll() is None:
+            if live.take(subscriptions):
                 last_s = time.monotonic()
             time.sleep(_POLL_S)
         if killed := group.stop():
             raise NoAnswerError(f'{", ".join(killed)} did not stop on SIGTERM and was killed')
-    return live
+    return live, replayed
 
 
 def node_parameters() -> str:
@@ -255,8 +264,8 @@ def _subscribed() -> Iterator[tuple[Any, Mapping[Node, Any]]]:
 
     context = rclpy.Context()
     rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+    listener = rclpy.create_node('ato_controller', context=context)
     try:
-        listener = rclpy.create_node('ato_controller', context=context)
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
         # Messages are polled, which costs far less than a wait set for each: the callback is never called.
         yield (
@@ -266,8 +275,8 @@ def _subscribed() -> Iterator[tuple[Any, Mapping[Node, Any]]]:
                 for node in NODES
             },
         )
-        listener.destroy_node()
     finally:
+        listener.destroy_node()
         rclpy.try_shutdown(context=context)
 
 
@@ -318,6 +327,11 @@ class Live:
             self._next_s = time.monotonic() + _LINE_S
             self._say(line([one.newest for one in self.published.values() if one.newest is not None], self._truth))
         return count
+
+    def lacks(self, replayed: Replayed) -> bool:
+        """Return whether a node has published fewer estimates than its replay."""
+        both = ((self.published[node].digests, replayed.published[node].digests) for node in NODES)
+        return any(len(live) < len(expected) for live, expected in both)
 
     def _receive(self, node: Node, message: Any) -> bool:
         kind = node.kind.topic.estimate
@@ -427,27 +441,35 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     )
 
 
-def _conclude(bag: DemoBag, live: Live, duration_s: float) -> Played:
-    """Replay a bag off line, compare, and score what the nodes published."""
-    pipelines = {node: node.kind.pipeline(bag.train_file, node.settings) for node in NODES}
-    priors = {node: pipeline.current() for node, pipeline in pipelines.items()}
-    replayed = {node: Published() for node in NODES}
-    share_streams(pipelines.values())
-    with BagReader(bag.path) as reader, progress('replay for comparison') as advance:
-        span = reader.time_range()
-        end_ns = math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
-        rows = (row for _, row in reader.rows(end_ns))
-        while part := list(islice(rows, PROGRESS_EVERY)):
-            for row in part:
-                live.recorder.add_record(record_of(*row))
-                record = SharedRecord(row)
-                for node, pipeline in pipelines.items():
-                    pipeline.take(record.events(pipeline.stream), replayed[node].add)
-            advance(len(part))
-    comparisons = {node.label: compare(live.published[node].digests, replayed[node].digests) for node in NODES}
+class Replayed:
+    """What the pipelines of the nodes make of a bag off line, up to a duration [s]; the inputs go to a recorder."""
+
+    def __init__(self, bag: DemoBag, duration_s: float, recorder: Recorder) -> None:
+        self.published = {node: Published() for node in NODES}
+        self.pipelines = {node: node.kind.pipeline(bag.train_file, node.settings) for node in NODES}
+        self.priors = {node: pipeline.current() for node, pipeline in self.pipelines.items()}
+        share_streams(self.pipelines.values())
+        with BagReader(bag.path) as reader, progress('replay for comparison') as advance:
+            span = reader.time_range()
+            end_ns = math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
+            rows = (row for _, row in reader.rows(end_ns))
+            while part := list(islice(rows, PROGRESS_EVERY)):
+                for row in part:
+                    recorder.add_record(record_of(*row))
+                    record = SharedRecord(row)
+                    for node, pipeline in self.pipelines.items():
+                        pipeline.take(record.events(pipeline.stream), self.published[node].add)
+                advance(len(part))
+
+
+def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
+    """Compare what the nodes published with the replay, and score it."""
+    comparisons = {
+        node.label: compare(live.published[node].digests, replayed.published[node].digests) for node in NODES
+    }
     # A node that published nothing live still has its prior.
-    newest: dict[Node, Any] = {node: live.published[node].newest or priors[node] for node in NODES}
-    recording, beside = live.recorder.finish(), live.v_mils.finish()
+    newest: dict[str, Any] = {node.key: live.published[node].newest or replayed.priors[node] for node in NODES}
+    recording, beside, truth = live.recorder.finish(), live.v_mils.finish(), bag.truth
     rate = recording.duration_s / (live.last_s - live.first_s) if live.last_s > live.first_s else math.nan
     chapter = Chapter(
         title=bag.title,
@@ -456,25 +478,19 @@ def _conclude(bag: DemoBag, live: Live, duration_s: float) -> Played:
         train_file=bag.train_file,
         how=f'live over ROS 2 at {rate:.0f} x real time, then off line',
         recording=recording,
-        resistance=newest[BANK],
-        speed_model=newest[MODEL],
-        brake_rate=newest[RATE],
+        **{node.key: newest[node.key] for node in MISSION},
         rejections=tuple(
-            RejectionCounts(node.label, tuple(pipelines[node].rejections.most_common())) for node in (BANK, MODEL, RATE)
+            RejectionCounts(node.label, tuple(replayed.pipelines[node].rejections.most_common())) for node in MISSION
         ),
-        truth=bag.truth,
+        truth=truth,
         notes=tuple(f'{label}: {comparison}' for label, comparison in comparisons.items()),
         others=(('V-MILS', beside.resistance),),
     )
-    truth = bag.truth
     answer = {
         'bag': chapter.bag,
         'duration_s': recording.duration_s,
         'rate': rate,
-        'resistance': newest[BANK],
-        'v_mils': newest[V_MILS],
-        'speed_model': newest[MODEL],
-        'brake_rate': newest[RATE],
+        **newest,
         'scores': {
             'resistance': truth and score_resistance(recording, truth),
             'v_mils': truth and score_resistance(beside, truth),

@@ -110,7 +110,7 @@ class Pacer:
 
 # Time between looks for subscribers [ns], and longest wait for their acknowledgements at the end [s].
 _POLL_NS: Final = NS_PER_S // 50
-_MAX_ACKNOWLEDGE_S: Final = 2.0
+_MAX_ACKNOWLEDGE_S: Final = 30.0
 # Best-effort subscribers send no acknowledgement; they get this long to take the last messages [s].
 _LINGER_S: Final = 0.3
 # A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then [ns].

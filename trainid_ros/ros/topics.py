@@ -105,8 +105,11 @@ def input_qos() -> QoSProfile:
 
 
 def source_qos() -> QoSProfile:
-    """Return the profile of player and simulator on the input topics and on ``/clock``."""
-    return _keep_last(100, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+    """Return the profile of player and simulator on the input topics and on ``/clock``.
+
+    Reliable subscribers that are slow lose nothing: what they have acknowledged is not kept.
+    """
+    return _keep_last(10_000, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
 def estimate_qos() -> QoSProfile:
