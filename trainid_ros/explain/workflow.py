@@ -55,9 +55,9 @@ if TYPE_CHECKING:
 
 _MIN_SAMPLES: Final = 200
 """Minimum number of samples of all runs together."""
-SEARCHED_S: Final = 3000.0
+MAX_SEARCHED_S: Final = 3000.0
 """Maximum driving time that is searched for effects [s]."""
-COMPARED_S: Final = 12000.0
+MAX_COMPARED_S: Final = 12000.0
 """Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory."""
 _EQUATION_SHARE: Final = 0.03
 """Relative error of parameters [1], since equations of real effects differ slightly from those of the library."""
@@ -82,7 +82,7 @@ def explain(
     if sum(run.time.size for run in runs) < _MIN_SAMPLES:
         raise NoAnswerError(f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare')
     # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
-    compared = _some(runs, COMPARED_S)
+    compared = _some(runs, MAX_COMPARED_S)
     search = _search(compared, train_file, advance)
     if point := search.gradient_point():
         compared = read_at(point, compared, train_file.train.length)
@@ -133,8 +133,8 @@ def _result(
 
 
 def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
-    """Return the search over a subset of the runs of at most :data:`SEARCHED_S`."""
-    return Search(Model.of(_some(runs, SEARCHED_S), train_file), advance)
+    """Return the search over a subset of the runs of at most :data:`MAX_SEARCHED_S`."""
+    return Search(Model.of(_some(runs, MAX_SEARCHED_S), train_file), advance)
 
 
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:

@@ -57,16 +57,24 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_MIN_CELLS: Final = 4  # Of a channel that is compared
-_SCREEN_DAYS: Final = 50.0  # Train-days for one false alarm while the model is fitted: a fault must not spoil the fit.
-_SCREEN_ROUNDS: Final = 2  # Rounds of these fits
-_MAX_APART: Final = 12  # Trains of a fleet in which each is judged by the others alone
-_MAX_PASSES: Final = 5  # Fits, each without the changes that the last one found
-# As shares of a step that matters [1]:
-_DAILY: Final = 0.02  # What may change from day to day without meaning anything
-_LEVEL: Final = 0.25  # Usual standard deviation among trains
-_MIN_LEVEL: Final = 0.01  # Added to that found, which may be zero
-_LEVEL_SIGMAS: Final = 5.0  # A train that always differed is named beyond so many standard deviations among trains.
+_MIN_CELLS: Final = 4
+"""Minimum number of days of trains, all trains together, for a channel to be compared."""
+_SCREEN_DAYS: Final = 50.0
+"""Maximum train-days for one false alarm while the model is fitted: a fault must not spoil the fit."""
+_SCREEN_ROUNDS: Final = 2
+"""Rounds of weights in these fits."""
+_MAX_APART: Final = 12
+"""Maximum number of trains of a fleet in which each is judged by the others alone."""
+_MAX_PASSES: Final = 5
+"""Maximum number of fits, each without the changes that the last one found."""
+_DAILY: Final = 0.02
+"""Std of harmless changes from day to day, as a share of a step that matters [1]."""
+_LEVEL: Final = 0.25
+"""Usual std among trains, as a share of a step that matters [1]."""
+_MIN_LEVEL: Final = 0.01
+"""Added to the std found among trains, which may be zero, as a share of a step that matters [1]."""
+_LEVEL_SIGMAS: Final = 5.0
+"""Distance from the fleet from which a train always differed [std among trains]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,8 +284,10 @@ def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     return LevelOutlier(view.channel, float(effects[number]), float(view.fit.train_std[number]), sigmas)
 
 
-_MAX_BAGS: Final = 3  # Of a departure that are explained: effects that hold are in the first ones already
-_EQUAL_SIGMAS: Final = 3.0  # Maximum difference of two equal effects, in standard deviations
+_MAX_BAGS: Final = 3
+"""Maximum number of bags of a departure that are explained: effects that hold are in the first ones already."""
+_EQUAL_SIGMAS: Final = 3.0
+"""Maximum difference of two equal effects [std]."""
 
 
 class Named(NamedTuple):

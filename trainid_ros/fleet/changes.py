@@ -44,17 +44,28 @@ if TYPE_CHECKING:
 
 OTHER: Final = 'other'
 """Name of the cause that is none of those known."""
-_SHOWING: Final = 0.5  # q: probability that a step shows in a channel [1]
-_WINDOW: Final = 60  # A step is looked for among so many days before the newest.
-_MIN_AFTER: Final = 2  # Days with data that a step needs after it
-_GRID_DENSITY: Final = 6.0  # Points of the grid of levels for one standard deviation of a day
-_GRID_MARGIN: Final = 6.0  # Of the grid beyond the outermost values, in standard deviations of a day
-_GRID_POINTS: Final = (60, 600)  # Minimum and maximum number of points of the grid
-_FAR: Final = 0.01  # Share of trains that are far from the others [1]
-_TINY: Final = 1e-300  # Stands for a density of zero, whose logarithm is needed.
-_MIN_PROBABILITY: Final = 0.05  # Of a cause that is named [1]
-_MAX_USUAL: Final = 5.0  # Beyond so many standard deviations among trains, the first level of a train is a fault.
-_BACK: Final = 0.4  # A train is back when less than this share of the departure is left [1].
+_SHOWING: Final = 0.5
+"""Probability that a step shows in a channel, q [1]."""
+_WINDOW: Final = 60
+"""Days before the newest one among which a step is looked for."""
+_MIN_AFTER: Final = 2
+"""Minimum number of days with data after a step."""
+_GRID_DENSITY: Final = 6.0
+"""Points of the grid of levels for one std of a day."""
+_GRID_MARGIN: Final = 6.0
+"""Margin of the grid beyond the outermost values [std of a day]."""
+_GRID_POINTS: Final = (60, 600)
+"""Minimum and maximum number of points of the grid."""
+_FAR: Final = 0.01
+"""Prior share of trains that are far from the others [1]."""
+_TINY: Final = 1e-300
+"""Stands for a density of zero, whose logarithm is needed."""
+_MIN_PROBABILITY: Final = 0.05
+"""Minimum probability of a cause that is named [1]."""
+_MAX_USUAL: Final = 5.0
+"""Maximum distance of a first level from the fleet that is no fault [std among trains]."""
+_BACK: Final = 0.4
+"""Share of a departure below which the train is back [1]."""
 
 
 class Series(NamedTuple):

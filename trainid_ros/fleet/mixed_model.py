@@ -46,11 +46,16 @@ ROUNDS: Final = 4
 """Rounds after which the weights do not change any more."""
 MIN_TRAINS: Final = 4
 """Trains on most days for a day to have an effect: with fewer it would take away what is a train's own."""
-_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of an estimate that is compared
-_LOG_VARIANCES: Final = (-14.0, 4.0)  # Range of the logarithms of variances relative to that of the data
-_LOG_STATED: Final = math.log(0.5**2)  # Prior of ln kappa^2: part of what the estimators state repeats every day
-_PRIOR_STD: Final = 2.0  # Of ln kappa^2 and ln s_T^2: a factor of e either way
-_NORMAL_MAD: Final = 1.4826  # Standard deviation over median absolute deviation of normal values
+_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
+"""Status of estimates that are compared."""
+_LOG_VARIANCES: Final = (-14.0, 4.0)
+"""Range of the logarithms of variances relative to that of the data [1]."""
+_LOG_STATED: Final = math.log(0.5**2)
+"""Prior mean of ln kappa^2 for kappa = 1/2: part of what the estimators state repeats every day."""
+_PRIOR_STD: Final = 2.0
+"""Prior std of ln kappa^2 and ln s_T^2: a factor of e in the standard deviations either way."""
+_NORMAL_MAD: Final = 1.4826
+"""Standard deviation over median absolute deviation of normal values [1]."""
 
 
 class Channel(NamedTuple):

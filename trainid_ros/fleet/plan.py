@@ -33,7 +33,8 @@ LABELS: Final = ('train', 'line', 'weather', 'day')
 """What is known of a bag besides its messages; columns of the table."""
 # Without a pattern of the user and without a namespace, the train has the name of the folder that holds the bag.
 _DEFAULT_PATTERN: Final = r'(?P<train>[^/]+)/[^/]+$'
-_FORMAT: Final = 1  # Version of the file
+_FORMAT: Final = 1
+"""Version of the file of the plan."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,8 @@ def empty_row() -> Row:
     return dict.fromkeys(NAMES)
 
 
-_META: Final = b'trainid_fleet'  # Key of the metadata with the plan
+_META: Final = b'trainid_fleet'
+"""Key of the metadata that hold the plan."""
 
 
 def check_table(path: Path) -> None:
