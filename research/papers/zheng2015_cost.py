@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.brake_runs import metro_run, metro_train
+from research.papers.brake_runs import metro_run, metro_train
 from research.papers.zheng2015_metro import METRO
 from research.papers.zheng2015_paper import DISTURBANCE, MODEL, H, PaperRun, paper_run
 from trainid_lab.brake_rate.particles import correction

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.brake_runs import (
+from research.papers.brake_runs import (
     JUMP_AFTER_S,
     MAP_ERROR,
     BrakeRun,

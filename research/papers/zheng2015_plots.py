@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.brake_runs import JUMP_AFTER_S, jump_run
 from benchmarks.tables import Plot
+from research.papers.brake_runs import JUMP_AFTER_S, jump_run
 from research.papers.zheng2015_metro import FIRST_SEED, SHIPPED, trace
 from research.papers.zheng2015_paper import gsma, gsma_free, kalman, paper_run, sma
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.brake_runs import metro_run, metro_train
 from benchmarks.seeds import over_seeds
 from benchmarks.stepping import step_and_estimate
 from benchmarks.tables import Table
+from research.papers.brake_runs import metro_run, metro_train
 from research.peers.contest import FIRST_SEED, installed
 from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance, errors_of, speed_step, started
 from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
@@ -35,7 +35,7 @@ from trainid_ros.setup.pipelines import BRAKE_RATE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from benchmarks.brake_runs import BrakeRun
+    from research.papers.brake_runs import BrakeRun
     from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
 
     Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.brake_runs import metro_train
 from benchmarks.tables import Table
+from research.papers.brake_runs import metro_train
 from research.peers.contest import FIRST_SEED, REPOSITORY, growth, time_in_turns
 from research.peers.hand_filters import VARIANCE, HandRls
 from research.peers.metro_stream import SPEED_SD, metro_stream

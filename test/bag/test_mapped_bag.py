@@ -13,7 +13,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
+from test.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs

@@ -21,7 +21,7 @@ from benchmarks.hidden_cases.outside import OUTSIDE
 from benchmarks.hidden_cases.track import Track
 from benchmarks.hidden_cases.visible import measure_gaps
 from benchmarks.hidden_cases.world import draw_world
-from benchmarks.hidden_cases.write import write_case
+from benchmarks.write_case import write_case
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.train.train_file import load_train_file
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 G = 9.81
 FOLDER = Path(hidden_cases.__file__).parent
-ALLOWED = {'trainid_ros.interface.records', 'trainid_ros.bag.writer'}
+ALLOWED = {'trainid_ros.interface.records'}
 
 
 def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:

@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.brake_runs import metro_train, walk_run
+from benchmarks.days import assumed_train, samples_of
+from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.brake_rate.brake_rate_estimator import Candidate, DisturbanceNoise
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.motion_model import Transition
 from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.sim.scenario import simulate
 
 DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2
 RHO = math.exp(-SPEED * DT / LENGTH)
@@ -80,10 +83,14 @@ def test_each_filter_equals_the_kalman_filter() -> None:
 
 
 def test_estimators_update_it_between_brakings_and_save_it() -> None:
-    run = walk_run(7008, stops=3)
-    first, second = (Gsma(metro_train(), GsmaConfig(), np.random.default_rng(1)) for _ in range(2))
+    train = assumed_train()
+    day = yizhuang_day(train, runs=3)
+    # A map that is wrong by 2 per mille: .02 m/s^2.
+    day = replace(day, sensors=replace(day.sensors, map_error=2.0))
+    samples = samples_of(simulate(day, np.random.default_rng(7008)).records)
+    first, second = (Gsma(train, GsmaConfig(), np.random.default_rng(1)) for _ in range(2))
     seen = set()
-    for sample in run.samples:
+    for sample in samples:
         before = first.state.disturbance.variance
         first.step(sample)
         if first.state.observable:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
+from test.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.inspection import number_series
 from trainid_ros.inspection.number_series import (
     PER_MILLE,

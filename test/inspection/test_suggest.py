@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
+from test.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record

@@ -22,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
-from benchmarks.foreign_bag import MAPPING, write_foreign
+from test.foreign_bag import MAPPING, write_foreign
 from test.hang import HANG_S
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter

@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 
-from benchmarks.foreign_bag import MAPPING, write_foreign
+from test.foreign_bag import MAPPING, write_foreign
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import load_mapping

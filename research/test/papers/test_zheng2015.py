@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from benchmarks.brake_runs import JUMP_AFTER_S, MAP_ERROR, hard_run, jump_run, unbraked_run, walk_run
+from research.papers.brake_runs import JUMP_AFTER_S, MAP_ERROR, hard_run, jump_run, unbraked_run, walk_run
 from research.papers.zheng2015_cost import Draws, batched, own_covariance, shared
 from research.papers.zheng2015_metro import SHIPPED, WALK, score, trace
 from research.papers.zheng2015_paper import WALK as PAPER_WALK

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write bags as other makers do: other topics, types and units, with ``rosbags``.
-
-``python -m benchmarks.foreign_bag BAG OUT`` writes the inputs of one of our bags so.
-"""
+"""Write bags as other makers do: other topics, types and units, with ``rosbags``."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a case to disk: ``python -m benchmarks.hidden_cases_b.write --effect tunnel_drag --seed 7 --out DIR``."""
+"""Write a hidden case to disk: ``python -m benchmarks.write_case --effect tunnel_drag --seed 7 --out DIR``."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.hidden_cases_b.case import make_case
+from benchmarks import hidden_cases, hidden_cases_b
 from trainid_ros.bag.writer import BagWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from benchmarks.hidden_cases_b.case import Case
+_MAKERS: dict[str, Callable[[str, int], hidden_cases.Case | hidden_cases_b.Case]] = {
+    'A': hidden_cases.make_case,
+    'B': hidden_cases_b.make_case,
+}
 
 
-def write_case(case: Case, out: Path) -> tuple[Path, ...]:
+def write_case(case: hidden_cases.Case | hidden_cases_b.Case, out: Path) -> tuple[Path, ...]:
     """Write assumed.yaml, truth.json and the bags (bag1, ...) to a folder; return the bags."""
     out.mkdir(parents=True, exist_ok=True)
     (out / 'assumed.yaml').write_text(case.train_yaml, encoding='utf-8')
@@ -34,14 +37,13 @@ def write_case(case: Case, out: Path) -> tuple[Path, ...]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the selected case."""
-    parser = argparse.ArgumentParser(
-        prog='python -m benchmarks.hidden_cases_b.write', description='Write a hidden case.'
-    )
+    parser = argparse.ArgumentParser(prog='python -m benchmarks.write_case', description=__doc__.splitlines()[0])
+    parser.add_argument('--generator', choices=_MAKERS, default='A')
     parser.add_argument('--effect', required=True, metavar='NAME', help='none, an effect, or some joined by +')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--out', type=Path, required=True, metavar='DIR')
     args = parser.parse_args(arguments)
-    write_case(make_case(args.effect, args.seed), args.out)
+    write_case(_MAKERS[args.generator](args.effect, args.seed), args.out)
     print(f'written to {args.out}')
     return 0
 

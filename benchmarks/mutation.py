@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do the tests notice a changed line? A sample of mutants of the sources, each against the tests of its folder.
+
+A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
+copy of the repository and tested there without compiled modules: first by the test file that mirrors its module, then
+by the other tests of the folder that need no ROS graph and are not slow, until the first failure.
+
+``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.days import REPOSITORY
+from benchmarks.tables import Table, as_text
+
+# Folders by the name under which they are counted, and the least share of mutants that their tests should kill [%].
+FOLDERS: Final = {
+    'estimators': (('estimators', 'resistance', 'speed_model', 'brake_rate'), 80),
+    'stream': (('stream',), 80),
+    'client': (('client',), 95),
+    'explain': (('explain',), 80),
+    'bag': (('bag',), 80),
+}
+_SEED: Final = 1
+_JOBS: Final = 2
+# A mutant that runs for ever counts as killed [s].
+_LONGEST_S: Final = 900.0
+# Exit codes of pytest: all passed, and none collected.
+_PASSED: Final = (0, 5)
+_SWAPS: Final[dict[type[ast.AST], Any]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Div, ast.Pow: ast.Mult,
+    ast.And: ast.Or, ast.Or: ast.And,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A change of a file: the bytes between two places are replaced."""
+
+    path: str
+    line: int
+    begin: int
+    end: int
+    before: str
+    after: str
+
+    def __str__(self) -> str:
+        """Return place and change."""
+        return f'{self.path}:{self.line}: {self.before} -> {self.after}'
+
+
+def mutants_of(path: str, source: bytes) -> list[Mutant]:
+    """Return all mutants of a file, in the order of their places."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    found = []
+    for node, new in _changes(ast.parse(source)):
+        begin = starts[node.lineno - 1] + node.col_offset
+        end = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
+        before, after = ' '.join(source[begin:end].decode().split()), ast.unparse(new)
+        if isinstance(new, ast.expr):
+            after = f'({after})'  # as part of a larger expression
+        found.append(Mutant(path, node.lineno, begin, end, before, after))
+    return sorted(set(found), key=lambda mutant: (mutant.begin, mutant.end, mutant.after))
+
+
+def _changes(node: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, ast.AST]]:
+    """Yield expressions and statements that do something, and what each may be replaced by."""
+    children = list(ast.iter_child_nodes(node))
+    match node:
+        # Texts, messages, types and what is imported for types only are left alone.
+        case ast.JoinedStr() | ast.Raise() | ast.Assert() | ast.If(test=ast.Name(id='TYPE_CHECKING')):
+            return
+        case ast.AnnAssign(value=value):
+            children = [value] if value is not None else []
+        case ast.FunctionDef(body=body, args=arguments):
+            children = [*arguments.defaults, *filter(None, arguments.kw_defaults), *body]
+        case ast.expr() | ast.stmt():
+            new = _replacement(node)
+            if new is not None:
+                yield node, new
+    for child in children:
+        yield from _changes(child)
+
+
+def _replacement(node: ast.expr | ast.stmt) -> ast.AST | None:
+    new: ast.AST | None = None
+    match node:
+        case ast.Compare(left=left, ops=[op], comparators=right):
+            new = ast.Compare(left, [_SWAPS[type(op)]()], right)
+        case ast.BinOp(left=left, op=op, right=other) if type(op) in _SWAPS:
+            new = ast.BinOp(left, _SWAPS[type(op)](), other)
+        case ast.AugAssign(target=target, op=op, value=value) if type(op) in _SWAPS:
+            new = ast.AugAssign(target, _SWAPS[type(op)](), value)
+        case ast.BoolOp(op=op, values=values):
+            new = ast.BoolOp(_SWAPS[type(op)](), values)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            new = operand
+        case ast.Constant(value=bool(value)):
+            new = ast.Constant(not value)
+        case ast.Constant(value=int(value)):
+            new = ast.Constant(value + 1)
+        case ast.Constant(value=float(value)):
+            new = ast.Constant(2.0 * value or 1.0)
+        case ast.Return(value=ast.expr() as value) if ast.unparse(value) != 'None':
+            new = ast.Return(ast.Constant(None))
+        case ast.Expr(value=ast.Call()):
+            new = ast.Pass()
+    return new
+
+
+def sample(count: int, seed: int, names: Sequence[str] = tuple(FOLDERS)) -> dict[str, list[Mutant]]:
+    """Return as many mutants of each folder; equal seeds give equal ones of equal sources."""
+    chosen = {}
+    for name in names:
+        paths = [path for part in FOLDERS[name][0] for path in (REPOSITORY / 'trainid_ros' / part).rglob('*.py')]
+        texts = [(str(path.relative_to(REPOSITORY)), path.read_bytes()) for path in sorted(paths)]
+        every = [mutant for path, source in texts for mutant in mutants_of(path, source)]
+        chosen[name] = random.Random(f'{seed} {name}').sample(every, min(len(every), -(-count // len(names))))
+    return chosen
+
+
+def targets_of(path: str, root: Path) -> list[list[str]]:
+    """Return the tests of a module: those that mirror it, then those of its folder."""
+    folder = root / 'test' / Path(path).relative_to('trainid_ros').parent
+    while not folder.is_dir():
+        folder = folder.parent
+    stem = Path(path).stem
+    mirrors = [place for place in (folder / f'test_{stem}.py', folder / stem) if place.exists()]
+    first = [str(place.relative_to(root)) for place in mirrors]
+    whole = [str(folder.relative_to(root)), *(f'--ignore={place}' for place in first)]
+    return [first, whole] if first else [whole]
+
+
+def is_killed(mutant: Mutant) -> bool:
+    """Return whether a test fails on a mutant."""
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name) / 'copy'
+        root.mkdir()
+        for item in REPOSITORY.iterdir():
+            if item.name in {'trainid_ros', 'test'}:
+                shutil.copytree(item, root / item.name, ignore=shutil.ignore_patterns('__pycache__', '*.so'))
+            elif item.name != '.git':
+                (root / item.name).symlink_to(item)
+        source = (REPOSITORY / mutant.path).read_bytes()
+        changed = source[: mutant.begin] + mutant.after.encode() + source[mutant.end :]
+        (root / mutant.path).write_bytes(changed)
+        return any(_fails(arguments, root) for arguments in targets_of(mutant.path, root))
+
+
+def _fails(arguments: Sequence[str], root: Path) -> bool:
+    paths = (root, root / 'research' / 'lab', root / 'examples' / 'python')
+    env = os.environ | {'TRAINID_COMPILED': '0', 'PYTHONPATH': os.pathsep.join(map(str, paths))}
+    options = ('-q', '-x', '-p', 'no:cacheprovider', '-m', 'not ros and not slow and not long')
+    command = ['tools/with_test_env', sys.executable, '-m', 'pytest', *options, *arguments]
+    try:
+        done = subprocess.run(command, cwd=root, env=env, capture_output=True, check=False, timeout=_LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return True
+    return done.returncode not in _PASSED
+
+
+def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDERS)) -> tuple[Table, ...]:
+    """Test a sample of mutants; return their number by folder, and those that no test noticed."""
+    chosen = sample(mutants, seed, names)
+    rows, survivors = [], []
+    with ProcessPoolExecutor(_JOBS, mp_context=get_context('spawn')) as pool:
+        for name, some in chosen.items():
+            killed = list(pool.map(is_killed, some))
+            share = 100.0 * sum(killed) / max(1, len(some))
+            rows.append((name, str(sum(killed)), str(len(some)), f'{share:.0f} %', f'>= {FOLDERS[name][1]} %'))
+            survivors += [(str(mutant),) for mutant, is_dead in zip(some, killed, strict=True) if not is_dead]
+            print(*rows[-1], flush=True)
+    note = f'Sample of seed {seed}; tests of the folder of each module, without ROS graph and without slow ones.'
+    header = ('folder', 'killed', 'mutants', 'share', 'target')
+    return Table('Mutants killed', header, tuple(rows), note), Table('Survivors', ('change',), tuple(survivors))
+
+
+if __name__ == '__main__':
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--mutants', type=int, default=300, metavar='N', help='number of mutants (default 300)')
+    parser.add_argument('--seed', type=int, default=_SEED, metavar='K')
+    parser.add_argument('--folders', nargs='+', choices=FOLDERS, default=tuple(FOLDERS))
+    args = parser.parse_args()
+    for table in measure(args.mutants, args.seed, args.folders):
+        print(as_text(table))
