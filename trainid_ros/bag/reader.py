@@ -58,12 +58,10 @@ if TYPE_CHECKING:
 
 OPENING: Final = 0.3  # share of opening in the work on a bag without an index, which is unpacked then [1]
 NAMESPACE: Final = 'use --namespace'
-_REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
 }
-_INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
-_TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
+_INPUTS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 PROGRESS_EVERY: Final = 500  # records from one report of progress to the next
 _ROWS_AT_ONCE: Final = 5000
 
@@ -102,11 +100,11 @@ class TopicSummary:
 
 
 class ChannelSource(NamedTuple):
-    """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
+    """One channel of one file."""
 
-    topic: str
-    name: str
-    mapped: StoredType | None = None
+    topic: str  # By our name, or that of the mapping
+    name: str  # Short name of the type
+    mapped: StoredType | None = None  # Type as stored, if it is mapped
 
 
 class TopicNames:
@@ -279,7 +277,7 @@ class BagReader:
             file.counts.get(number, 0)
             for file, sources in counts
             for number, source in sources.items()
-            if source.mapped is not None or source.topic in _INPUT_NAMES
+            if source.mapped is not None or source.topic in _INPUTS
         )
 
     def time_range(self) -> tuple[int, int] | None:
@@ -360,8 +358,8 @@ class BagReader:
         block = segment.read()
         tables, places = [], []
         for number, source in self._sources[index].items():
-            if source.topic in _INPUT_NAMES and (rows := np.flatnonzero(block.channel == number)).size:
-                topic = _TOPIC_NUMBERS[source.topic]
+            if source.topic in _INPUTS and (rows := np.flatnonzero(block.channel == number)).size:
+                topic = _INPUTS[source.topic]
                 table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
                 if skipped := rows.size - len(table):
                     self._unreadable[source.topic] += skipped
@@ -375,7 +373,7 @@ class BagReader:
     def _mapped_tables(self, inputs: MappedInputs, last_ns: float) -> Iterator[RecordTable]:
         """Yield the records of mapped messages up to a log time [ns]."""
         logged: list[tuple[int, Row]] = []
-        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+        own = self._own_topics()
         for log_ns, source, payload in self._payloads({*own, *inputs.topics}):
             if log_ns > last_ns:
                 break
@@ -396,12 +394,16 @@ class BagReader:
 
     def stored(self) -> Iterator[StoredMessage]:
         """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time."""
-        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+        own = self._own_topics()
         for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
             if source.mapped is not None:
                 yield StoredMessage(log_ns, source.topic, payload)
             elif (message := self._decoded(source, payload)) is not None:
                 yield StoredMessage(log_ns, source.topic, record_from_message(own[source.topic], message))
+
+    def _own_topics(self) -> dict[str, InputTopic]:
+        """Return our own topics by name, without those that the mapping replaces."""
+        return {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
 
     def mapped_types(self) -> dict[str, StoredType]:
         """Return the types of the topics of the mapping that are in the bag.
@@ -477,7 +479,8 @@ def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TO
 
 def in_namespaces(topics: Iterable[str]) -> str:
     """Return in which namespaces required topics are, and how to choose one; '' if in none."""
-    elsewhere = [name.strip('/') for name in topics if name.endswith(_REQUIRED)]
+    required = tuple(topic.name for topic in REQUIRED_TOPICS)
+    elsewhere = [name.strip('/') for name in topics if name.endswith(required)]
     others = {name.rpartition('ato/')[0].strip('/') for name in elsewhere} - {''}
     return f'they are in /{", /".join(sorted(others))}; {NAMESPACE}' if others else ''
 

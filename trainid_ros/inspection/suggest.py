@@ -191,7 +191,7 @@ def unit_in(name: str, units: tuple[str, ...]) -> str:
 
 
 def family(topic: str) -> str:
-    """Return a topic without what tells alike ones apart, such as the numbers of motor cars."""
+    """Return a topic without the marks of alike ones, such as the numbers of motor cars."""
     return _NUMBERS.sub('#', topic.lower())
 
 
@@ -347,11 +347,13 @@ def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
 
 
 class _Ranked(NamedTuple):
-    points: float
+    """A candidate for the speed."""
+
+    points: float  # Evidence by name and numbers
     speed: NumberSeries
-    position: NumberSeries | None
-    travel: Travel
-    push: tuple[float, str]
+    position: NumberSeries | None  # Its integral, if there is one
+    travel: Travel  # How both go together
+    push: tuple[float, str]  # Largest correlation of its derivative with another number [1], and which that is
 
 
 def _choose_speed(
@@ -391,7 +393,7 @@ def _choose_speed(
 
 
 def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
-    """Return how much speaks for a speed: its name, a position that is its integral, a force or acceleration."""
+    """Return the evidence for a speed: its name, a position that is its integral, a force or acceleration."""
     times, by_numbers = common_times(speed), is_nameless(speed.topic, speed.field)
     slope = derivative(np.abs(at_times(speed, times)))
     position, travel, push = None, Travel(0.0, math.nan), (0.0, '')
