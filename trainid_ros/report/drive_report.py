@@ -304,7 +304,7 @@ def resistance_curve(chapter: Chapter) -> str:
         _draw_curve(curve, speeds, chapter.recording.resistance, style.ESTIMATE)
         others = [(name, track) for name, track in chapter.others if track.estimates]
         for _, track in others:
-            _draw_curve(curve, speeds, track, style.TRACTION)
+            _draw_curve(curve, speeds, track, style.BRAKE)
         prior = davis(chapter.train_file.resistance, speeds)
         curve.plot(KM_H * speeds, prior, color=style.MUTED, linestyle=style.PRIOR_DASHES, linewidth=1.4)
         if chapter.truth is not None:
@@ -316,7 +316,7 @@ def resistance_curve(chapter: Chapter) -> str:
         curve.set_ylabel('w [N/kN]')
         curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
         _draw_time_driven(driven, chapter)
-        lines = [Line2D([], [], color=style.TRACTION, label=name) for name, _ in others]
+        lines = [Line2D([], [], color=style.BRAKE, label=name) for name, _ in others]
         style.legend_above(figure, [*lines, *_handles(chapter)])
         return style.to_svg(figure, 'Resistance curve against speed')
 
