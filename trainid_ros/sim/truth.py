@@ -16,7 +16,7 @@ import yaml
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.train.fields import Section, finite_number, parse_yaml, read_text
+from trainid_ros.train.fields import Section, parse_yaml, read_text
 from trainid_ros.train.train_file import Davis, NamedValues
 
 _HEAD: Final = '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n'
@@ -117,12 +117,8 @@ def parse_truth(text: str, source: str) -> Truth:
         start_ns=top.integer('start_ns', 0, low=0, high=2**63 - 1),
         resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
         brake_rate=tuple((t, rate) for t, rate in brake_rate),
-        unknowns=_named_values(top.section('unknowns')),
+        unknowns=top.named_numbers('unknowns'),
     )
-
-
-def _named_values(section: Section) -> NamedValues:
-    return tuple((key, finite_number(section.source, section.name(key), x, '')) for key, x in section.data.items())
 
 
 def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:

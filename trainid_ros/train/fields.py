@@ -166,6 +166,11 @@ class Section:
         items = enumerate(self.items(key))
         return tuple(finite_number(self.source, f'{self.name(key)}[{i}]', item, unit) for i, item in items)
 
+    def named_numbers(self, key: str) -> tuple[tuple[str, float], ...]:
+        """Return names and finite numbers of a nested mapping, empty if absent."""
+        inner = self.section(key)
+        return tuple((name, finite_number(self.source, inner.name(name), x, '')) for name, x in inner.data.items())
+
     def rows(self, key: str, units: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
         """Return a list of rows with one finite number for each unit."""
         out = []

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from trainid_ros.interface.errors import setting, setting_info, stated
-from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
+from trainid_ros.train.fields import Section, as_section, parse_yaml, read_text, shown
 
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
@@ -286,19 +286,14 @@ def _effect(section: Section) -> Effect:
     name = section.text('name')
     if not name:
         section.fail('name', f'= {shown(name)} must not be empty')
-    std = _named_values(section, 'std')
-    parameters = _named_values(section, 'parameters')
+    std = section.named_numbers('std')
+    parameters = section.named_numbers('parameters')
     for key, value in std:
         if value < 0.0:
             section.fail(f'std.{key}', f'= {value:g} must be >= 0')
         if key not in dict(parameters):
             section.fail(f'std.{key}', 'has no parameter of that name')
     return Effect(name, parameters, std, section.text('provenance', ''))
-
-
-def _named_values(section: Section, key: str) -> NamedValues:
-    inner = section.section(key)
-    return tuple((k, finite_number(inner.source, inner.name(k), v, '')) for k, v in inner.data.items())
 
 
 def _names(kind: type[Any]) -> tuple[str, ...]:
