@@ -16,9 +16,9 @@ from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.estimators.pipeline import Contradiction
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.stream.sample_stream import Contradiction
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

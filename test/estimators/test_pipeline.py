@@ -15,7 +15,6 @@ import pytest
 
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import (
-    Contradiction,
     EstimatorPipeline,
     PipelineConfig,
     PipelineGroup,
@@ -31,7 +30,7 @@ from trainid_ros.setup.pipelines import (
     speed_model_pipeline,
 )
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.sample_stream import TimeJumpPolicy
+from trainid_ros.stream.sample_stream import Contradiction, TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {

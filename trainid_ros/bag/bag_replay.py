@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
-    from trainid_ros.estimators.pipeline import Contradiction
     from trainid_ros.interface.records import Row
     from trainid_ros.setup.pipelines import EstimatorSettings
+    from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]

@@ -14,7 +14,6 @@ from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, p
 from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import ResistanceEstimate, quantities
-from trainid_ros.setup.params_file import Setup, node_setups
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
+    from trainid_ros.setup.params_file import Setup
 
     Work = Callable[[argparse.Namespace, Path, Callable[[float], None]], 'BagResult']
 
@@ -36,6 +36,9 @@ def load_setups(
     Raises:
         InputError: Train file, mapping or parameters cannot be used.
     """
+    # Imported here because verbs that replay nothing need not load the estimators.
+    from trainid_ros.setup.params_file import node_setups  # noqa: PLC0415
+
     foreign = () if args.map is None else load_mapping(args.map).topics
     train_file = load_train_file(train)
     return node_setups(

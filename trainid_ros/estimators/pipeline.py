@@ -7,7 +7,6 @@ computed elsewhere. Pipelines that take in the same records share the streams th
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, 
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several, stored
 from trainid_ros.stream.alignment import TimeJump
-from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
+from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
@@ -360,31 +359,6 @@ class SharedRecord:
         topic, stamp_ns, x, y, flag = self._row
         events = self._events[-1] = stream.push_row(topic, stamp_ns, x, y, flag)
         return events
-
-
-@dataclass(slots=True)
-class Contradiction:
-    """The last time that inputs contradicted each other, in time covered by the samples."""
-
-    finding: str = ''  # What contradicted what, empty if nothing ever did
-    begin_s: float = math.nan  # When it began [s], NaN if it never did
-    end_s: float = math.nan  # When it ended [s], NaN while it lasts
-
-    def follow(self, finding: str, now_s: float) -> None:
-        """Update the current fault: a finding after a sample, '' if there is none, replaces the last one."""
-        lasts = self.finding != '' and math.isnan(self.end_s)
-        if finding and not lasts:
-            self.begin_s, self.end_s = now_s, math.nan
-        elif lasts and not finding:
-            self.end_s = now_s
-        self.finding = finding or self.finding
-
-    @property
-    def text(self) -> str:
-        """What contradicted what, and when."""
-        if math.isnan(self.end_s):
-            return f'inputs contradict each other since {self.begin_s:.1f} s: {self.finding}'
-        return f'inputs contradicted each other from {self.begin_s:.1f} to {self.end_s:.1f} s: {self.finding}'
 
 
 class PipelineGroup:

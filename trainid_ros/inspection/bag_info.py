@@ -27,7 +27,6 @@ import numpy as np
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.types import EMPTY, joined
-from trainid_ros.estimators.pipeline import Contradiction
 from trainid_ros.inspection.number_series import (
     PER_MILLE,
     USUAL_ROTARY,
@@ -52,7 +51,7 @@ from trainid_ros.interface.results import Reason
 from trainid_ros.interface.scalars import find_fault
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.topic_track import ONE_LOST
 from trainid_ros.train.forces import G
