@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The screen on terminals of several sizes and kinds."""
+"""The screen of a terminal, lines for terminals that cannot draw, and charts in characters."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rich.console import Console
 from test.monitor.conftest import START_NS, feed
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
-from trainid_ros.monitor.screen import Lines, Screen
+from trainid_ros.monitor.screen import ASCII, Lines, Screen, chart
 from trainid_ros.monitor.trains import Report, Trains
-from trainid_ros.monitor.view import Level
+from trainid_ros.monitor.view import Level, Point
 
 Driven = Callable[..., Trains]
 LONG = 'no message for 3.0 s, no publisher, since 2023-11-14 22:13:27 UTC: start the node that publishes it'
@@ -215,3 +215,92 @@ def test_messages_with_any_numbers_are_shown(driven: Driven, value: float, width
     assert max(map(len, lines)) <= width
     assert 'VALID' in '\n'.join(lines)
     assert Lines().of(trains.views(14.0, START_NS), '')
+
+
+NOW = (9.9, START_NS + round(9.9 * NS_PER_S))
+
+
+def test_a_line_has_time_estimates_and_inputs(driven: Callable[..., Trains]) -> None:
+    (line,) = Lines().of(driven('/a').views(*NOW), '')
+    for wanted in (
+        '22:13:29 UTC /a  68.5 km/h',
+        'resistance 2.006 ± 0.283 N/kN VALID ≥ 9 s',
+        'brake rate 0.910 ± 0.050 VALID ≥ 9 s',
+        'ato/force 5.0 Hz 0.1 s',
+    ):
+        assert wanted in line
+    assert 'ato/mass' not in line
+
+
+def test_findings_are_printed_when_they_come_and_go(driven: Callable[..., Trains]) -> None:
+    trains, lines = driven(), Lines()
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.STALE, 'no message', {}, 9.8))
+    printed = [lines.of(trains.views(*NOW), '')[1:] for _ in range(2)]
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.OK, '5.0 Hz', {}, 9.85))
+    printed.append(lines.of(trains.views(*NOW), '')[1:])
+    assert printed == [['/ STALE ato/force: no message'], [], ['/ STALE ato/force cleared']]
+
+
+def test_the_notice_is_printed_once() -> None:
+    lines = Lines()
+    assert [lines.of((), 'nothing yet') for _ in range(2)] == [['nothing yet'], []]
+
+
+def test_a_finding_that_says_something_else_is_printed_but_not_one_with_other_numbers(
+    driven: Callable[..., Trains],
+) -> None:
+    trains, lines, printed = driven(), Lines(), []
+    for text in ('error 0.1, since 3 s', 'error -2e-05, since 4 s', 'the brake acts 2.5 s later'):
+        trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.WARN, text, {}, 9.8))
+        printed.append([line for line in lines.of(trains.views(*NOW), '')[1:] if 'cleared' not in line])
+    assert [len(found) for found in printed] == [1, 0, 1]
+    assert printed[2][0].endswith('the brake acts 2.5 s later')
+
+
+def test_a_message_of_several_lines_is_one_line(driven: Callable[..., Trains]) -> None:
+    trains = driven()
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.WARN, 'two\nlines', {}, 9.8))
+    assert Lines().of(trains.views(*NOW), '')[1:] == ['/ WARN ato/force: two lines']
+
+
+def test_the_findings_of_a_train_that_is_no_longer_shown_are_not_called_cleared(driven: Callable[..., Trains]) -> None:
+    trains, lines = driven('/a', '/b'), Lines()
+    trains.on_diagnostics('b/resistance_estimator: input ato/force', Report(Level.STALE, 'no message', {}, 9.8))
+    lines.of(trains.views(*NOW), '')
+    del trains.by_namespace['/b']
+    assert len(lines.of(trains.views(*NOW), '')) == 1
+
+
+def test_one_line_rises_with_the_values() -> None:
+    points = [Point(7.5 - k, float(k), 0.0) for k in range(8)]
+    assert chart(points, 8, 1, 8.0).lines == ('▁▂▃▄▅▆▇█',)
+
+
+def test_times_without_values_are_empty() -> None:
+    points = [Point(9.5, 1.0, 0.0), Point(0.5, 2.0, 0.0)]
+    (line,) = chart(points, 10, 1, 10.0).lines
+    assert (line[0], line[-1]) == ('▁', '█')
+    assert line[1:-1] == ' ' * 8
+
+
+def test_several_lines_show_the_band_around_the_value() -> None:
+    points = [Point(0.5, 10.0, 1.0), Point(1.5, 10.0, 0.5)]
+    drawn = chart(points, 2, 5, 2.0, ASCII)
+    assert drawn.lines == (' :', '::', 'oo', '::', ' :')
+    assert (drawn.high, drawn.low) == (12.0, 8.0)
+
+
+def test_a_band_that_was_wide_does_not_hide_the_present() -> None:
+    points = [Point(9.0, 10.0, 1000.0), Point(1.0, 10.1, 0.1), Point(0.5, 10.0, 0.1)]
+    drawn = chart(points, 10, 5, 10.0)
+    assert drawn.high - drawn.low < 2.0
+
+
+def test_a_constant_is_drawn() -> None:
+    assert set(chart([Point(0.5, 3.0, 0.0), Point(1.5, 3.0, 0.0)], 2, 1, 2.0).lines[0]) == {'▅'}
+
+
+def test_without_values_nothing_is_drawn() -> None:
+    drawn = chart([Point(0.5, math.nan, 0.1)], 4, 3, 2.0)
+    assert drawn.lines == ('    ',) * 3
+    assert math.isnan(drawn.high)

@@ -17,7 +17,7 @@ from trainid_ros.interface.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.report.chapter import Chapter, RejectionCounts
+from trainid_ros.report.drive_report import Chapter, RejectionCounts
 from trainid_ros.report.recording import Recorder
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.train_file import Davis, Train, TrainFile

@@ -14,8 +14,8 @@ import pytest
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.report.drive_report import render_report, write_report
+from trainid_ros.report.page import styled_figure, to_svg
 from trainid_ros.report.recording import Recorder
-from trainid_ros.report.style import styled_figure, to_svg
 from trainid_ros.sim.truth import Truth
 
 pytestmark = pytest.mark.slow  # drawing takes seconds

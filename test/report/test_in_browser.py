@@ -15,8 +15,7 @@ from test.fleet.surrogate import fleet_rows
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.fleet.table_file import write_table
-from trainid_ros.report.chapter import Chapter
-from trainid_ros.report.drive_report import write_report
+from trainid_ros.report.drive_report import Chapter, write_report
 from trainid_ros.report.explained import Explained, write_explained
 from trainid_ros.train.train_file import TrainFile
 

@@ -33,7 +33,8 @@ from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.report.chapter import (
+from trainid_ros.report.drive_report import (
+    SPEEDS,
     Chapter,
     RejectionCounts,
     final_truth,
@@ -41,8 +42,8 @@ from trainid_ros.report.chapter import (
     resistance_std,
     score_brake_rate,
     score_resistance,
+    write_report,
 )
-from trainid_ros.report.drive_report import SPEEDS, write_report
 from trainid_ros.report.recording import Recorder
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
 from trainid_ros.sim.scenario import Scenario, simulate

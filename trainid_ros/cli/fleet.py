@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid fleet``: replay the bags of a fleet into a table, one row per bag."""
+"""``trainid fleet``: replay the bags of a fleet into a table; ``trainid fleet report``: the trains that stand out."""
 
 from __future__ import annotations
 
@@ -8,8 +8,18 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
-from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_NO_ANSWER,
+    check_output,
+    print_json,
+    progress,
+    report_error,
+    show,
+    warn,
+)
 from trainid_ros.fleet.plan import (
+    FleetRun,
     Setup,
     find_bags,
     label_rule,
@@ -23,16 +33,20 @@ from trainid_ros.fleet.run_fleet import check_setup, known_rows, rows_folder, ro
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
+from trainid_ros.report import HTML_START
 from trainid_ros.setup.params_file import mapping_in
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from trainid_ros.fleet.analysis import CauseByBags, FleetView, TrainView
+    from trainid_ros.fleet.changes import Step
     from trainid_ros.fleet.plan import Plan
     from trainid_ros.fleet.run_fleet import Rows
     from trainid_ros.fleet.table_file import Row
+
 
 _NAMED_ERRORS: Final = 3  # Failures that are printed; all are in the table.
 
@@ -134,3 +148,153 @@ def _text(summary: dict[str, Any]) -> str:
     counts = (pluralise(summary[f'{word}s'], word) for word in ('bag', 'train', 'day'))
     more = ((summary['known'], 'replayed before'), (summary['errors'], 'without an estimate'))
     return '; '.join((f'{summary["out"]}: {", ".join(counts)}', *(f'{count} {what}' for count, what in more if count)))
+
+
+def report(args: argparse.Namespace) -> int:
+    """Analyse the tables, print what stands out, and write the report; return the exit code.
+
+    Raises:
+        InputError: A table cannot be read, or the report cannot be written.
+        NoAnswerError: The tables hold too little.
+    """
+    # Imported here: linear algebra takes long to load, and input errors should be reported without it.
+    from trainid_ros.fleet.analysis import analyse  # noqa: PLC0415
+
+    if args.out is not None:
+        check_output(args.out, args.tables, HTML_START)
+    runs = _read(args)
+    view = analyse([run.row for run in runs], args.false_alarm_days)
+    named = _name_causes(args, view, runs)
+    if args.out is not None:
+        _write(args, view, named)
+    if args.json:
+        print_json(to_json(view, args.false_alarm_days, named))
+    else:
+        show(describe(view, named))
+        if args.out is not None:
+            show(f'\nreport: {args.out}')
+    return 0
+
+
+def _read(args: argparse.Namespace) -> list[FleetRun]:
+    """Return the rows of all tables, each train of a bag once, with how their table was made."""
+    runs: dict[tuple[str, str, str], FleetRun] = {}
+    for path in args.tables:
+        rows, about = read_table(path)
+        setup = setup_of(about) or setup_of(read_plan(path))
+        namespace = '' if setup is None else setup.namespace.strip('/')
+        runs |= {(row['bag'], row['train'], namespace): FleetRun(row, setup) for row in rows}
+    return list(runs.values())
+
+
+def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[FleetRun]) -> dict[str, CauseByBags]:
+    """Return what ``explain`` finds in the bags of the worst trains, by their names."""
+    worst = [train for train in view.found if train.main][: args.explain]
+    if not worst:
+        return {}
+    named = {}
+    from trainid_ros.fleet.analysis import name_cause  # noqa: PLC0415 - as in run
+
+    with progress('explain', total=len(worst), unit='trains') as advance:
+        for train in worst:
+            named[train.name] = name_cause(view, train, runs)
+            advance(1.0)
+    return named
+
+
+def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, CauseByBags]) -> None:
+    # Imported here because matplotlib takes long to load and only reports need it.
+    from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
+    from trainid_ros.report.page import write_page  # noqa: PLC0415
+
+    notes = {train.name: (_named_text(train, named[train.name]),) for train in view.found if train.name in named}
+    names = ', '.join(str(path) for path in args.tables)
+    write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
+
+
+def _named_text(train: TrainView, cause: CauseByBags) -> str:
+    """Return what the bags of a train say, and how that goes with what its channels say."""
+    from trainid_ros.fleet.changes import OTHER  # noqa: PLC0415
+    from trainid_ros.report.words import parameters_text  # noqa: PLC0415
+
+    if cause.problem:
+        return f'By its bags: no answer ({cause.problem}).'
+    effects = [
+        f'{effect.name} ({effect.title}) in {count} of {cause.bags}, with {parameters_text(effect)}'
+        for effect, count in cause.effects
+    ]
+    # Several effects at once, or one that no channel shows alone, look like no single cause in the channels.
+    is_unclear = bool(effects and train.causes) and train.causes[0].effect == OTHER
+    more = ', which tell apart what the channels do not' if is_unclear else ''
+    return f'By its bags{more}: {"; ".join(effects) or "no effect that is new"}.'
+
+
+def describe(view: FleetView, named: Mapping[str, CauseByBags]) -> str:
+    """Return the findings as text."""
+    from trainid_ros.report.fleet_report import findings, summary  # noqa: PLC0415
+
+    blocks = [summary(view)]
+    for train in view.found:
+        lines = [*findings(view, train), *([_named_text(train, named[train.name])] if train.name in named else [])]
+        blocks.append('\n'.join((f'{train.name} (evidence {train.evidence:.0f})', *(f'  {line}' for line in lines))))
+    return '\n\n'.join(blocks)
+
+
+def to_json(view: FleetView, limit: float, named: Mapping[str, CauseByBags]) -> dict[str, Any]:
+    """Return the object of ``--json``."""
+    return {
+        'trains': len(view.labels.trains),
+        'days': view.labels.days,
+        'false_alarm_days': limit,
+        'channels': {
+            v.channel.name: {'mean': v.fit.mean, 'std': v.fit.stds, 'degrees': v.fit.degrees} for v in view.channels
+        },
+        'contradicted': dict(view.contradicted),
+        'found': [_train(view, train) | _named(named.get(train.name)) for train in view.found],
+    }
+
+
+def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
+    days = view.labels.days
+    return {
+        'train': train.name,
+        'evidence': train.evidence,
+        'changes': [
+            {
+                'day': days[change.day],
+                'certain': days[change.alarm],
+                'evidence': change.evidence,
+                'steps': _steps(view, change.steps),
+            }
+            for change in train.changes
+        ],
+        'departures': [
+            {
+                'day': days[departure.first],
+                'last': None if departure.end is None else days[departure.end - 1],
+                'certain': days[departure.alarm],
+                'evidence': departure.evidence,
+                'steps': _steps(view, departure.steps),
+            }
+            for departure in train.departures
+        ],
+        'outliers': {o.channel.name: {'size': o.size, 'std': o.std, 'sigmas': o.sigmas} for o in train.outliers},
+        'causes': {cause.title: cause.probability for cause in train.causes},
+    }
+
+
+def _steps(view: FleetView, steps: tuple[Step | None, ...]) -> dict[str, Any]:
+    """Return steps by channel: levels before and after, standard deviation of the step, and evidence."""
+    return {
+        v.channel.name: step
+        and {'before': step.before.mean, 'after': step.after.mean, 'std': step.std, 'evidence': step.evidence}
+        for v, step in zip(view.channels, steps, strict=True)
+    }
+
+
+def _named(cause: CauseByBags | None) -> dict[str, Any]:
+    """Return what ``explain`` found."""
+    if cause is None:
+        return {}
+    effects = {effect.name: {'bags': count, **dict(effect.parameters)} for effect, count in cause.effects}
+    return {'explained': {'bags': cause.bags, 'effects': effects, 'problem': cause.problem}}

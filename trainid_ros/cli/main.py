@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``trainid`` command.
 
-A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a module, usually of its own name, with ``run(args) ->
-exit code``. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs without ROS.
+A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a function ``(args) -> exit code``, usually ``run`` in
+a module of its own name. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs
+without ROS.
 """
 
 from __future__ import annotations
@@ -33,23 +34,28 @@ class Verb(NamedTuple):
     name: str
     help: str
     configure: Callable[[argparse.ArgumentParser], None]
-    module: str = ''
+    function: str = ''  # Module and function; those of its name and ``run`` if empty
 
 
 VERBS: Final = (
     Verb('demo', 'play a bag through the live nodes and write a report', options.configure_demo),
-    Verb('run', 'run the estimator nodes live', options.configure_run),
-    Verb('monitor', 'show inputs, estimates and diagnostics live in a terminal', options.configure_monitor),
+    Verb('run', 'run the estimator nodes live', options.configure_run, 'live.run_nodes'),
+    Verb(
+        'monitor',
+        'show inputs, estimates and diagnostics live in a terminal',
+        options.configure_monitor,
+        'live.monitor',
+    ),
     Verb('view', 'show a bag and its estimates in the Rerun viewer', options.configure_view),
     Verb('replay', 'run the estimators over bags, off line', options.configure_replay),
-    Verb('play', "publish a bag's inputs with /clock", options.configure_play),
+    Verb('play', "publish a bag's inputs with /clock", options.configure_play, 'live.play'),
     Verb('simulate', 'create a bag with the simulator', options.configure_simulate),
     Verb('fit', 'fit Davis parameters to a bag in one batch', options.configure_fit),
     Verb('explain', 'find the effects that a train file lacks and add them', options.configure_explain),
     Verb('info', 'show what is in bags and whether they can be used', options.configure_info),
-    Verb('import', 'make a bag of a table: CSV, Parquet or npz', options.configure_import, 'import_table'),
+    Verb('import', 'make a bag of a table: CSV, Parquet or npz', options.configure_import, 'import_table.run'),
     Verb('fleet', 'replay the bags of a fleet into a table', options.configure_fleet),
-    Verb('fleet report', 'find the trains that stand out in a table', options.configure_fleet_report, 'fleet_report'),
+    Verb('fleet report', 'find the trains that stand out in a table', options.configure_fleet_report, 'fleet.report'),
 )
 
 
@@ -116,8 +122,9 @@ def _dispatch(arguments: list[str]) -> int:
         if verb.name == wanted:
             verb.configure(sub)
     args = parser.parse_args(arguments)
-    module = next(verb.module or verb.name for verb in VERBS if verb.name == args.verb)
-    return int(import_module(f'trainid_ros.cli.{module}').run(args))
+    verb = next(verb for verb in VERBS if verb.name == args.verb)
+    module, _, function = (verb.function or f'{verb.name}.run').partition('.')
+    return int(getattr(import_module(f'trainid_ros.cli.{module}'), function)(args))
 
 
 def _report(error: object, code: int) -> int:

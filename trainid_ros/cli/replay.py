@@ -338,8 +338,11 @@ def _write_report(
     path: Path,
 ) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
-    from trainid_ros.report.chapter import Chapter, RejectionCounts  # noqa: PLC0415
-    from trainid_ros.report.drive_report import write_report  # noqa: PLC0415
+    from trainid_ros.report.drive_report import (  # noqa: PLC0415
+        Chapter,
+        RejectionCounts,
+        write_report,
+    )
 
     chapter = Chapter(
         title=bag.name,

@@ -32,8 +32,17 @@ from trainid_ros.interface.records import (
     status_of,
 )
 from trainid_ros.interface.results import Status
-from trainid_ros.monitor.shown_estimates import SHOWN, ShownEstimate, value_text
-from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
+from trainid_ros.monitor.view import (
+    SHOWN,
+    EstimateView,
+    Finding,
+    InputView,
+    Level,
+    Point,
+    ShownEstimate,
+    TrainView,
+    value_text,
+)
 from trainid_ros.setup.pipelines import KINDS
 
 if TYPE_CHECKING:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,16 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
-from trainid_ros.report import style
-from trainid_ros.report.chapter import (
-    final_truth,
-    resistance_at,
-    resistance_std,
-    score_brake_rate,
-    score_resistance,
-    true_rate,
-    true_theta,
-)
+from trainid_ros.report import page
 from trainid_ros.report.page import Table, render, write_page
 from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, input_panels
 from trainid_ros.report.words import DASH, DAVIS_UNITS, number
@@ -33,18 +25,127 @@ if TYPE_CHECKING:
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
-    from trainid_ros.report.chapter import AccuracyScore, Chapter
-    from trainid_ros.report.recording import Array, Series, Track
+    from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
+    from trainid_ros.report.recording import Array, Recording, Series, Track
+    from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import Davis, TrainFile
 
-MODES: Final = {PULLING: style.TRACTION, COASTING: style.COAST, BRAKING: style.BRAKE, STANDSTILL: style.STAND}
+
+class RejectionCounts(NamedTuple):
+    """Records and samples that one estimator did not use: its name, and their number by reason."""
+
+    estimator: str
+    counts: tuple[tuple[Reason, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """One drive in a report."""
+
+    title: str  # Heading
+    bag: str  # Name of the bag
+    train_file_name: str  # Name of the train file
+    train_file: TrainFile  # The train file, whose values are the priors
+    how: str  # How the estimators were run, as text
+    recording: Recording  # Columns to plot
+    resistance: Output[ResistanceEstimate]  # Last output of the resistance estimator
+    speed_model: Output[SpeedModelEstimate]  # Last output of AM-VFF-RLS
+    brake_rate: Output[BrakeRateEstimate]  # Last output of GSMA
+    rejections: tuple[RejectionCounts, ...]  # Rejected samples by estimator
+    truth: Truth | None = None  # True parameters, None if unknown
+    notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
+    others: tuple[tuple[str, Track], ...] = ()  # Resistance by other algorithms, by name
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyScore:
+    """Errors over all usable outputs (VALID or HOLDING), in the unit of the quantity."""
+
+    outputs: int  # Number of outputs compared
+    bias: float  # Mean error, estimate less truth
+    rms: float  # Root mean square error
+    last: float  # Error of the last output
+    inside_68: float  # Share of errors within one published standard deviation [1]
+    inside_95: float  # Share of errors within 1.96 standard deviations [1]
+
+
+def resistance_std(covariance: Array, speed: float | Array) -> Array:
+    """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of a, b, c, shape (..., 3, 3)."""
+    v = np.asarray(speed, dtype=np.float64)
+    phi = np.stack([np.ones_like(v), v, v * v], axis=-1)
+    variance: Array = np.einsum('...i,...ij,...j->...', phi, covariance, phi)
+    std: Array = np.sqrt(np.maximum(0.0, variance))
+    return std
+
+
+def resistance_at(theta: Array, speed: float | Array) -> Array:
+    """Return w = a + b v + c v^2 [N/kN] at a speed [m/s] for parameters of shape (..., 3)."""
+    w: Array = theta[..., 0] + speed * (theta[..., 1] + speed * theta[..., 2])
+    return w
+
+
+def true_theta(truth: Truth, start_ns: int, time_s: Array) -> Array:
+    """Return the true a, b, c [N/kN, v in m/s] at times since ``start_ns`` [s], shape (n, 3)."""
+    points = (truth.truth_at_ns(start_ns + round(t * NS_PER_S)).resistance for t in time_s)
+    return np.array([(point.a, point.b, point.c) for point in points]).reshape(-1, 3)
+
+
+def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
+    """Return the true brake rate [1] at times since ``start_ns`` [s], None if it is unknown."""
+    if not truth.brake_rate:
+        return None
+    rates = [truth.truth_at_ns(start_ns + round(t * NS_PER_S)).brake_rate for t in time_s]
+    return np.array([math.nan if rate is None else rate for rate in rates])
+
+
+def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None:
+    """Score w [N/kN] at the current speed, None if no output was usable."""
+    track = recording.resistance
+    speed = track.column('speed')
+    w = resistance_at(track.theta, speed)
+    true = resistance_at(true_theta(truth, recording.start_ns, track.time_s), speed)
+    return _score(w - true, resistance_std(track.covariance, speed), track.usable)
+
+
+def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None:
+    """Score the brake rate [1], None if the truth is unknown or no output was usable."""
+    track = recording.brake_rate
+    if (true := true_rate(truth, recording.start_ns, track.time_s)) is None:
+        return None
+    return _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
+
+
+def final_truth(recording: Recording, truth: Truth) -> tuple[Davis, float | None]:
+    """Return the true resistance and brake rate [1] at the end of the recording."""
+    point = truth.truth_at_ns(recording.start_ns + round(recording.duration_s * NS_PER_S))
+    return point.resistance, point.brake_rate
+
+
+def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> AccuracyScore | None:
+    kept = usable & np.isfinite(error) & np.isfinite(std)
+    if not kept.any():
+        return None
+    error, std = error[kept], std[kept]
+    return AccuracyScore(
+        outputs=len(error),
+        bias=float(error.mean()),
+        rms=float(np.sqrt(np.mean(np.square(error)))),
+        last=float(error[-1]),
+        inside_68=float(np.mean(np.abs(error) <= std)),
+        inside_95=float(np.mean(np.abs(error) <= page.SIGMA_95 * std)),
+    )
+
+
+MODES: Final = {PULLING: page.TRACTION, COASTING: page.COAST, BRAKING: page.BRAKE, STANDSTILL: page.STAND}
 STATUSES: Final = {
-    'UNINITIALIZED': style.STAND,
-    'CONVERGING': style.WAIT,
-    'VALID': style.GOOD,
-    'HOLDING': style.COAST,
-    'STALE': style.BRAKE,
-    'FAULT': style.BAD,
+    'UNINITIALIZED': page.STAND,
+    'CONVERGING': page.WAIT,
+    'VALID': page.GOOD,
+    'HOLDING': page.COAST,
+    'STALE': page.BRAKE,
+    'FAULT': page.BAD,
 }
 SPEEDS: Final = (10.0, 15.0, 20.0)
 """Speeds of the table [m/s]."""
@@ -245,25 +346,25 @@ def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
 
 
 def _handles(chapter: Chapter) -> list[Artist]:
-    truth = [style.TRUTH_LINE] if chapter.truth is not None else []
-    return [style.ESTIMATE_LINE, style.BAND_68, style.BAND_95, *truth, style.PRIOR_LINE]
+    truth = [page.TRUTH_LINE] if chapter.truth is not None else []
+    return [page.ESTIMATE_LINE, page.BAND_68, page.BAND_95, *truth, page.PRIOR_LINE]
 
 
 def resistance_over_time(chapter: Chapter) -> str:
     """Plot w at three speeds, and a, b, c, over time."""
     if not chapter.recording.resistance.estimates:
         return ''
-    with style.styled_figure(6.6) as figure:
+    with page.styled_figure(6.6) as figure:
         panels = figure.subplots(3, 2, sharex=True)
         for axes, speed in zip(panels[:, 0], shown_speeds(chapter), strict=True):
             phi = np.array([1.0, speed, speed * speed])
-            style.draw_panel(axes, _linear_panel(chapter, phi, f'w at {_speed_text(speed)}', 'w [N/kN]'))
+            page.draw_panel(axes, _linear_panel(chapter, phi, f'w at {_speed_text(speed)}', 'w [N/kN]'))
         for axes, phi, name, unit in zip(panels[:, 1], np.eye(3), 'abc', DAVIS_UNITS, strict=True):
-            style.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
+            page.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
         for axes in panels[-1]:
-            style.time_axis(axes, chapter.recording.duration_s)
-        style.legend_above(figure, _handles(chapter))
-        return style.to_svg(figure, 'Running resistance and Davis parameters over time')
+            page.time_axis(axes, chapter.recording.duration_s)
+        page.legend_above(figure, _handles(chapter))
+        return page.to_svg(figure, 'Running resistance and Davis parameters over time')
 
 
 def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel:
@@ -283,7 +384,7 @@ def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel
 
 def _picked(track: Track) -> Track:
     """Return a track with no more points than a figure needs."""
-    return track[style.pick(len(track.estimates))]
+    return track[page.pick(len(track.estimates))]
 
 
 def _true_w(chapter: Chapter, track: Track, phi: Array) -> Array | None:
@@ -298,27 +399,25 @@ def resistance_curve(chapter: Chapter) -> str:
     """Plot w(v) at the end with its band, prior, truth, other algorithms, and the driving time at each speed."""
     if not chapter.recording.resistance.estimates:
         return ''
-    with style.styled_figure(4.6) as figure:
+    with page.styled_figure(4.6) as figure:
         curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         speeds = np.linspace(0.0, _top_speed(chapter), _CURVE_POINTS)
-        _draw_curve(curve, speeds, chapter.recording.resistance, style.ESTIMATE)
+        _draw_curve(curve, speeds, chapter.recording.resistance, page.ESTIMATE)
         others = [(name, track) for name, track in chapter.others if track.estimates]
         for _, track in others:
-            _draw_curve(curve, speeds, track, style.BRAKE)
+            _draw_curve(curve, speeds, track, page.BRAKE)
         prior = davis(chapter.train_file.resistance, speeds)
-        curve.plot(KM_H * speeds, prior, color=style.MUTED, linestyle=style.PRIOR_DASHES, linewidth=1.4)
+        curve.plot(KM_H * speeds, prior, color=page.MUTED, linestyle=page.PRIOR_DASHES, linewidth=1.4)
         if chapter.truth is not None:
             true = true_theta(chapter.truth, chapter.recording.start_ns, np.array([chapter.recording.duration_s]))[0]
-            curve.plot(
-                KM_H * speeds, resistance_at(true, speeds), color=style.INK, linestyle=style.DASHES, linewidth=1.2
-            )
+            curve.plot(KM_H * speeds, resistance_at(true, speeds), color=page.INK, linestyle=page.DASHES, linewidth=1.2)
         curve.set_ylim(bottom=0.0)
         curve.set_ylabel('w [N/kN]')
         curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
         _draw_time_driven(driven, chapter)
-        lines = [Line2D([], [], color=style.BRAKE, label=name) for name, _ in others]
-        style.legend_above(figure, [*lines, *_handles(chapter)])
-        return style.to_svg(figure, 'Resistance curve against speed')
+        lines = [Line2D([], [], color=page.BRAKE, label=name) for name, _ in others]
+        page.legend_above(figure, [*lines, *_handles(chapter)])
+        return page.to_svg(figure, 'Resistance curve against speed')
 
 
 def _draw_curve(axes: Axes, speeds: Array, track: Track, colour: str) -> None:
@@ -326,7 +425,7 @@ def _draw_curve(axes: Axes, speeds: Array, track: Track, colour: str) -> None:
     low, high = track.speed_range
     seen = (speeds >= low) & (speeds <= high) if high > low else np.ones_like(speeds, dtype=bool)
     w, std = resistance_at(track[-1:].theta[0], speeds), resistance_std(track[-1:].covariance[0], speeds)
-    style.draw_band(axes, KM_H * speeds[seen], w[seen], std[seen], colour)
+    page.draw_band(axes, KM_H * speeds[seen], w[seen], std[seen], colour)
     axes.plot(KM_H * speeds, w, color=colour, linewidth=0.8, alpha=0.6)
 
 
@@ -340,7 +439,7 @@ def _draw_time_driven(axes: Axes, chapter: Chapter) -> None:
     speed = chapter.recording.drive()[1]
     moving = speed[speed > 0.5]
     minutes_each = chapter.recording.duration_s / max(len(speed), 1) / 60.0
-    axes.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=style.STAND)
+    axes.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=page.STAND)
     axes.set_ylabel('driven [min]')
     axes.set_xlabel('speed [km/h]')
     axes.set_xlim(0.0, KM_H * _top_speed(chapter))
@@ -363,15 +462,15 @@ def brake_rate_over_time(chapter: Chapter) -> str:
         prior=chapter.train_file.brake.rate,
         truth=true,
     )
-    with style.styled_figure(3.4) as figure:
+    with page.styled_figure(3.4) as figure:
         axes = figure.subplots()
-        style.draw_spans(axes, recording.observable, {'observable': style.BRAKE}, alpha=0.22)
-        style.draw_panel(axes, panel)
-        style.time_axis(axes, recording.duration_s)
-        truth = [style.TRUTH_LINE] if true is not None else []
-        shade = Patch(color=style.BRAKE, alpha=0.22, linewidth=0, label='braking, observable')
-        style.legend_above(figure, [style.ESTIMATE_LINE, style.BAND_68, style.BAND_95, *truth, style.PRIOR_LINE, shade])
-        return style.to_svg(figure, 'Brake rate over time')
+        page.draw_spans(axes, recording.observable, {'observable': page.BRAKE}, alpha=0.22)
+        page.draw_panel(axes, panel)
+        page.time_axis(axes, recording.duration_s)
+        truth = [page.TRUTH_LINE] if true is not None else []
+        shade = Patch(color=page.BRAKE, alpha=0.22, linewidth=0, label='braking, observable')
+        page.legend_above(figure, [page.ESTIMATE_LINE, page.BAND_68, page.BAND_95, *truth, page.PRIOR_LINE, shade])
+        return page.to_svg(figure, 'Brake rate over time')
 
 
 def speed_profile(chapter: Chapter) -> str:
@@ -380,24 +479,24 @@ def speed_profile(chapter: Chapter) -> str:
     time_ns, speed, gradient = recording.drive()
     if not len(time_ns):
         return ''
-    kept = style.pick(len(time_ns) // 2)
-    with style.styled_figure(3.8) as figure:
+    kept = page.pick(len(time_ns) // 2)
+    with page.styled_figure(3.8) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-        style.draw_spans(above, recording.modes, MODES, alpha=0.45)
+        page.draw_spans(above, recording.modes, MODES, alpha=0.45)
         title = 'Speed and driving modes'
-        style.draw_panel(
+        page.draw_panel(
             above,
             panels['speed']._replace(title=title, time_ns=time_ns[kept], value=KM_H * speed[kept]),
-            style.INK,
+            page.INK,
             0.9,
         )
         above.set_ylim(bottom=0.0)
-        style.draw_panel(
-            below, panels['gradient']._replace(title='', time_ns=time_ns[kept], value=gradient[kept]), style.MUTED, 0.9
+        page.draw_panel(
+            below, panels['gradient']._replace(title='', time_ns=time_ns[kept], value=gradient[kept]), page.MUTED, 0.9
         )
-        style.time_axis(below, recording.duration_s)
-        style.legend_above(figure, [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()])
-        return style.to_svg(figure, 'Speed profile with driving modes')
+        page.time_axis(below, recording.duration_s)
+        page.legend_above(figure, [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()])
+        return page.to_svg(figure, 'Speed profile with driving modes')
 
 
 def innovation_ratios(chapter: Chapter) -> str:
@@ -407,13 +506,13 @@ def innovation_ratios(chapter: Chapter) -> str:
     rows = [(name, series) for name, series in both if len(series.values)]
     if not rows:
         return ''
-    with style.styled_figure(0.6 + 1.7 * len(rows)) as figure:
+    with page.styled_figure(0.6 + 1.7 * len(rows)) as figure:
         panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, series) in zip(panels, rows, strict=True):
             _draw_ratios(axes, series)
             axes.set_title(name)
-        style.time_axis(panels[-1], recording.duration_s)
-        return style.to_svg(figure, 'Innovation test ratios over time')
+        page.time_axis(panels[-1], recording.duration_s)
+        return page.to_svg(figure, 'Innovation test ratios over time')
 
 
 def _draw_ratios(axes: Axes, ratios: Series) -> None:
@@ -424,9 +523,9 @@ def _draw_ratios(axes: Axes, ratios: Series) -> None:
     greatest = np.maximum(np.maximum.reduceat(ratio, starts), 1e-4)
     time_min = ratios.time_s[starts] / 60.0
     rejected = greatest > 1.0
-    axes.plot(time_min[~rejected], greatest[~rejected], '.', color=style.ESTIMATE, markersize=2.2)
-    axes.plot(time_min[rejected], greatest[rejected], 'x', color=style.BAD, markersize=4.0)
-    axes.axhline(1.0, color=style.BAD, linewidth=1.0)
+    axes.plot(time_min[~rejected], greatest[~rejected], '.', color=page.ESTIMATE, markersize=2.2)
+    axes.plot(time_min[rejected], greatest[rejected], 'x', color=page.BAD, markersize=4.0)
+    axes.axhline(1.0, color=page.BAD, linewidth=1.0)
     axes.set_yscale('log')
     axes.set_ylim(1e-4, max(3.0, 2.0 * float(greatest.max())))
     axes.set_ylabel('test ratio')
@@ -452,11 +551,11 @@ def speed_model_over_time(chapter: Chapter) -> str:
         track.column('mass_factor'),
         prior=1.0 + chapter.train_file.train.rotary_mass,
     )
-    with style.styled_figure(2.8) as figure:
+    with page.styled_figure(2.8) as figure:
         for axes, panel in zip(figure.subplots(1, 2, sharex=True), (w, mass), strict=True):
-            style.draw_panel(axes, panel, style.SECOND)
-            style.time_axis(axes, chapter.recording.duration_s)
-        return style.to_svg(figure, 'Speed model over time')
+            page.draw_panel(axes, panel, page.SECOND)
+            page.time_axis(axes, chapter.recording.duration_s)
+        return page.to_svg(figure, 'Speed model over time')
 
 
 def status_timeline(chapter: Chapter) -> str:
@@ -470,15 +569,15 @@ def status_timeline(chapter: Chapter) -> str:
     used = {span.label for spans in lanes.values() for span in spans}
     if not used:
         return ''
-    with style.styled_figure(2.1) as figure:
+    with page.styled_figure(2.1) as figure:
         axes = figure.subplots()
         for height, spans in zip((2, 1, 0), lanes.values(), strict=True):
-            style.draw_spans(axes, spans, STATUSES, lane=(height - 0.36, 0.72))
+            page.draw_spans(axes, spans, STATUSES, lane=(height - 0.36, 0.72))
         axes.set_yticks([2, 1, 0], [*lanes])
         axes.grid(visible=False, axis='y')
         axes.set_title('Status')
-        style.time_axis(axes, recording.duration_s)
-        style.legend_above(
+        page.time_axis(axes, recording.duration_s)
+        page.legend_above(
             figure, [Patch(color=colour, label=name) for name, colour in STATUSES.items() if name in used]
         )
-        return style.to_svg(figure, 'Status of the estimators over time')
+        return page.to_svg(figure, 'Status of the estimators over time')

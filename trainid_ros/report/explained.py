@@ -12,19 +12,21 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros.explain.result import Explanation, Verdict
-from trainid_ros.report.page import Table, render, write_page
-from trainid_ros.report.style import (
+from trainid_ros.report.page import (
     BRAKE,
     ESTIMATE,
     GOOD,
     MUTED,
     STAND,
     WAIT,
+    Table,
     legend_above,
     limit,
     pick,
+    render,
     styled_figure,
     to_svg,
+    write_page,
 )
 from trainid_ros.report.words import (
     DASH,

@@ -11,8 +11,20 @@ from markupsafe import Markup
 from trainid_ros.fleet.changes import Level
 from trainid_ros.fleet.mixed_model import MIN_TRAINS
 from trainid_ros.interface.text import pluralise
-from trainid_ros.report.page import Table, render
-from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, GRID, INK, MUTED, SECOND, TRACTION, styled_figure, to_svg
+from trainid_ros.report.page import (
+    BAD,
+    BRAKE,
+    ESTIMATE,
+    GRID,
+    INK,
+    MUTED,
+    SECOND,
+    TRACTION,
+    Table,
+    render,
+    styled_figure,
+    to_svg,
+)
 from trainid_ros.report.words import DASH, plus_minus
 
 if TYPE_CHECKING:

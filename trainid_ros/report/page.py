@@ -1,23 +1,231 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports as one self-contained HTML file, from the templates in this folder."""
+"""Reports as one self-contained HTML file, from the templates in this folder, and the figures in it as inline SVG.
+
+Figures have the colours of light and dark pages.
+"""
 
 from __future__ import annotations
 
 import platform
+import re
+from contextlib import contextmanager
+from html import escape
 from importlib.metadata import PackageNotFoundError, version
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import matplotlib as mpl
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from trainid_ros import __version__
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.report import HTML_START
-from trainid_ros.report.style import COLOURS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+    from trainid_ros.report.recording import Array, Panel, Span
+
+
+# Two-sided normal quantile of 95 %.
+SIGMA_95: Final = 1.959964
+INK: Final = '#1b1f24'
+MUTED: Final = '#6b7280'
+GRID: Final = '#d9dde3'
+PAPER: Final = '#fdfdfe'
+ESTIMATE: Final = '#1f5fa8'
+SECOND: Final = '#0f766f'
+TRACTION: Final = '#2a9d62'
+COAST: Final = '#9cc9ea'
+BRAKE: Final = '#d5602b'
+STAND: Final = '#aab0b8'
+GOOD: Final = '#2f8f5b'
+WAIT: Final = '#e0b23c'
+BAD: Final = '#c0392f'
+COLOURS: Final = (
+    (INK, 'ink', '#e8eaee'),
+    (MUTED, 'muted', '#98a1ad'),
+    (GRID, 'grid', '#3a414b'),
+    (PAPER, 'paper', '#15181c'),
+    (ESTIMATE, 'estimate', '#6fb1ff'),
+    (SECOND, 'second', '#4cc7bd'),
+    (TRACTION, 'traction', '#3fbf7f'),
+    (COAST, 'coast', '#4f86b3'),
+    (BRAKE, 'brake', '#f08a5a'),
+    (STAND, 'stand', '#5f6874'),
+    (GOOD, 'good', '#49b97f'),
+    (WAIT, 'wait', '#e3bd5a'),
+    (BAD, 'bad', '#ee7a70'),
+)
+"""Figures are drawn in a colour, which a CSS variable then replaces; the last one is that of dark pages."""
+# Any: rcParams takes only the literal names it knows.
+_RC: Final[Any] = {
+    'svg.fonttype': 'none',
+    'svg.hashsalt': 'trainid',
+    'font.family': 'sans-serif',
+    'font.sans-serif': ['DejaVu Sans'],
+    'font.size': 9.0,
+    'text.color': INK,
+    'axes.labelcolor': INK,
+    'axes.edgecolor': MUTED,
+    'axes.facecolor': 'none',
+    'axes.titlesize': 10.0,
+    'axes.titleweight': 'bold',
+    'axes.titlelocation': 'left',
+    'axes.spines.top': False,
+    'axes.spines.right': False,
+    'axes.grid': True,
+    'axes.axisbelow': True,
+    'axes.formatter.useoffset': False,  # an axis with 0.0002 and '+1' beside it is misread
+    'grid.color': GRID,
+    'grid.linewidth': 0.6,
+    'xtick.color': MUTED,
+    'ytick.color': MUTED,
+    'xtick.labelcolor': INK,
+    'ytick.labelcolor': INK,
+    'legend.frameon': False,
+    'legend.fontsize': 8.5,
+    'legend.handlelength': 1.6,
+    'lines.linewidth': 1.3,
+    'figure.facecolor': 'none',
+    'path.simplify_threshold': 0.3,
+}
+
+
+_WIDTH: Final = 10.4
+
+
+@contextmanager
+def styled_figure(height: float) -> Iterator[Figure]:
+    """Yield a figure as wide as the page, to be drawn in the style of the reports whatever the user's settings.
+
+    Args:
+        height: Height of the figure [inch].
+    """
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_RC)
+        yield Figure(figsize=(_WIDTH, height), layout='constrained')
+
+
+def to_svg(figure: Figure, label: str) -> Markup:
+    """Return a figure as an SVG element for a page; ``label`` is its description for screen readers."""
+    buffer = StringIO()
+    figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None, 'Format': None, 'Type': None})
+    text = buffer.getvalue()
+    text = text[text.index('<svg') :]
+    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
+    # Namespaces are implied in HTML, and the page scales the figure.
+    text = re.sub(r'\s(xmlns|xmlns:xlink)="[^"]*"', '', text)
+    text = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r'\1', text, count=1)
+    text = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r'\1', text, count=1)
+    text = text.replace('<svg', f'<svg role="img" aria-label="{escape(label)}"', 1)
+    for colour, variable, _ in COLOURS:
+        text = text.replace(colour, f'var(--{variable})')
+    return Markup(text)
+
+
+# More points than a figure has pixels add no information.
+POINTS: Final = 700
+_LIGHT: Final = 0.16
+_DARK: Final = 0.3
+
+DASHES: Final = (0, (5, 2))
+"""Line style of a truth."""
+PRIOR_DASHES: Final = (0, (1, 1.5))
+"""Line style of the values of the train file."""
+ESTIMATE_LINE: Final = Line2D([], [], color=ESTIMATE, label='estimate')
+BAND_68: Final = Patch(color=ESTIMATE, alpha=_LIGHT + _DARK, linewidth=0, label='68 %')
+BAND_95: Final = Patch(color=ESTIMATE, alpha=_LIGHT, linewidth=0, label='95 %')
+TRUTH_LINE: Final = Line2D([], [], color=INK, linestyle=DASHES, label='truth')
+PRIOR_LINE: Final = Line2D([], [], color=MUTED, linestyle=PRIOR_DASHES, label='train file (prior)')
+
+
+def pick(length: int) -> slice:
+    """Return a slice that thins ``length`` points to at most :data:`POINTS`."""
+    return slice(None, None, max(1, -(-length // POINTS)))
+
+
+def draw_band(axes: Axes, x: Array, value: Array, std: Array, colour: str = ESTIMATE) -> None:
+    """Draw an estimate with its 68 and 95 % bands."""
+    for sigmas, alpha in ((SIGMA_95, _LIGHT), (1.0, _DARK)):
+        low, high = value - sigmas * std, value + sigmas * std
+        axes.fill_between(x, low, high, color=colour, alpha=alpha, linewidth=0)
+    axes.plot(x, value, color=colour)
+
+
+def draw_panel(axes: Axes, panel: Panel, colour: str = ESTIMATE, width: float | None = None) -> None:
+    """Draw a panel of a recording, with its band, the value of the train file and the truth if there are any."""
+    time_min = panel.time_ns / NS_PER_S / 60.0
+    if panel.std is None:
+        axes.plot(time_min, panel.value, color=colour, linewidth=width)
+    else:
+        draw_band(axes, time_min, panel.value, panel.std, colour)
+    if panel.prior is not None:
+        axes.axhline(panel.prior, color=MUTED, linestyle=PRIOR_DASHES, linewidth=1.2)
+    if panel.truth is not None:
+        axes.plot(time_min, panel.truth, color=INK, linestyle=DASHES, linewidth=1.2, drawstyle='steps-post')
+    if panel.std is not None:
+        limit(axes, _shown(panel, panel.std))
+    axes.set_title(panel.title)
+    axes.set_ylabel(panel.label)
+
+
+def _shown(panel: Panel, std: Array) -> list[Array]:
+    """Return the values that the axis must show: the band where the estimate is usable, otherwise the estimate."""
+    shown, usable = [panel.value], panel.usable
+    if usable is not None and usable.any():
+        shown = [(panel.value - SIGMA_95 * std)[usable], (panel.value + SIGMA_95 * std)[usable]]
+    others = (panel.prior, panel.truth)
+    return [*shown, *(np.atleast_1d(other) for other in others if other is not None)]
+
+
+def draw_spans(
+    axes: Axes,
+    spans: Iterable[Span],
+    colours: Mapping[str, str],
+    *,
+    alpha: float | None = None,
+    lane: tuple[float, float] | None = None,
+) -> None:
+    """Shade spans of time: by default over the whole height, behind a plot; otherwise from a height on, and how far."""
+    place: dict[str, Any] = {'transform': axes.get_xaxis_transform()} if lane is None else {}
+    for label, colour in colours.items():
+        bars = [(span.start_s / 60.0, (span.end_s - span.start_s) / 60.0) for span in spans if span.label == label]
+        if bars:
+            axes.broken_barh(bars, lane or (0.0, 1.0), facecolors=colour, alpha=alpha, linewidth=0, **place)
+
+
+def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
+    """Fit the value axis to these values, so that a wide band at the start does not compress the rest."""
+    known = np.concatenate([value[np.isfinite(value)] for value in values])
+    if not len(known):
+        return
+    low, high = float(known.min()), float(known.max())
+    room = margins * (high - low) or 0.1 * abs(high) or 1.0
+    axes.set_ylim(low - room, high + room)
+
+
+def time_axis(axes: Axes, duration_s: float) -> None:
+    """Label a time axis in minutes."""
+    axes.set_xlim(0.0, max(duration_s / 60.0, 1e-3))
+    axes.set_xlabel('time since start [min]')
+
+
+def legend_above(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Draw one legend for all panels in a row above them."""
+    figure.legend(handles=list(handles), loc='outside upper right', ncols=len(handles))
+
 
 _LIBRARIES: Final = ('numpy', 'scipy', 'rclpy')
 _TEMPLATES: Final = Environment(

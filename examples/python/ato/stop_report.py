@@ -7,8 +7,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.report.page import bullets, captioned, html_table, page
-from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, MUTED, SECOND, TRACTION, WAIT, styled_figure, to_svg
+from trainid_ros.report.page import (
+    BAD,
+    BRAKE,
+    ESTIMATE,
+    MUTED,
+    SECOND,
+    TRACTION,
+    WAIT,
+    bullets,
+    captioned,
+    html_table,
+    page,
+    styled_figure,
+    to_svg,
+)
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from trainid_ros.report.style import styled_figure, to_svg
+from trainid_ros.report.page import styled_figure, to_svg
 
 
 def test_axes_show_values_and_not_what_to_add_to_them() -> None:

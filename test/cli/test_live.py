@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from trainid_ros.cli.monitor import Display
+from trainid_ros.cli.live import Display
 
 
 class Clock:

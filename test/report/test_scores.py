@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.report.chapter import resistance_at, resistance_std, score_brake_rate, score_resistance
+from trainid_ros.report.drive_report import resistance_at, resistance_std, score_brake_rate, score_resistance
 from trainid_ros.sim.truth import Truth
 
 
