@@ -34,7 +34,7 @@ class Part(NamedTuple):
     Attributes:
         measure: Module and function that measure it.
         seeds: Number of seeds, or of what else it repeats, if no other is asked for; 0 if it has no such number.
-        minutes: Time that it takes with these on two idle cores [min]; 0 if the whole run leaves it out.
+        minutes: Time expected with these on two idle cores [min]; 0 if the whole run leaves it out.
 
     """
 
@@ -57,12 +57,12 @@ PARTS: Final[Mapping[str, Part]] = {
     'faults_live': Part('benchmarks.faults_live:measure', 0, 10.0),
     # Simulated drives.
     'accuracy': Part('benchmarks.scenario_parts:accuracy', 12, 6.0),
-    'real_trains': Part('benchmarks.scenario_parts:real_trains', 12, 9.0),
-    'unknowns': Part('benchmarks.scenario_parts:unknowns', 2, 5.0),
-    'rates': Part('benchmarks.scenario_parts:rates', 4, 2.0),
-    'brake_worlds': Part('benchmarks.scenario_parts:brake_worlds', 6, 4.0),
-    'faults': Part('benchmarks.fault_matrix:measure', 1, 6.0),
-    'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.0),
+    'real_trains': Part('benchmarks.scenario_parts:real_trains', 12, 12.0),
+    'unknowns': Part('benchmarks.scenario_parts:unknowns', 1, 5.0),
+    'rates': Part('benchmarks.scenario_parts:rates', 2, 1.0),
+    'brake_worlds': Part('benchmarks.scenario_parts:brake_worlds', 3, 6.5),
+    'faults': Part('benchmarks.fault_matrix:measure', 1, 11.0),
+    'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.5),
     'explain': Part('benchmarks.explain:measure', 12, 6.0),
     'fleet': Part('benchmarks.fleet:measure', 6, 3.0),
     'closed_loop': Part('benchmarks.closed_loop:measure', 6, 2.0),

@@ -276,7 +276,7 @@ def publish(source: Ride, rows: Sequence[Row], methods: Sequence[Method], seed: 
     inertia = specific_inertia(1.0, source.train_file.train.rotary_mass)
     traces, findings, speed = tuple(Trace(inertia) for _ in pipelines), list[tuple[int, str]](), 0.0
     for row in rows:
-        speed = row[2] if row[0] == SPEED else speed
+        speed = row[2] if row[0] == SPEED and math.isfinite(row[2]) else speed
         shared = SharedRecord(row)
         for pipeline, trace in zip(pipelines, traces, strict=True):
             pipeline.take(shared.events(pipeline.stream), partial(trace.add, speed=speed))

@@ -88,8 +88,8 @@ def test_a_run_without_time_measures_nothing_and_fails(tmp_path: Path, capsys: p
     assert not (tmp_path / 'RESULTS.md').exists()
 
 
-def test_the_whole_run_takes_at_most_80_minutes() -> None:
-    assert sum(part.minutes for part in PARTS.values()) <= 80.0
+def test_the_whole_run_is_expected_to_take_at_most_90_minutes() -> None:
+    assert sum(part.minutes for part in PARTS.values()) <= 90.0
     assert all(
         callable(getattr(import_module(module), name))
         for module, _, name in (
