@@ -47,8 +47,12 @@ def test_the_gains_are_the_derivatives_of_the_response() -> None:
 
 
 def test_a_large_timing_error_adds_variance_while_the_response_changes() -> None:
-    steps = followed(Timing(0.6, 0.4, 0.3, 0.2), 5.0)
-    variances = np.array([step.variance for step in steps])
+    stds = ((0.3, 0.2), (0.3, 0.0), (0.0, 0.2))
+    variances, of_delay, of_lag = (
+        np.array([step.variance for step in followed(Timing(0.6, 0.4, *pair), 5.0)]) for pair in stds
+    )
+    assert variances == pytest.approx(of_delay + of_lag, rel=1e-9, abs=1e-15)
+    assert min(of_delay.max(), of_lag.max()) > 1e-5
     assert variances[:4].max() < 1e-12
     assert variances[4:12].max() > 1e-4
     assert variances[-3:].max() < 1e-5

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
+from test.resistance.bank_rows import BankRows
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.resistance.filter_bank import bank_plan
 from trainid_ros.resistance.hypotheses import Bank, Mixture
@@ -49,12 +48,12 @@ def test_each_run_makes_the_resistance_better_known() -> None:
     assert prior[9] > first.covariance[9] > second.covariance[9]
 
 
-def test_the_bank_itself_stays_as_it_is(rows: Any) -> None:
+def test_the_bank_itself_stays_as_it_is() -> None:
     now = bank()
-    before = rows.of(now)
+    before = BankRows.of(now)
     assert len(list(foreseen_mixtures(now, run(), np.zeros((2, len(run().steps))), FIRST, 1.0, VARIANCES))) == 2
-    assert np.array_equal(rows.of(now).P, before.P)
-    assert np.array_equal(rows.of(now).log_weight, before.log_weight)
+    assert np.array_equal(BankRows.of(now).P, before.P)
+    assert np.array_equal(BankRows.of(now).log_weight, before.log_weight)
 
 
 def test_an_innovation_far_beyond_its_standard_deviation_makes_a_step_likely() -> None:

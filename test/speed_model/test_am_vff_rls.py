@@ -123,8 +123,10 @@ def given_b1(P: Array) -> Array:
 
 def test_forgetting_scales_information_towards_the_prior_and_keeps_the_mass() -> None:
     m, lam = driven(), 0.7
+    m.mean_error = 2.0
     z, before = state(m), matrix(m)
     m.forget(lam)
+    assert m.mean_error == 0.0
     after, floor = matrix(m), np.diag(np.reciprocal(prior_variances_given_b1(P0)))
     expected: Array = np.array(np.linalg.inv(lam * np.linalg.inv(given_b1(before)) + (1.0 - lam) * floor))
     assert relative(given_b1(after), expected) < 1e-5

@@ -175,17 +175,17 @@ _POSITION_GAIN: Final = 0.1
 # Standard deviation of the brake acceleration at a restart of the train state [m/s^2].
 _REINIT_BRAKE_STD: Final = 0.05
 _HISTORY_S: Final = 60.0
-# The disturbance is estimated while braking is below this [m/s^2] and the traction error below this share of its std.
-_RELEASED: Final = 1e-3
-_SLACK: Final = 0.5
+# Upper limits for learning the disturbance: residual braking [m/s^2], and traction error over the std of b [1].
+_MAX_RESIDUAL_BRAKING: Final = 1e-3
+_MAX_TRACTION_SHARE: Final = 0.5
 # Memory of the squared innovations in samples, limit of each of them, and limit of the resulting factor.
 _MEMORY: Final = 100.0
 _MAX_SQUARE: Final = 9.0
 _MAX_EXCESS: Final = 10.0
-# A valid rate is below its limit by at least this many standard deviations.
-_CLEAR: Final = 3.0
-LARGEST_RATE: Final = 3.0
-"""Largest brake rate, as a multiple of the train file's value."""
+# Margin of a valid rate below its limit [standard deviations].
+_MIN_MARGIN_STDS: Final = 3.0
+MAX_RATE_FACTOR: Final = 3.0
+"""Largest brake rate as a multiple of that of the train file [1]."""
 
 
 @dataclass
@@ -231,8 +231,11 @@ class BrakeRateEstimator:
         # Settings that each sample needs.
         self._min_speed, self._min_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
         self._q, self._scale_std, self._valid_std = config.drift**2, config.scale_std, config.valid_std
-        self._white, self._max_slack = config.acceleration_noise**2, (_SLACK * config.disturbance_std) ** 2
-        self._largest = LARGEST_RATE * brake.rate
+        self._white, self._max_traction_variance = (
+            config.acceleration_noise**2,
+            (_MAX_TRACTION_SHARE * config.disturbance_std) ** 2,
+        )
+        self._max_rate = MAX_RATE_FACTOR * brake.rate
         self.reset()
 
     def reset(self) -> None:
@@ -275,7 +278,7 @@ class BrakeRateEstimator:
         """Decide whether the rate is valid, with a hysteresis of factor two; a rate at its limit may exceed it."""
         state, std = self.state, self._std()
         limit = self._valid_std * (2.0 if state.converged else 1.0)
-        state.converged = std < limit and state.rate + _CLEAR * std < self._largest
+        state.converged = std < limit and state.rate + _MIN_MARGIN_STDS * std < self._max_rate
 
     def idle(self, seconds: float) -> None:
         """Let the drift of the rate go on over a time without samples [s]."""
@@ -385,7 +388,7 @@ class BrakeRateEstimator:
     def _learn_disturbance(self, sample: Sample, interval: Transition, braking: float) -> None:
         """Update the size of b if no other uncertain force acts; ``braking`` is the brake acceleration [m/s^2]."""
         state = self.state
-        if braking > _RELEASED or interval.q_v / interval.dt - self._white > self._max_slack:
+        if braking > _MAX_RESIDUAL_BRAKING or interval.q_v / interval.dt - self._white > self._max_traction_variance:
             state.disturbance.pause()
             return
         e, gain_e = self.posterior.errors, interval.gain_e
@@ -446,7 +449,7 @@ class BrakeRateEstimator:
         """Return the brake rate, eq. (19), and the filtered train state, eq. (22); ``speed`` [m/s] is unused."""
         state, posterior = self.state, self.posterior
         return BrakeRateEstimate(
-            brake_rate=min(max(0.0, state.rate), self._largest),
+            brake_rate=min(max(0.0, state.rate), self._max_rate),
             brake_rate_std=self._std(),
             position=state.position,
             speed=max(0.0, posterior.speed),

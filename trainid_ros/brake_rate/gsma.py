@@ -49,7 +49,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.brake_rate.brake_rate_estimator import LARGEST_RATE, BrakeRateEstimator
+from trainid_ros.brake_rate.brake_rate_estimator import MAX_RATE_FACTOR, BrakeRateEstimator
 from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
 from trainid_ros.interface.errors import check_settings
@@ -187,7 +187,7 @@ class GsmaPosterior:
 
     def __init__(self, config: GsmaConfig, expected: float, rng: np.random.Generator) -> None:
         self._drift, self._jump_rate, self._jump_time = config.drift, config.jump_rate, config.jump_time
-        self._largest = LARGEST_RATE * expected
+        self._max_rate = MAX_RATE_FACTOR * expected
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
         jumping = max(_MIN_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
@@ -311,7 +311,7 @@ class GsmaPosterior:
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()
         self._effective = self._algorithm.update(
-            interval, self._walk, speed, self._covariance.K, S, self._largest, self._chain, uniforms
+            interval, self._walk, speed, self._covariance.K, S, self._max_rate, self._chain, uniforms
         )
         return True
 

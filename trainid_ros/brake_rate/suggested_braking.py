@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # Interval of the speeds [s], time for which they show the train before it brakes, and longest braking.
 _DT: Final = 0.2
 _BEFORE_S: Final = 2.0
-_LONGEST_S: Final = 300.0
+_MAX_BRAKING_S: Final = 300.0
 
 
 def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> SuggestedDrive | None:
@@ -75,7 +75,7 @@ def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) ->
     factor, lag, std = estimator.posterior.rate, state.timing.lag, math.sqrt(state.noise.variance)
     begin, acts_s = round(_BEFORE_S / _DT), _BEFORE_S + state.timing.delay
     rng, v, target = np.random.default_rng(0), run.manoeuvre.start, 0.0
-    for k in range(round(_LONGEST_S / _DT)):
+    for k in range(round(_MAX_BRAKING_S / _DT)):
         if v < estimator.config.min_speed:
             return
         stamp_ns = start_ns + round(k * _DT * NS_PER_S)

@@ -53,9 +53,9 @@ MIN_ROWS: Final = 12
 _AGREEING: Final = 0.55
 _STARTS, _SUBSET = 60, 4
 _CONCENTRATIONS: Final = 12
-# Inlier threshold in standard deviations, and the standard deviation of unit normal noise truncated there.
-_NEAR, _CUT_STD = 2.5, 0.9497
-# |z| that contains the agreeing share of normal noise.
+# Inlier threshold [standard deviations], and the standard deviation of a unit normal truncated at +-2.5.
+_INLIER_STDS, _TRUNCATED_STD = 2.5, 0.9497
+# Quantile of |z| of a unit normal at the agreeing share of 55 %.
 _AGREEING_Z: Final = 0.7554
 _ROUNDS: Final = 10
 
@@ -75,11 +75,11 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | N
     information, vector = before[:, :-1], before[:, -1]
     theta, scale = _trimmed(Phi, y, information, vector)
     for _ in range(_ROUNDS):
-        near = np.abs(y - Phi @ theta) < _NEAR * scale
+        near = np.abs(y - Phi @ theta) < _INLIER_STDS * scale
         if np.mean(near) < 0.5:
             return None
         theta = _ridge(Phi[near], y[near], information * scale**2, vector * scale**2)
-        scale = max(1.0, float(np.std(y[near] - Phi[near] @ theta)) / _CUT_STD)
+        scale = max(1.0, float(np.std(y[near] - Phi[near] @ theta)) / _TRUNCATED_STD)
     weights = near / (table[:, -1] * scale**2)
     P = np.linalg.inv(information + Phi.T @ (weights[:, None] * Phi))
     if not (np.isfinite(theta).all() and np.isfinite(P).all()):
@@ -109,10 +109,10 @@ def _ridge(Phi: Array, y: Array, information: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.solve(information + Phi.T @ Phi, vector + Phi.T @ y), dtype=np.float64)
 
 
-# Log odds against the long memory at which it is replaced.
-_REPLACED: Final = math.log(1e3)
+# Log odds of a hypothesis against the long memory from which it replaces the long memory [1].
+_TAKEOVER_LOG_ODDS: Final = math.log(1e3)
 # Mean weight of the observations below which the long memory is locked out.
-_LOCKED_OUT: Final = 0.4
+_MIN_MEAN_WEIGHT: Final = 0.4
 # Limit of the log Bayes factor, far beyond any decision threshold.
 _MAX_EVIDENCE: Final = 300.0
 
@@ -229,7 +229,7 @@ class Tracker:
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
         # [13]
-        if self._mean_weight < _LOCKED_OUT:
+        if self._mean_weight < _MIN_MEAN_WEIGHT:
             self._restart_from_latest()
         self._mix()
         return weight
@@ -254,7 +254,7 @@ class Tracker:
 
     def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
-        best, most = None, _REPLACED - self._log_hazard
+        best, most = None, _TAKEOVER_LOG_ODDS - self._log_hazard
         for i, item in enumerate(self._hypotheses):
             normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
             # Observations with correlated noise carry repeated evidence.
@@ -295,7 +295,7 @@ class Tracker:
         # [14]
         normals, odds = [self._long], [1.0]
         for item in self._hypotheses:
-            if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_REPLACED:
+            if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_TAKEOVER_LOG_ODDS:
                 normals.append(item.normal)
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)

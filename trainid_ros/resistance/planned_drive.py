@@ -38,13 +38,13 @@ STEP_S: Final = 0.4
 ACCELERATION: Final = 0.9
 JERK: Final = 0.8
 DECELERATION: Final = 0.6
-# A shorter run shows too little to foresee what is learned, a longer one is not practicable [s].
-_SHORTEST_S: Final = 60.0
-_LONGEST_S: Final = 900.0
+# Shortest run with enough data for a prediction, and longest practicable run or braking [s].
+_MIN_RUN_S: Final = 60.0
+_MAX_RUN_S: Final = 900.0
 # Length of a run where the train file names no stops [m].
-_LONGEST_M: Final = 10e3
-# A controller holds a speed limit to this [m/s].
-_ABOVE: Final = 0.5
+_MAX_RUN_M: Final = 10e3
+# Tolerance of a controller at a speed limit [m/s].
+_LIMIT_TOLERANCE: Final = 0.5
 # Speeds at which coasting or holding begins, as shares of the top speed; coasting ends at these shares of that speed.
 _STARTS: Final = (1.0, 0.7, 0.45)
 _ENDS: Final = (0.85, 0.7, 0.5, 0.3)
@@ -129,7 +129,7 @@ def planned_runs(train_file: TrainFile, davis: Davis, force_scale: float = 1.0) 
     """Yield runs that fit on the line, at the speeds that train and line allow; arguments as in :func:`plan_run`."""
     for manoeuvre in _manoeuvres(top_speed(train_file)):
         run = plan_run(manoeuvre, train_file, davis, force_scale)
-        if run is not None and len(run.steps) * STEP_S >= _SHORTEST_S and _fits(run, train_file):
+        if run is not None and len(run.steps) * STEP_S >= _MIN_RUN_S and _fits(run, train_file):
             yield run
 
 
@@ -146,7 +146,7 @@ def _fits(run: Run, train_file: TrainFile) -> bool:
     """Return whether there is room for a run between two stops, where the speed limits allow it."""
     line, length = train_file.line, run.length_m
     if not line.stops:
-        return length <= _LONGEST_M
+        return length <= _MAX_RUN_M
     profile = LineProfile(line, train_file.train.length)
     for stop, following in pairwise(line.stops):
         # A limit ends when the rear of the train has passed it.
@@ -162,7 +162,7 @@ def _is_allowed(run: Run, begin: float, profile: LineProfile) -> bool:
     position = begin
     for speed in run.speeds:
         position += STEP_S * speed
-        if speed > profile.speed_limit(position, 1) + _ABOVE:
+        if speed > profile.speed_limit(position, 1) + _LIMIT_TOLERANCE:
             return False
     return True
 
@@ -210,7 +210,7 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
         mean, traction = traction + 0.5 * change, traction + change
         v = max(0.0, v + STEP_S / m * (scale * mean - w))
         steps.append(Step(v, mean, change / STEP_S))
-        if len(steps) * STEP_S > _LONGEST_S or (v == 0.0 and reached):
+        if len(steps) * STEP_S > _MAX_RUN_S or (v == 0.0 and reached):
             return None
     braking = _braking(v, train_file, davis)
     if braking is None:
@@ -228,7 +228,7 @@ def _braking(v: float, train_file: TrainFile, davis: Davis) -> tuple[float, ...]
         w = davis.a + v * (davis.b + v * davis.c)
         v = max(0.0, v + STEP_S * (brake.rate_at(v) * target - w / m))
         speeds.append(v)
-        if STEP_S * len(speeds) > _LONGEST_S:
+        if STEP_S * len(speeds) > _MAX_RUN_S:
             return None
     return tuple(speeds)
 

@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.planned_drive import Run
     from trainid_ros.train.train_file import TrainFile
 
-# Most repetitions of a run that are suggested.
-_TIMES: Final = 3
-# A drive that leaves more than this share of a standard deviation does not help.
-_HELPS: Final = 0.9
-# A longer drive must be better than a shorter one by this share of the standard deviation.
-_WORTH: Final = 0.03
-# A standard deviation of up to this multiple of its limit, or of the present one, counts as the same.
-_NEARLY: Final = 1.05
-# A force scale known to this needs no drive [1].
-_SCALE_STD: Final = 0.01
-# A smaller force scale is not possible [1].
+# Maximum number of repetitions of a run.
+_MAX_TIMES: Final = 3
+# Largest useful ratio of the standard deviations after and before a drive [1].
+_MAX_STD_RATIO: Final = 0.9
+# Smallest relative reduction of the standard deviation that justifies a longer drive [1].
+_MIN_REDUCTION: Final = 0.03
+# Tolerance of a standard deviation, as a multiple of its limit or of the present one [1].
+_TOLERANCE: Final = 1.05
+# Standard deviation from which a force scale counts as known [1].
+_MIN_SCALE_STD: Final = 0.01
+# Smallest plausible force scale [1].
 _MIN_SCALE: Final = 0.1
 # w must be known up to the top speed, checked at these shares of it.
 _SHARES: Final = (0.25, 0.5, 0.75, 1.0)
@@ -74,7 +74,7 @@ class Promise:
     @property
     def is_worse(self) -> bool:
         """Whether the quantity is known less well after the drive, and not well enough."""
-        return self.ratio > _NEARLY * max(1.0, self.before)
+        return self.ratio > _TOLERANCE * max(1.0, self.before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class SuggestedDrive:
         times = _NUMBERS.get(self.times, f'{self.times} times')
         length = f'{self.times * self.run.length_m / 1000.0:.1f} km'
         std = f'{wanted.name} ± {promise.then:.2g}{f" {wanted.unit}" if wanted.unit else ""}, now ± {promise.now:.2g}'
-        missed = '' if promise.ratio <= _NEARLY else f' (wanted ± {wanted.limit:.2g})'
+        missed = '' if promise.ratio <= _TOLERANCE else f' (wanted ± {wanted.limit:.2g})'
         return f'{self.run.manoeuvre.text} {times} ({length}): {std}{missed}'
 
     @property
@@ -175,12 +175,12 @@ def best_drive(
         return None
     drives = []
     for run in runs:
-        for times, then in enumerate(foreseen(run, _TIMES), 1):
+        for times, then in enumerate(foreseen(run, _MAX_TIMES), 1):
             promises = tuple(Promise(wanted, wanted.std(now), wanted.std(then)) for wanted in quantities)
             if not any(promise.is_worse for promise in promises):
                 drives.append(_Candidate(run, times, promises))
     best = _shortest(sorted(drives, key=attrgetter('duration_s')))
-    return best if best is not None and best.least_known.then < _HELPS * best.least_known.now else None
+    return best if best is not None and best.least_known.then < _MAX_STD_RATIO * best.least_known.now else None
 
 
 def _shortest(drives: Sequence[_Candidate]) -> SuggestedDrive | None:
@@ -198,7 +198,7 @@ def _shortest(drives: Sequence[_Candidate]) -> SuggestedDrive | None:
     best, least = drives[0], math.inf
     for drive in drives:
         ratio = max(drive.promises[k].ratio for k in counted)
-        if ratio < (1.0 - _WORTH) * least:
+        if ratio < (1.0 - _MIN_REDUCTION) * least:
             best, least = drive, ratio
         if least <= 1.0:
             break
@@ -219,7 +219,7 @@ def _quantities(
         w = now.a + v * (now.b + v * now.c)
         yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', partial(_at, v), math.hypot(valid_std, valid_share * w))
     if not math.isnan(prior.force_scale_std):
-        yield Wanted('force scale', '', _scale, max(_SCALE_STD, left * prior.force_scale_std))
+        yield Wanted('force scale', '', _scale, max(_MIN_SCALE_STD, left * prior.force_scale_std))
 
 
 # The standard deviations of an estimate: functions of the module, so that a drive can be sent to another process.

@@ -20,8 +20,8 @@ _MIN_DELAY_STD: Final = 0.003
 # One update leaves at least this share of the variance, so that rounding cannot make it negative.
 _MIN_SHARE: Final = 1e-3
 # Longest window of the disturbances, and shortest one that is used [s].
-_LONGEST: Final = 30.0
-_SHORTEST: Final = 8.0
+_MAX_WINDOW_S: Final = 30.0
+_MIN_WINDOW_S: Final = 8.0
 # Weight of the initial value, and memory, both in windows.
 _PRIOR_WINDOWS: Final = 3.0
 _MEMORY: Final = 60.0
@@ -264,21 +264,21 @@ class Disturbance:
         updates = (a1 - self.a1) * phi[0] + (a2 - self.a2) * phi[1] + (b1 - self.b1) * phi[2] + (d0 - self.d0) * phi[3]
         self.deviation = self.deviation + correction + updates
         self.elapsed += dt
-        if self.elapsed >= _LONGEST:
+        if self.elapsed >= _MAX_WINDOW_S:
             self.end_window()
 
     def end_window(self) -> None:
         """Close the current window and update the strength, unless the window is too short."""
         elapsed, deviation, theta_variance = self.elapsed, self.deviation, self.theta_variance
         self.elapsed = self.deviation = self.theta_variance = 0.0
-        if elapsed < _SHORTEST:
+        if elapsed < _MIN_WINDOW_S:
             return
         own = self.density * elapsed
         expected = own + theta_variance * elapsed * elapsed
         ratio = min(deviation * deviation / expected, _MAX_SQUARE)
         # Share of the error variance not due to theta; a window dominated by theta's uncertainty has little weight.
         share = own / expected
-        weight = share * share * elapsed / _LONGEST
+        weight = share * share * elapsed / _MAX_WINDOW_S
         self.windows = min(self.windows + weight, _MEMORY)
         density = self.density * (1.0 + (weight / self.windows) * (ratio - 1.0) / share)
         self.density = min(max(density, _MIN_STD * _MIN_STD), _MAX_STD * _MAX_STD)

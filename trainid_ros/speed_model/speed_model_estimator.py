@@ -84,11 +84,11 @@ class SpeedModelState:
 # Slow samples in a row that indicate standstill: a single one may be an outlier.
 _STANDING: Final = 3
 # Largest plausible loss of speed from one sample to the next [m/s].
-_SUDDEN: Final = 1.0
+_MAX_SPEED_LOSS: Final = 1.0
 # A detected change keeps at least the square of this share of the information.
 _MIN_FACTOR: Final = 0.1
-# No stop for passengers is shorter [s].
-_SHORTEST_STOP: Final = 15.0
+# Shortest stop at which passengers change [s].
+_MIN_STOP_S: Final = 15.0
 # Limit of the change of traction from sample to sample [N/kN]; beyond it is an outlier.
 _MAX_CHANGE: Final = 500.0
 
@@ -183,7 +183,7 @@ class SpeedModelEstimator:
         """Add the drift over a time without samples [s], and a change of load if the train may have stopped."""
         if self._auxiliary is not None:
             self._auxiliary.idle(seconds / SAMPLE_PERIOD)
-        if seconds > _SHORTEST_STOP:
+        if seconds > _MIN_STOP_S:
             self.method.inflate_load_variance(self._load_share())
         self._update_validity(self.state, self._covariance())
 
@@ -321,7 +321,7 @@ class SpeedModelEstimator:
         """Hold theta over a rejected sample of speed y [m/s]; x follows the measurement."""
         state, method, noise = self.state, self.method, self.state.noise.variance
         state.slow_in_a_row = state.slow_in_a_row + 1 if y < self._min_speed else 0
-        sudden = method.speed() - y > _SUDDEN
+        sudden = method.speed() - y > _MAX_SPEED_LOSS
         if reason is Reason.STANDSTILL and state.slow_in_a_row < _STANDING and sudden:
             self._predict(step)
             method.coast(step.u, step.scale)

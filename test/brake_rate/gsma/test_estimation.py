@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
+from test.brake_rate.gsma.drives import braking, compare, exactly_known, gsma, power, stop_and_go
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
@@ -37,7 +38,7 @@ NO_ERRORS: dict[str, Any] = dict.fromkeys(
 
 @pytest.mark.parametrize(('drift', 'particles', 'most'), [(0.003, 50, 0.1), (0.003, 300, 0.03), (0.02, 300, 0.08)])
 def test_it_equals_the_exact_kalman_filter_within_sampling_noise(
-    train_file: TrainFile, journey: Journey, drift: float, particles: int, most: float, compare: Any
+    train_file: TrainFile, journey: Journey, drift: float, particles: int, most: float
 ) -> None:
     """Differences in stds of the Kalman filter; the true f is a random walk that starts within two prior stds."""
     # Before any data, the prior mean of this disturbance is 0.006.
@@ -50,9 +51,7 @@ def test_it_equals_the_exact_kalman_filter_within_sampling_noise(
     assert found[:, 1].mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_group_spreads_like_the_random_walk(
-    train_file: TrainFile, journey: Journey, exactly_known: Any, gsma: Any, braking: Any
-) -> None:
+def test_a_group_spreads_like_the_random_walk(train_file: TrainFile, journey: Journey) -> None:
     """One step without information: the variance grows by q dt, h^2 / 3."""
     config = GsmaConfig(particles=400, prior_std=1e-4, drift=0.1, jump_rate=0.0, speed_std=2.0, gate=100.0, **NO_ERRORS)
     estimator, grown = gsma(exactly_known(train_file), config), []
@@ -66,7 +65,7 @@ def test_a_group_spreads_like_the_random_walk(
 
 
 def test_without_braking_the_std_grows_with_the_drift_and_the_mean_is_constant(
-    train_file: TrainFile, journey: Journey, gsma: Any
+    train_file: TrainFile, journey: Journey
 ) -> None:
     """Four minutes of coasting, power and standing after a braking: std follows sqrt(s^2 + q t) within 2 %."""
     config = GsmaConfig(drift=0.01)
@@ -95,9 +94,7 @@ def test_without_braking_the_std_grows_with_the_drift_and_the_mean_is_constant(
     assert samples[-1].speed == 0.0
 
 
-def test_standstill_and_traction_leave_the_rate_bit_identical(
-    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any, power: Any
-) -> None:
+def test_standstill_and_traction_leave_the_rate_bit_identical(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     seen = set()
     for item in journey(240.0, brake=stop_and_go, traction=power, speed=0.0, rate=lambda _: 0.85):
@@ -114,9 +111,7 @@ def test_standstill_and_traction_leave_the_rate_bit_identical(
 
 
 @pytest.mark.parametrize('rate', [0.7, 0.85, 1.1])
-def test_the_brake_rate_is_estimated_in_the_first_braking(
-    train_file: TrainFile, journey: Journey, rate: float, gsma: Any
-) -> None:
+def test_the_brake_rate_is_estimated_in_the_first_braking(train_file: TrainFile, journey: Journey, rate: float) -> None:
     errors = []
     for seed in range(5):
         estimator = gsma(train_file, seed=seed)
@@ -132,7 +127,7 @@ def test_the_brake_rate_is_estimated_in_the_first_braking(
 
 @pytest.mark.parametrize('rate', [0.55, 1.45])
 def test_a_rate_three_standard_deviations_from_the_prior_is_found_in_one_braking(
-    train_file: TrainFile, journey: Journey, rate: float, gsma: Any, braking: Any
+    train_file: TrainFile, journey: Journey, rate: float
 ) -> None:
     """The exact filter is within 0.01; the estimate must not depend on the few particles in the tail of the prior."""
     for seed in range(3):
@@ -145,7 +140,7 @@ def test_a_rate_three_standard_deviations_from_the_prior_is_found_in_one_braking
         assert abs(e.brake_rate - rate) < 3.0 * e.brake_rate_std
 
 
-def test_the_dead_time_uses_stamps(train_file: TrainFile, journey: Journey, gsma: Any, braking: Any) -> None:
+def test_the_dead_time_uses_stamps(train_file: TrainFile, journey: Journey) -> None:
     """A shift of the command by 1 us changes the rate by 1e-6 s over the time braked, which is negligible."""
 
     def shifted(item: Sample, by_ns: int) -> Sample:
@@ -176,9 +171,7 @@ def test_the_dead_time_uses_stamps(train_file: TrainFile, journey: Journey, gsma
     assert early.state.filtered_target < 0.0
 
 
-def test_the_filtered_target_is_the_command_after_dead_time_and_lag(
-    train_file: TrainFile, journey: Journey, gsma: Any, braking: Any
-) -> None:
+def test_the_filtered_target_is_the_command_after_dead_time_and_lag(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     samples = journey(20.0, brake=braking, speed=25.0)
     target = 0.0
@@ -189,9 +182,7 @@ def test_the_filtered_target_is_the_command_after_dead_time_and_lag(
         assert estimator.state.filtered_target == pytest.approx(target, abs=1e-12)
 
 
-def test_a_gap_of_the_speed_does_not_affect_the_brake_target(
-    train_file: TrainFile, journey: Journey, gsma: Any, braking: Any
-) -> None:
+def test_a_gap_of_the_speed_does_not_affect_the_brake_target(train_file: TrainFile, journey: Journey) -> None:
     """The brake is applied while the speed is missing; then the target equals that of a filter without the gap."""
     samples = journey(20.0, brake=braking, speed=25.0)
     missing = range(18, 32)

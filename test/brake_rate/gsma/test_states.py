@@ -14,6 +14,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.stepping import step_and_estimate
+from test.brake_rate.gsma.drives import braking, gsma, power, stop_and_go
 from trainid_ros.brake_rate.gsma import GsmaPosterior
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.records import NS_PER_S
@@ -27,9 +28,7 @@ Journey = Callable[..., list[Sample]]
 CONFIG = GsmaConfig()
 
 
-def test_outliers_are_rejected_and_several_in_a_row_are_accepted(
-    train_file: TrainFile, journey: Journey, gsma: Any, braking: Any
-) -> None:
+def test_outliers_are_rejected_and_several_in_a_row_are_accepted(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     samples = journey(30.0, brake=braking, speed=25.0)
     for item in samples[:75]:
@@ -57,7 +56,7 @@ def test_outliers_are_rejected_and_several_in_a_row_are_accepted(
     ],
 )
 def test_invalid_samples_are_rejected_with_their_reason(
-    train_file: TrainFile, journey: Journey, fields: dict[str, Any], reason: Reason, gsma: Any, braking: Any
+    train_file: TrainFile, journey: Journey, fields: dict[str, Any], reason: Reason
 ) -> None:
     estimator = gsma(train_file)
     samples = journey(12.0, brake=braking, speed=25.0)
@@ -72,7 +71,7 @@ def test_invalid_samples_are_rejected_with_their_reason(
     assert after.brake_rate_std > before.brake_rate_std
 
 
-def test_the_particles_start_at_the_quantiles_of_the_prior(train_file: TrainFile, gsma: Any) -> None:
+def test_the_particles_start_at_the_quantiles_of_the_prior(train_file: TrainFile) -> None:
     e = gsma(train_file).estimate(0.0)
     assert e.brake_rate == pytest.approx(1.0, abs=1e-12)
     # Quantiles omit the outermost tails.
@@ -81,9 +80,7 @@ def test_the_particles_start_at_the_quantiles_of_the_prior(train_file: TrainFile
     assert math.isnan(e.position)
 
 
-def test_the_position_follows_the_odometer_and_bridges_its_loss(
-    train_file: TrainFile, journey: Journey, gsma: Any
-) -> None:
+def test_the_position_follows_the_odometer_and_bridges_its_loss(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     for k, item in enumerate(journey(60.0, speed=20.0)):
         position = math.nan if 100 <= k < 120 else item.position
@@ -92,7 +89,7 @@ def test_the_position_follows_the_odometer_and_bridges_its_loss(
             assert estimator.estimate(0.0).position == pytest.approx(item.position, abs=0.5)
 
 
-def test_the_convergence_flag_has_hysteresis(train_file: TrainFile, journey: Journey, gsma: Any) -> None:
+def test_the_convergence_flag_has_hysteresis(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file, GsmaConfig(drift=0.01))
     changes, stds = [], []
     was = False
@@ -109,7 +106,7 @@ def test_the_convergence_flag_has_hysteresis(train_file: TrainFile, journey: Jou
 
 @settings(max_examples=20, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(seed=st.integers(0, 2**32 - 1))
-def test_no_input_invalidates_the_estimate(train_file: TrainFile, sample: Make, seed: int, gsma: Any) -> None:
+def test_no_input_invalidates_the_estimate(train_file: TrainFile, sample: Make, seed: int) -> None:
     rng = np.random.default_rng(seed)
     estimator, stamp, command = gsma(train_file), 1_700_000_000 * NS_PER_S, 0.0
 
@@ -153,7 +150,7 @@ def test_no_input_invalidates_the_estimate(train_file: TrainFile, sample: Make, 
 
 
 def test_the_same_seed_gives_identical_results_and_another_seed_different_ones(
-    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any
+    train_file: TrainFile, journey: Journey
 ) -> None:
     samples = journey(60.0, brake=stop_and_go, speed=20.0, rate=lambda _: 0.9)
     same, again, other = gsma(train_file, seed=5), gsma(train_file, seed=5), gsma(train_file, seed=6)
@@ -168,7 +165,7 @@ def test_the_same_seed_gives_identical_results_and_another_seed_different_ones(
 
 
 def test_a_run_saved_and_restored_in_the_middle_continues_bit_identical(
-    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any, power: Any
+    train_file: TrainFile, journey: Journey
 ) -> None:
     samples = journey(120.0, brake=stop_and_go, traction=power, speed=10.0, rate=lambda _: 0.9)
     # In traction, in the dead time, while braking (particles not pruned yet), at standstill.
@@ -184,7 +181,7 @@ def test_a_run_saved_and_restored_in_the_middle_continues_bit_identical(
 
 
 def test_a_state_saved_while_braking_and_restored_after_the_release_does_not_go_on_braking(
-    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any, power: Any
+    train_file: TrainFile, journey: Journey
 ) -> None:
     samples = journey(120.0, brake=stop_and_go, traction=power, speed=10.0, rate=lambda _: 0.9)
     old, later = gsma(train_file), gsma(train_file)
@@ -200,9 +197,7 @@ def test_a_state_saved_while_braking_and_restored_after_the_release_does_not_go_
     assert later.state.commands.value(released[-1].stamp_ns) == 0.0
 
 
-def test_a_reset_estimator_equals_a_new_one(
-    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any
-) -> None:
+def test_a_reset_estimator_equals_a_new_one(train_file: TrainFile, journey: Journey) -> None:
     used, new = gsma(train_file), gsma(train_file)
     samples = journey(60.0, brake=stop_and_go, speed=15.0)
     for item in samples:

@@ -6,12 +6,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
+from test.resistance.bank_rows import BankRows
+from test.resistance.filter_bank.drives import (
+    after,
+    check_finite,
+    check_recovers,
+    drive,
+    fields_except_speed,
+    restored,
+    run,
+    shifted,
+    w,
+)
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, Rejection
@@ -30,13 +41,7 @@ FILE = TrainFile(Train(MASS, GAMMA, 100.0), Davis(1.5, 0.03, 0.004), Brake(1.0, 
 TRUTH = Davis(1.8, 0.02, 0.005)
 
 
-def w(davis: Davis, v: float) -> float:
-    return davis.a + davis.b * v + davis.c * v * v
-
-
-def test_single_outliers_are_rejected_and_hardly_affect_the_estimate(
-    learned: str, drive: Any, restored: Any, shifted: Any
-) -> None:
+def test_single_outliers_are_rejected_and_hardly_affect_the_estimate(learned: str) -> None:
     good = shifted(drive(60.0, seed=13), 1000.0)
     odd = [replace(s, speed=s.speed + 2.0) if i % 20 == 10 else s for i, s in enumerate(good)]
     plain, hit = restored(learned), restored(learned)
@@ -48,9 +53,7 @@ def test_single_outliers_are_rejected_and_hardly_affect_the_estimate(
     assert hit.estimate(12.0).resistance == pytest.approx(expected.resistance, abs=0.5 * expected.resistance_std)
 
 
-def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filters(
-    learned: str, drive: Any, restored: Any, shifted: Any
-) -> None:
+def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filters(learned: str) -> None:
     bank = restored(learned)
     before = bank.estimate(12.0)
     good = shifted(drive(8.0, seed=18), 1000.0)
@@ -62,9 +65,7 @@ def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filter
     assert bank.estimate(12.0).resistance == pytest.approx(before.resistance, abs=before.resistance_std)
 
 
-def test_dropouts_do_not_affect_the_accuracy(
-    learned: str, drive: Any, check_finite: Any, restored: Any, shifted: Any
-) -> None:
+def test_dropouts_do_not_affect_the_accuracy(learned: str) -> None:
     good = shifted(drive(90.0, seed=14), 1000.0)
     bank = restored(learned)
     for i, item in enumerate(good):
@@ -76,7 +77,7 @@ def test_dropouts_do_not_affect_the_accuracy(
     assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=3.0 * found.resistance_std)
 
 
-def test_bursts_of_wheel_slip_do_not_bias_the_resistance(learned: str, drive: Any, restored: Any, shifted: Any) -> None:
+def test_bursts_of_wheel_slip_do_not_bias_the_resistance(learned: str) -> None:
     """Wheels spin up by 2 m/s within a second and regain adhesion, every half minute."""
     slip = [0.3, 0.8, 1.3, 1.8, 2.0, 2.0, 1.5, 1.0, 0.5, 0.2]
     samples = shifted(drive(120.0, seed=15), 1000.0)
@@ -89,9 +90,7 @@ def test_bursts_of_wheel_slip_do_not_bias_the_resistance(learned: str, drive: An
 
 
 @pytest.mark.parametrize('force', [1e6, -1e6, 1e8])
-def test_after_impossible_forces_the_estimate_is_finite_and_recovers(
-    learned: str, force: float, drive: Any, check_finite: Any, restored: Any, shifted: Any, check_recovers: Any
-) -> None:
+def test_after_impossible_forces_the_estimate_is_finite_and_recovers(learned: str, force: float) -> None:
     samples = shifted(drive(12.0, seed=16), 1000.0)
     bank = restored(learned)
     for i, item in enumerate(samples):
@@ -100,9 +99,7 @@ def test_after_impossible_forces_the_estimate_is_finite_and_recovers(
     check_recovers(bank)
 
 
-def test_a_force_above_the_weight_of_the_train_changes_no_estimate(
-    learned: str, minutes: list[Sample], restored: Any, after: Any
-) -> None:
+def test_a_force_above_the_weight_of_the_train_changes_no_estimate(learned: str, minutes: list[Sample]) -> None:
     bank = restored(learned)
     before, item = bank.estimate(12.0), minutes[-1]
     for _ in range(10):
@@ -113,9 +110,7 @@ def test_a_force_above_the_weight_of_the_train_changes_no_estimate(
     assert bank.estimate(12.0) == before
 
 
-def test_states_saved_during_a_lasting_impossible_force_can_be_restored(
-    learned: str, minutes: list[Sample], check_finite: Any, restored: Any, after: Any, rows: Any
-) -> None:
+def test_states_saved_during_a_lasting_impossible_force_can_be_restored(learned: str, minutes: list[Sample]) -> None:
     bank = restored(learned)
     item, force = minutes[-1], 0.99 * G * FILE.train.mass
     fastest = 0.0
@@ -125,12 +120,12 @@ def test_states_saved_during_a_lasting_impossible_force_can_be_restored(
         check_finite(bank.estimate(12.0))
         text = bank.save()
         assert restored(text).save() == text
-        fastest = max(fastest, float(rows.of(bank.bank).x[:, 0].max()))
+        fastest = max(fastest, float(BankRows.of(bank.bank).x[:, 0].max()))
     assert fastest > 40.0
 
 
 def test_a_bank_with_a_non_finite_number_reports_it_and_restarts_from_the_prior(
-    learned: str, minutes: list[Sample], fields_except_speed: Any, restored: Any, after: Any, check_recovers: Any
+    learned: str, minutes: list[Sample]
 ) -> None:
     bank = restored(learned)
     assert bank.converged
@@ -145,9 +140,7 @@ def test_a_bank_with_a_non_finite_number_reports_it_and_restarts_from_the_prior(
     check_recovers(bank)
 
 
-def test_after_speed_jumps_up_to_two_hundred_the_estimate_is_finite_and_recovers(
-    learned: str, drive: Any, check_finite: Any, restored: Any, shifted: Any, check_recovers: Any
-) -> None:
+def test_after_speed_jumps_up_to_two_hundred_the_estimate_is_finite_and_recovers(learned: str) -> None:
     rng = np.random.default_rng(17)
     samples = shifted(drive(12.0, seed=17), 1000.0)
     bank = restored(learned)
@@ -197,7 +190,7 @@ def wild(seed: int, make: Make) -> list[Sample]:
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_the_estimate_stays_finite_for_any_input(sample: Make, seed: int, check_finite: Any, restored: Any) -> None:
+def test_the_estimate_stays_finite_for_any_input(sample: Make, seed: int) -> None:
     bank = FilterBank(FILE, SMALL)
     for i, item in enumerate(wild(seed, sample)):
         bank.step(item)
@@ -208,9 +201,7 @@ def test_the_estimate_stays_finite_for_any_input(sample: Make, seed: int, check_
 
 @pytest.mark.slow
 @pytest.mark.parametrize('seed', range(100, 140))
-def test_after_many_random_inputs_it_stays_finite_and_recovers(
-    sample: Make, seed: int, check_finite: Any, restored: Any, check_recovers: Any
-) -> None:
+def test_after_many_random_inputs_it_stays_finite_and_recovers(sample: Make, seed: int) -> None:
     bank = FilterBank(FILE, SMALL)
     for i, item in enumerate(wild(seed, sample)):
         bank.step(item)
@@ -222,7 +213,7 @@ def test_after_many_random_inputs_it_stays_finite_and_recovers(
 
 
 def test_a_stamp_jitter_of_a_microsecond_changes_the_resistance_by_less_than_a_thousandth(
-    minutes: list[Sample], run: Any
+    minutes: list[Sample],
 ) -> None:
     """Stamps alternate by one microsecond; the intervals of a step change by 1e-5 at most."""
     jittered = [

@@ -14,6 +14,16 @@ import numpy as np
 import pytest
 
 from benchmarks.stepping import step_and_estimate
+from test.resistance.filter_bank.drives import (
+    World,
+    after,
+    check_finite,
+    drive,
+    fields_except_speed,
+    restored,
+    run,
+    shifted,
+)
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
@@ -33,7 +43,7 @@ INERTIA = 1000.0 * (1.0 + GAMMA) / G
 FILE = TrainFile(Train(MASS, GAMMA, 100.0), Davis(1.5, 0.03, 0.004), Brake(1.0, 0.4, 0.6), Line(gradient_std=0.1))
 
 
-def test_the_fields_of_an_estimate_are_consistent(learned: str, check_finite: Any, restored: Any) -> None:
+def test_the_fields_of_an_estimate_are_consistent(learned: str) -> None:
     e = restored(learned).estimate(13.0)
     P = np.array(e.covariance).reshape(3, 3)
     phi = np.array([1.0, 13.0, 169.0])
@@ -45,9 +55,7 @@ def test_the_fields_of_an_estimate_are_consistent(learned: str, check_finite: An
     check_finite(e)
 
 
-def test_the_innovation_is_a_resistance_with_its_sign(
-    learned: str, minutes: list[Sample], restored: Any, after: Any
-) -> None:
+def test_the_innovation_is_a_resistance_with_its_sign(learned: str, minutes: list[Sample]) -> None:
     """A speed that is too high looks like too little resistance."""
     high, plain = restored(learned), restored(learned)
     odd = after(minutes, speed=minutes[-1].speed + 0.05)
@@ -59,7 +67,7 @@ def test_the_innovation_is_a_resistance_with_its_sign(
     assert difference == pytest.approx(-INERTIA * 0.05 / 0.2, rel=0.02)
 
 
-def test_a_new_bank_states_the_prior(sample: Make, fields_except_speed: Any) -> None:
+def test_a_new_bank_states_the_prior(sample: Make) -> None:
     bank = FilterBank(FILE, STATED)
     first, second, third = (step_and_estimate(bank, sample(i)) for i in range(3))
     assert isinstance(first, Rejection)
@@ -121,7 +129,7 @@ def test_step_sizes_follow_the_settings_and_the_resistance() -> None:
     assert of_c == pytest.approx((0.2 * 0.004) ** 2)
 
 
-def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list[bool]], restored: Any) -> None:
+def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list[bool]]) -> None:
     text, fit = followed
     assert not any(fit[:100])
     assert fit[-1]
@@ -135,7 +143,7 @@ def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list
 
 @pytest.mark.parametrize('was_accurate', [False, True])
 def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_change(
-    learned: str, minutes: list[Sample], was_accurate: bool, restored: Any, after: Any
+    learned: str, minutes: list[Sample], was_accurate: bool
 ) -> None:
     found = restored(learned, replace(SMALL, young_weight=1.0))
     S, at = np.array(found.estimate(12.0).covariance).reshape(3, 3), found._driven
@@ -163,7 +171,7 @@ def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_chang
     ],
 )
 def test_a_rejected_sample_changes_no_estimate(
-    learned: str, minutes: list[Sample], fields: dict[str, Any], reason: Reason, restored: Any, after: Any
+    learned: str, minutes: list[Sample], fields: dict[str, Any], reason: Reason
 ) -> None:
     bank = restored(learned)
     before = bank.estimate(12.0)
@@ -200,9 +208,7 @@ def test_a_load_changes_by_at_most_half_of_the_mass_std(sample: Make) -> None:
     assert bank.estimate(0.0).force_scale_std ** 2 - before**2 == pytest.approx(0.001**2, rel=1e-6)
 
 
-def test_the_force_scale_adapts_to_an_unweighed_load_after_a_stop(
-    learned: str, minutes: list[Sample], World: Any, drive: Any, restored: Any, after: Any, shifted: Any
-) -> None:
+def test_the_force_scale_adapts_to_an_unweighed_load_after_a_stop(learned: str, minutes: list[Sample]) -> None:
     found = {}
     for weighed in (False, True):
         bank = restored(learned)
@@ -216,7 +222,7 @@ def test_the_force_scale_adapts_to_an_unweighed_load_after_a_stop(
     assert found[True].force_scale - found[False].force_scale > 0.01
 
 
-def test_standing_for_half_an_hour_does_not_change_the_bank(sample: Make, learned: str, restored: Any) -> None:
+def test_standing_for_half_an_hour_does_not_change_the_bank(sample: Make, learned: str) -> None:
     bank = restored(learned)
     bank.step(sample(10_000, speed=0.0))
     state = json.loads(bank.save())['state']['bank']
@@ -225,7 +231,7 @@ def test_standing_for_half_an_hour_does_not_change_the_bank(sample: Make, learne
     assert json.loads(bank.save())['state']['bank'] == state
 
 
-def test_restored_at_any_sample_it_continues_bit_identically(minutes: list[Sample], restored: Any) -> None:
+def test_restored_at_any_sample_it_continues_bit_identically(minutes: list[Sample]) -> None:
     samples = [
         *minutes[:330],
         *(replace(s, brake_command=-0.5) for s in minutes[330:340]),
@@ -251,7 +257,7 @@ def test_restored_at_any_sample_it_continues_bit_identically(minutes: list[Sampl
             assert copy.save() == original.save()
 
 
-def test_reset_equals_new(minutes: list[Sample], run: Any) -> None:
+def test_reset_equals_new(minutes: list[Sample]) -> None:
     used, new = run(minutes[:120]), FilterBank(FILE, SMALL)
     used.reset()
     assert used.save() == new.save()
@@ -265,7 +271,7 @@ def test_settings_out_of_range_are_rejected() -> None:
 
 @pytest.mark.parametrize('at_once', [True, False])
 def test_after_a_gap_the_first_samples_are_judged_at_their_own_speed(
-    at_once: bool, learned: str, minutes: list[Sample], restored: Any, after: Any
+    at_once: bool, learned: str, minutes: list[Sample]
 ) -> None:
     """Nothing is learned from the first samples, and the std at 60 m/s is above twice the limit."""
     bank = restored(learned)
@@ -279,7 +285,7 @@ def test_after_a_gap_the_first_samples_are_judged_at_their_own_speed(
     assert not bank.converged
 
 
-def test_slow_samples_are_judged_each_by_itself(learned: str, drive: Any, restored: Any, shifted: Any) -> None:
+def test_slow_samples_are_judged_each_by_itself(learned: str) -> None:
     """With a sample every second, an estimate is withdrawn by the next one."""
     bank = restored(learned)
     samples = shifted(drive(20.0, period=1.0), 400.0)

@@ -15,6 +15,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.stepping import step_and_estimate
+from test.resistance.vmils.drives import after, saw_tooth, w
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
@@ -32,10 +33,6 @@ CONFIG = VMilsConfig()
 TRUTH = Davis(1.8, 0.02, 0.005)
 
 
-def w(davis: Davis, v: float) -> float:
-    return davis.a + davis.b * v + davis.c * v * v
-
-
 @pytest.mark.parametrize(
     ('fields', 'reason'),
     [
@@ -48,7 +45,7 @@ def w(davis: Davis, v: float) -> float:
     ],
 )
 def test_bad_samples_are_rejected_and_change_no_estimate(
-    train_file: TrainFile, sample: Make, journey: Journey, fields: dict[str, Any], reason: Reason, saw_tooth: Any
+    train_file: TrainFile, sample: Make, journey: Journey, fields: dict[str, Any], reason: Reason
 ) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
@@ -61,7 +58,7 @@ def test_bad_samples_are_rejected_and_change_no_estimate(
     assert estimator.learner._windows.ticks == []
 
 
-def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey, after: Any) -> None:
+def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey) -> None:
     """Ten minutes of stops: between the start of braking and the next departure only kappa may step."""
     samples = journey(
         600.0,
@@ -75,18 +72,16 @@ def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile
         before, observations = estimator.learner.tracker.estimate, estimator.learner.driven.count
         estimator.step(item)
         if item.brake_command < 0.0 or item.speed < CONFIG.min_speed:
-            after = estimator.learner.tracker.estimate
+            now = estimator.learner.tracker.estimate
             std = np.sqrt(np.diag(before.P))
-            assert np.max(np.abs(after.theta - before.theta) / std) < 1e-6
-            assert np.max(np.abs((after.P - before.P)[:3] / np.outer(std, std)[:3])) < 1e-6
+            assert np.max(np.abs(now.theta - before.theta) / std) < 1e-6
+            assert np.max(np.abs((now.P - before.P)[:3] / np.outer(std, std)[:3])) < 1e-6
             assert estimator.learner.driven.count == observations
         learned += estimator.learner.driven.count != observations
     assert learned > 20
 
 
-def test_it_estimates_the_resistance_over_the_observed_speeds(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any
-) -> None:
+def test_it_estimates_the_resistance_over_the_observed_speeds(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(840.0, traction=saw_tooth, speed=8.0):
         estimator.step(item)
@@ -100,7 +95,7 @@ def test_it_estimates_the_resistance_over_the_observed_speeds(
         assert here.resistance_std < 0.1
 
 
-def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey: Journey, saw_tooth: Any) -> None:
+def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(120.0, traction=saw_tooth):
         estimator.step(item)
@@ -117,7 +112,7 @@ def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey
 @pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('step', [5.0, -1.2])
 def test_it_recovers_after_a_jump_of_the_resistance(
-    train_file: TrainFile, journey: Journey, step: float, seed: int, saw_tooth: Any, after: Any
+    train_file: TrainFile, journey: Journey, step: float, seed: int
 ) -> None:
     """A hard gate alone would never recover: +5 N/kN is far beyond it."""
     jump_s = 420.0
@@ -131,16 +126,16 @@ def test_it_recovers_after_a_jump_of_the_resistance(
     estimator = VMils(train_file, CONFIG)
     for item in samples[: round(5 * (jump_s + 120.0))]:
         estimator.step(item)
-    after = replace(TRUTH, a=TRUTH.a + step)
+    truth = replace(TRUTH, a=TRUTH.a + step)
     # Two minutes later most of the step is followed, a few minutes later all of it.
-    assert abs(estimator.estimate(14.0).resistance - w(after, 14.0)) < 0.35 * abs(step)
+    assert abs(estimator.estimate(14.0).resistance - w(truth, 14.0)) < 0.35 * abs(step)
     for item in samples[round(5 * (jump_s + 120.0)) :]:
         estimator.step(item)
-    assert estimator.estimate(14.0).resistance == pytest.approx(w(after, 14.0), abs=0.25)
+    assert estimator.estimate(14.0).resistance == pytest.approx(w(truth, 14.0), abs=0.25)
     assert estimator.learner.tracker.steps_found >= 1
 
 
-def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Journey, saw_tooth: Any) -> None:
+def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Journey) -> None:
     found = 0
     for seed in range(3):
         estimator = VMils(train_file, CONFIG)
@@ -151,7 +146,7 @@ def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Jour
     assert found <= 1
 
 
-def test_windows_with_slip_are_rejected(train_file: TrainFile, journey: Journey, saw_tooth: Any) -> None:
+def test_windows_with_slip_are_rejected(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(400.0, traction=saw_tooth)
     slipping = [
         replace(item, speed=item.speed + 2.0) if i >= 1000 and i % 25 < 11 else item for i, item in enumerate(samples)
@@ -232,9 +227,7 @@ def test_the_estimate_stays_finite_for_any_input(train_file: TrainFile, sample: 
         assert np.min(np.linalg.eigvalsh(P / np.outer(std, std))) > -1e-9
 
 
-def test_a_restored_estimator_continues_bit_identically(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any
-) -> None:
+def test_a_restored_estimator_continues_bit_identically(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(300.0, traction=saw_tooth, brake=lambda t: -0.5 if 170.0 < t < 180.0 else 0.0)
     # Also within a window, and while the brake is still releasing.
     for middle in (333, 777, 905):
@@ -249,7 +242,7 @@ def test_a_restored_estimator_continues_bit_identically(
         assert second.save() == original.save()
 
 
-def test_reset_equals_new(train_file: TrainFile, journey: Journey, saw_tooth: Any) -> None:
+def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
     used, new = VMils(train_file, CONFIG), VMils(train_file, CONFIG)
     samples = journey(200.0, traction=saw_tooth, brake=lambda t: -0.5 if t > 190.0 else 0.0)
     for item in samples:
@@ -262,7 +255,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey, saw_tooth: An
 
 
 @pytest.mark.parametrize('key', ['tracker', '_tachometer', '_windows', '_slow', 'inflation'])
-def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str, saw_tooth: Any) -> None:
+def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
         estimator.step(item)
@@ -275,3 +268,12 @@ def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Jour
 def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None:
     with pytest.raises(InputError, match=r'hop = 6 s must not exceed window = 4.8 s'):
         VMils(train_file, VMilsConfig(hop=6.0))
+
+
+@pytest.mark.parametrize('v', [8.0, 12.0, 20.0])
+def test_the_model_error_is_a_share_of_w_at_every_speed(train_file: TrainFile, journey: Journey, v: float) -> None:
+    config = replace(CONFIG, drift_share=0.0, model_error=0.2)
+    estimator = after(train_file, journey(200.0, traction=saw_tooth), config)
+    posterior, found, phi = estimator.learner.tracker.estimate, estimator.estimate(v), np.array([1.0, v, v * v])
+    variance = estimator.learner.inflation.factor * float(phi @ posterior.P[:3, :3] @ phi)
+    assert found.resistance_std**2 - variance == pytest.approx((0.2 * found.resistance) ** 2, rel=1e-6)

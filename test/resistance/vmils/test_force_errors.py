@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
+from test.resistance.vmils.drives import after, saw_tooth, w
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.vmils import VMils
@@ -21,10 +21,6 @@ Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
 CONFIG = VMilsConfig()
 TRUTH = Davis(1.8, 0.02, 0.005)
-
-
-def w(davis: Davis, v: float) -> float:
-    return davis.a + davis.b * v + davis.c * v * v
 
 
 def known_file(train_file: TrainFile) -> TrainFile:
@@ -46,7 +42,7 @@ def misreported(samples: list[Sample], *, scale: float = 1.0, late_s: float = 0.
 
 @pytest.mark.parametrize('scale', [0.95, 1.05])
 def test_a_wrong_mass_gives_the_right_resistance_and_scale(
-    train_file: TrainFile, journey: Journey, scale: float, saw_tooth: Any, after: Any
+    train_file: TrainFile, journey: Journey, scale: float
 ) -> None:
     """A mass or gain error of 5 % is 1.5 N/kN under power; the prior std is 3.6 %, the estimate is within 1 %."""
     samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), scale=scale)
@@ -59,9 +55,7 @@ def test_a_wrong_mass_gives_the_right_resistance_and_scale(
 
 
 @pytest.mark.parametrize('late_s', [0.0, 0.3])
-def test_the_delay_of_the_force_is_estimated(
-    train_file: TrainFile, journey: Journey, late_s: float, saw_tooth: Any, after: Any
-) -> None:
+def test_the_delay_of_the_force_is_estimated(train_file: TrainFile, journey: Journey, late_s: float) -> None:
     samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), late_s=late_s)
     found = after(train_file, samples).estimate(13.0)
     assert found.force_delay == pytest.approx(late_s, abs=0.08)
@@ -69,9 +63,7 @@ def test_the_delay_of_the_force_is_estimated(
     assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
 
 
-def test_the_curve_resistance_is_estimated_too(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any, after: Any
-) -> None:
+def test_the_curve_resistance_is_estimated_too(train_file: TrainFile, journey: Journey) -> None:
     """A third of the time in a curve of 300 m with 1.6 N/kN more resistance than in the train file."""
 
     def curved(t: float) -> bool:
@@ -109,7 +101,7 @@ def test_the_force_scale_changes_only_at_stops(train_file: TrainFile, sample: Ma
 
 
 def test_with_a_known_force_the_force_error_states_do_not_reduce_accuracy(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any, after: Any
+    train_file: TrainFile, journey: Journey
 ) -> None:
     """With a narrow prior the error is that without the force error states, over five drives."""
     errors = []
@@ -127,9 +119,7 @@ def test_with_a_known_force_the_force_error_states_do_not_reduce_accuracy(
 
 
 @pytest.mark.slow
-def test_the_95_per_cent_band_covers_the_truth_over_new_drives(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any, after: Any
-) -> None:
+def test_the_95_per_cent_band_covers_the_truth_over_new_drives(train_file: TrainFile, journey: Journey) -> None:
     """Twelve drives with different scale, delay, gusts and noise: 95 % bands of w at three speeds.
 
     The three speeds of a drive are correlated, so there are 12 to 20 independent trials: a consistent band covers
@@ -158,9 +148,7 @@ def test_the_95_per_cent_band_covers_the_truth_over_new_drives(
     assert np.mean(inside) >= 0.8
 
 
-def test_one_sample_per_second_is_sufficient(
-    train_file: TrainFile, journey: Journey, saw_tooth: Any, after: Any
-) -> None:
+def test_one_sample_per_second_is_sufficient(train_file: TrainFile, journey: Journey) -> None:
     """Windows of 8 s: half as many observations, each as accurate."""
     samples = journey(1400.0, traction=saw_tooth, speed=8.0)
     slow = []

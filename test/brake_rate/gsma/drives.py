@@ -6,10 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.settings import GsmaConfig
@@ -112,33 +110,3 @@ def compare(train_file: TrainFile, journey: Journey, config: GsmaConfig, seed: i
             ratios.append(e.brake_rate_std / std)
     assert len(differences) > 100
     return float(np.sqrt(np.mean(np.square(differences)))), float(np.mean(ratios))
-
-
-@pytest.fixture(scope='session', name='exactly_known')
-def _exactly_known() -> Any:
-    return exactly_known
-
-
-@pytest.fixture(scope='session', name='gsma')
-def _gsma() -> Any:
-    return gsma
-
-
-@pytest.fixture(scope='session', name='braking')
-def _braking() -> Any:
-    return braking
-
-
-@pytest.fixture(scope='session', name='stop_and_go')
-def _stop_and_go() -> Any:
-    return stop_and_go
-
-
-@pytest.fixture(scope='session', name='power')
-def _power() -> Any:
-    return power
-
-
-@pytest.fixture(scope='session', name='compare')
-def _compare() -> Any:
-    return compare

@@ -6,10 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.resistance.hypotheses import Bank, BankPlan
@@ -141,45 +139,3 @@ def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
         error = only.mean()[states] - truth
         nees.append(error @ np.linalg.solve(only.covariance()[np.ix_(states, states)], error) / 4.0)
     return float(np.mean(nees)), float(np.mean(nis))
-
-
-@pytest.fixture(scope='session', name='plan')
-def _plan() -> BankPlan:
-    """Return the plan of the tests, whose mean is the truth of ``still``."""
-    return PLAN
-
-
-@pytest.fixture(scope='session', name='one')
-def _one() -> BankPlan:
-    """Return the plan of one hypothesis that does not branch."""
-    return ONE
-
-
-@pytest.fixture(scope='session', name='still')
-def _still() -> Any:
-    return still
-
-
-@pytest.fixture(scope='session', name='held')
-def _held() -> Any:
-    return held
-
-
-@pytest.fixture(scope='session', name='mixed')
-def _mixed() -> Any:
-    return mixed
-
-
-@pytest.fixture(scope='session', name='drive')
-def _drive() -> Any:
-    return drive
-
-
-@pytest.fixture(scope='session', name='branched')
-def _branched() -> Any:
-    return branched
-
-
-@pytest.fixture(scope='session', name='errors_squared')
-def _errors_squared() -> Any:
-    return errors_squared

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.resistance.hypotheses import Bank
@@ -55,8 +54,3 @@ class BankRows:
         state = BankRows.of(bank)
         yield state
         state.put(bank)
-
-
-@pytest.fixture(scope='session')
-def rows() -> type[BankRows]:
-    return BankRows

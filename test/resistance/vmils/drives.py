@@ -3,14 +3,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import pytest
-
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 CONFIG = VMilsConfig()
 
@@ -27,11 +23,5 @@ def after(train_file: TrainFile, samples: list[Sample], config: VMilsConfig = CO
     return estimator
 
 
-@pytest.fixture(scope='session', name='saw_tooth')
-def _saw_tooth() -> Any:
-    return saw_tooth
-
-
-@pytest.fixture(scope='session', name='after')
-def _after() -> Any:
-    return after
+def w(davis: Davis, v: float) -> float:
+    return davis.a + davis.b * v + davis.c * v * v
