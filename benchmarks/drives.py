@@ -20,8 +20,7 @@ from benchmarks.tables import Table
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.planned_drive import ACCELERATION, KM_H, Manoeuvre
-from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.resistance.suggested_drive import ACCELERATION, KM_H, Manoeuvre, suggested_drive
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.plant import TICK_S, Decision, StopEvent
 from trainid_ros.sim.scenario import simulate

@@ -8,16 +8,13 @@ import pytest
 
 from test.resistance.bank_rows import BankRows
 from trainid_ros.estimators.settings import FilterBankConfig
-from trainid_ros.resistance.filter_bank import bank_plan
+from trainid_ros.resistance.filter_bank import bank_plan, foreseen_mixtures, mean_covariance, usual_deviations
 from trainid_ros.resistance.hypotheses import Bank, Mixture
-from trainid_ros.resistance.planned_drive import (
+from trainid_ros.resistance.suggested_drive import (
     KM_H,
     Manoeuvre,
     Run,
-    foreseen_mixtures,
-    mean_covariance,
     plan_run,
-    usual_deviations,
 )
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile

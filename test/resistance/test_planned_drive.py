@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
+from trainid_ros.resistance.suggested_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004))

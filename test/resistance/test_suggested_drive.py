@@ -14,8 +14,7 @@ from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
-from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_drive
+from trainid_ros.resistance.suggested_drive import KM_H, Manoeuvre, SuggestedDrive, plan_run, suggested_drive
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate

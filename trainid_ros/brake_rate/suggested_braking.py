@@ -16,8 +16,7 @@ import numpy as np
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.resistance.planned_drive import STEP_S, planned_brakings
-from trainid_ros.resistance.suggested_drive import SuggestedDrive, Wanted, best_drive
+from trainid_ros.resistance.suggested_drive import STEP_S, SuggestedDrive, Wanted, best_drive, planned_brakings
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import BrakeCommandChange, acceleration, davis, lag_integral, lag_response
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.interface.results import BrakeRateEstimate
-    from trainid_ros.resistance.planned_drive import Run
+    from trainid_ros.resistance.suggested_drive import Run
     from trainid_ros.train.train_file import TrainFile
 
 # Interval of the speeds [s], time for which they show the train before it brakes, and longest braking.

@@ -33,7 +33,7 @@ from trainid_ros.explain.result import (
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
-from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
+from trainid_ros.resistance.suggested_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
 from trainid_ros.train.effects import EFFECTS, TrackPoint
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Effect
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from trainid_ros.explain.dataset import Run
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.proof import Outcome
-    from trainid_ros.resistance.planned_drive import Run as PlannedRun
-    from trainid_ros.resistance.planned_drive import Step
+    from trainid_ros.resistance.suggested_drive import Run as PlannedRun
+    from trainid_ros.resistance.suggested_drive import Step
     from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import TrainFile
 

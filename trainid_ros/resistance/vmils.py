@@ -64,7 +64,7 @@ from trainid_ros.resistance.davis_posterior import (
     scale_step,
 )
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.planned_drive import STEP_S
+from trainid_ros.resistance.suggested_drive import STEP_S
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan, WindowSample
 from trainid_ros.stream.known_force import KnownForce
 
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.results import Rejection, ResistanceEstimate
     from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
-    from trainid_ros.resistance.planned_drive import Run
+    from trainid_ros.resistance.suggested_drive import Run
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
