@@ -38,6 +38,7 @@ NOT_RUN = {
     'CONTRIBUTING.md': {
         'make test-fast': WHOLE,
         'make test': WHOLE,
+        'make test-long': 'takes minutes',
         'make docs': 'needs the network',
         'make golden': 'writes into the repository',
         'git diff --stat test/golden config/params.yaml': 'needs a repository',
