@@ -129,6 +129,7 @@ def coverage(what: str, z: list[float]) -> tuple[str, float, float]:
     return summary, in_68, in_95
 
 
+@pytest.mark.long
 def test_days_with_random_seeds_are_accurate_with_consistent_standard_deviations() -> None:
     """Set ACCURACY_SEED to repeat a run.
 

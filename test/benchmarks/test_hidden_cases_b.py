@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden_cases_b
-from benchmarks.hidden_cases_b import LIBRARY, NAMES, NEAR, OUTSIDE, PAIRS, SENSOR_EXTRA, draw_cases, make_case
+from benchmarks.hidden_cases_b import LIBRARY, NEAR, OUTSIDE, PAIRS, SENSOR_EXTRA, draw_cases, make_case
 from benchmarks.hidden_cases_b.quirks import NEUTRAL
 from benchmarks.hidden_cases_b.scene import Wish, draw_scene, drive
 from benchmarks.hidden_cases_b.sensing import draw_instruments
@@ -64,7 +64,13 @@ def test_residual_is_small_without_hidden_effects() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', [*(name for name in NAMES if '+' not in name), *PAIRS[::5]])
+@pytest.mark.parametrize(
+    'name',
+    [
+        *('none', *LIBRARY),
+        *(pytest.param(name, marks=pytest.mark.long) for name in (*SENSOR_EXTRA, *OUTSIDE, *PAIRS[::5])),
+    ],
+)
 def test_every_name_gives_usable_data(name: str) -> None:
     case = make_case(name, 77)
     assumed = parse_train_file(case.train_yaml, 'assumed train file')
@@ -107,6 +113,8 @@ def test_gradient_topic_equals_the_map_under_the_train() -> None:
         places = np.interp(times, [record.stamp_ns for record in speeds], [record.position for record in speeds])
         apart = profile.gradients(places, 1) - np.array([record.gradient for record in slopes])
         assert np.median(np.abs(apart)) < 0.3
+        if seen == 2:
+            break
     assert seen
 
 

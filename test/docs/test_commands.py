@@ -307,7 +307,7 @@ def test_commands_work(page: Page, tmp_path: Path) -> None:
     assert run_page(page, tmp_path, slow=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize('page', with_commands(slow=True), ids=lambda page: page.name)
 def test_slow_commands_work(page: Page, tmp_path: Path) -> None:
     assert run_page(page, tmp_path, slow=True)

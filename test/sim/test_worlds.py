@@ -104,20 +104,20 @@ def test_a_clean_world_is_its_train_file_driven_by_its_driver() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', WORLDS)
-def test_days_are_completed_from_stop_to_stop(name: str) -> None:
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.long)])
+def test_days_are_completed_from_stop_to_stop(name: str, seed: int) -> None:
     world = WORLDS[name]
     stops = world_train(world).line.stops
     runs = {'metro': 6, 'emu': 4, 'high_speed': 2, 'freight': 2, 'tram': 15}[name]
-    for seed in range(2):
-        simulation = field_day(name, runs, seed)
-        assert len(simulation.arrivals) == runs
-        assert stop_error(simulation) < STOP_ERROR_M.get(name, 2.0)
-        assert simulation.duration_s == pytest.approx(usual_duration(world, stops, runs), rel=0.2)
-        # All changes happen within the day, regardless of its length.
-        assert len(simulation.truth.resistance) in (2, 3)
-        assert len(simulation.truth.brake_rate) in (2, 3)
-        fastest = max(r.speed for r in simulation.records if isinstance(r, SpeedRecord))
-        assert fastest > 0.6 * world_train(world).train.max_speed
+    simulation = field_day(name, runs, seed)
+    assert len(simulation.arrivals) == runs
+    assert stop_error(simulation) < STOP_ERROR_M.get(name, 2.0)
+    assert simulation.duration_s == pytest.approx(usual_duration(world, stops, runs), rel=0.2)
+    # All changes happen within the day, regardless of its length.
+    assert len(simulation.truth.resistance) in (2, 3)
+    assert len(simulation.truth.brake_rate) in (2, 3)
+    fastest = max(r.speed for r in simulation.records if isinstance(r, SpeedRecord))
+    assert fastest > 0.6 * world_train(world).train.max_speed
 
 
 TRAM = WORLDS['tram']
