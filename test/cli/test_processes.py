@@ -65,6 +65,39 @@ def test_stop_kills_children_that_ignore_sigterm(tmp_path: Path, monkeypatch: py
     assert other.returncode is not None
 
 
+def test_stop_reaches_grandchildren_and_runs_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = (
+        'import subprocess,sys,time\n'
+        'p = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(900)"])\n'
+        'print("pid", p.pid, "end", flush=True); time.sleep(900)'
+    )
+    monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
+    grandchild = 0
+    with pytest.raises(ZeroDivisionError), ProcessGroup(tmp_path) as group:
+        child = group.start('parent')
+        grandchild = int(_wait_for(tmp_path / 'parent.log', 'end').split()[1])
+        assert is_alive(grandchild)
+        raise ZeroDivisionError
+    wait_until_gone(grandchild)
+    assert not is_alive(child.pid)
+
+
+def test_a_second_interrupt_does_not_stop_the_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, '_MAX_END_S', 0.5)
+    # It answers SIGTERM by interrupting its parent, and stays.
+    code = (
+        'import os,signal,time\n'
+        'signal.signal(15, lambda *_: os.kill(os.getppid(), 2)); print("ready", flush=True)\n'
+        'while True: time.sleep(900)'
+    )
+    monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
+    with ProcessGroup(tmp_path) as group:
+        child = group.start('stubborn')
+        _wait_for(tmp_path / 'stubborn.log', 'ready')
+        assert group.stop() == ('stubborn',)
+    assert child.returncode == -signal.SIGKILL
+
+
 def test_child_ends_with_a_parent_that_was_killed() -> None:
     code = (
         'import sys, time\n'

@@ -70,6 +70,7 @@ _TITLES: Final = {
 }
 _MAX_START_S: Final = 60.0  # within which all nodes must publish
 _QUIET_S: Final = 15.0  # without an estimate after the bag was played, after which none comes any more
+_SURPLUS_S: Final = 1.5  # without an estimate, after which none comes that a replay does not have
 _POLL_S: Final = 0.05
 _LINE_S: Final = 5.0  # between the lines that show the newest estimates
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
@@ -227,12 +228,13 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
         play = ('play', str(bag.path), '--rate', repr(rate), '--wait', '2', *limit)
         player = group.start('bag_player', *play, '--ros-args', '-p', 'publish_clock:=false')
         while player.poll() is None:
+            group.check(may_end='bag_player')
             live.take(subscriptions)
             time.sleep(_POLL_S)
-        group.check(may_end='bag_player')
         replayed = Replayed(bag, duration_s, live.recorder)
         last_s = time.monotonic()
-        while live.lacks(replayed) and time.monotonic() < last_s + _QUIET_S:
+        # Where nothing lacks any more, a surplus would follow at once.
+        while time.monotonic() < last_s + (_QUIET_S if live.lacks(replayed) else _SURPLUS_S):
             group.check(may_end='bag_player')
             if live.take(subscriptions):
                 last_s = time.monotonic()

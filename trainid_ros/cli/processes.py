@@ -69,18 +69,30 @@ class ProcessGroup:
 
     def stop(self) -> tuple[str, ...]:
         """End all children and wait for them; return the names of those that had to be killed."""
-        children, self._children = self._children, {}
-        for child in children.values():
-            child.terminate()
-        deadline, killed = time.monotonic() + _MAX_END_S, []
-        for name, child in children.items():
-            try:
-                child.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                killed.append(name)
-                child.kill()
+        # A second Ctrl-C must not interrupt the clean-up.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            self._signal_all(signal.SIGTERM)
+            deadline, killed = time.monotonic() + _MAX_END_S, []
+            for name, child in self._children.items():
+                try:
+                    child.wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    killed.append(name)
+            self._signal_all(signal.SIGKILL)
+            for child in self._children.values():
                 child.wait()
+        finally:
+            signal.signal(signal.SIGINT, before)
+        self._children = {}
         return tuple(killed)
+
+    def _signal_all(self, number: int) -> None:
+        """Send a signal to all that run, with their own children."""
+        for child in self._children.values():
+            if child.poll() is None:
+                with suppress(ProcessLookupError):
+                    os.killpg(child.pid, number)
 
 
 # From the RTPS specification: the first port, the ports of a domain, and those of its first participants.

@@ -108,9 +108,9 @@ class Pacer:
         return due
 
 
-# Time between looks for subscribers [ns], and longest wait for their acknowledgements at the end [s].
+# Time between looks for subscribers [ns], and longest wait for all their acknowledgements [ns].
 _POLL_NS: Final = NS_PER_S // 50
-_MAX_ACKNOWLEDGE_S: Final = 30.0
+_MAX_ACKNOWLEDGE_NS: Final = 30 * NS_PER_S
 # Best-effort subscribers send no acknowledgement; they get this long to take the last messages [s].
 _LINGER_S: Final = 0.3
 # A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then [ns].
@@ -238,6 +238,7 @@ class PlaybackNode(ManagedNode):
         self.finished = False
         self._complete_ns = 0
         self._waiting_ns = 0
+        self._ended_ns = 0
         self._said = ''
         self.position_ns = 0
         self.played = 0
@@ -322,12 +323,24 @@ class PlaybackNode(ManagedNode):
             self._rewind()
             self._sleep(_POLL_NS)
             return
-        for output in self._outputs.values():
-            output.wait_for_all_acked(Duration(seconds=_MAX_ACKNOWLEDGE_S))
+        if not self._is_acknowledged():
+            return
         time.sleep(_LINGER_S)
         self._pause()
         self.finished = True
         self.get_logger().info(f'played {self.played} records')
+
+    def _is_acknowledged(self) -> bool:
+        """Return whether all messages are acknowledged, or not within the longest time; else look again later."""
+        now = self.steady_ns()
+        self._ended_ns = self._ended_ns or now
+        if now - self._ended_ns > _MAX_ACKNOWLEDGE_NS:
+            return True
+        # Signals are served between two looks.
+        if all(output.wait_for_all_acked(Duration(nanoseconds=0)) for output in self._outputs.values()):
+            return True
+        self._sleep(_POLL_NS)
+        return False
 
 
 BAG_PLAYER: Final = 'bag_player'
