@@ -4,6 +4,8 @@
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
+# A file stays in one process, and files with few and long tests do not come last.
+BY_FILE := --dist loadfile --no-loadscope-reorder
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' | expand -t 14
@@ -17,13 +19,13 @@ demo: ## play bags through the three live nodes and V-MILS, write a report; what
 
 test: setup ## everything that must pass before a change lands
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel
-	$(PYTEST) -m 'not long' -n 3 --dist loadfile
+	$(PYTEST) -m 'not long' -n 3 $(BY_FILE)
 
 test-fast: setup ## inner loop: the unit tests of the package alone
 	$(PYTEST) -m 'not ros and not slow and not long' --ignore test/benchmarks -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
-	$(PYTEST) -m 'not ros and not long' -n 2 --dist loadfile
+	$(PYTEST) -m 'not ros and not long' -n 2 $(BY_FILE)
 
 test-long: setup ## tests on fresh seeds by the dozen, minutes long
 	$(PYTEST) -m long -n 2
@@ -32,7 +34,7 @@ research-test: setup ## tests of research/: the algorithms and experiments of th
 	$(PYTEST) research/test -n 2
 
 test-ros: setup ## tests that start nodes
-	$(PYTEST) -m ros -n 2 --dist loadfile
+	$(PYTEST) -m ros -n 2 $(BY_FILE)
 
 lint: setup ## style and common mistakes
 	.venv/bin/ruff check .
