@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def rls(theta: Array, P: Array, phi: Array, y: float, mu: float = 1.0) -> tuple[Array, Array]:
-    """Return theta and P after one step of (9)-(11); mu < 1 adds exponential forgetting."""
+    """Return theta and P after one step of eqs. (9)-(11); mu < 1 adds exponential forgetting."""
     L = P @ phi / (mu + phi @ P @ phi)
     return theta + L * (y - phi @ theta), (np.eye(3, dtype=P.dtype) - np.outer(L, phi)) @ P / P.dtype.type(mu)
 

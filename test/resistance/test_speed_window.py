@@ -157,10 +157,12 @@ def test_the_rate_of_the_traction_is_the_error_per_second_of_delay(late_s: float
 def test_a_scale_error_of_the_traction_changes_y_by_its_weighted_mean(seed: int) -> None:
     """With 5 % too little reported force, y = w - kappa Tw holds exactly."""
     ticks = window(25, seed=seed)
-    little = [replace(tick, known_force=tick.known_force / 1.05, traction=tick.traction / 1.05) for tick in ticks]
+    little = [
+        replace(sample, known_force=sample.known_force / 1.05, traction=sample.traction / 1.05) for sample in ticks
+    ]
     result = observed(little)
     assert result.y == pytest.approx(2.0 - 0.05 * result.traction, abs=1e-9)
-    assert result.traction_size == pytest.approx(np.mean([abs(tick.traction) for tick in little[1:]]))
+    assert result.traction_size == pytest.approx(np.mean([abs(sample.traction) for sample in little[1:]]))
 
 
 def test_a_curve_resistance_error_changes_y_by_the_weighted_curvature() -> None:
@@ -208,23 +210,23 @@ def cuts(dts: list[float]) -> list[tuple[int, Cut]]:
 def test_windows_at_all_rates(period: float, samples: int, hop: int) -> None:
     found = cuts([period] * 200)
     assert found[0][0] == samples - 1
-    assert {len(cut.ticks) for _, cut in found} == {samples}
+    assert {len(cut.samples) for _, cut in found} == {samples}
     assert set(np.diff([i for i, _ in found]).tolist()) == {hop}
-    assert found[-1][1].samples == hop
+    assert found[-1][1].hop_samples == hop
 
 
 def test_jitter_changes_no_window() -> None:
     rng = np.random.default_rng(2)
     stamps = 0.2 * np.arange(500) + rng.uniform(-0.02, 0.02, 500)
     found = cuts([0.2, *np.diff(stamps).tolist()])
-    assert {len(cut.ticks) for _, cut in found} == {25}
+    assert {len(cut.samples) for _, cut in found} == {25}
     assert np.diff([i for i, _ in found]).mean() == pytest.approx(6.0, abs=0.05)
 
 
 def test_missing_samples_do_not_change_the_duration() -> None:
     found = cuts([0.2, 0.2, 0.4] * 60)
     for _, cut in found:
-        duration = (cut.ticks[-1].stamp_ns - cut.ticks[0].stamp_ns) / NS_PER_S
+        duration = (cut.samples[-1].stamp_ns - cut.samples[0].stamp_ns) / NS_PER_S
         assert duration == pytest.approx(4.8, abs=0.25)
 
 
@@ -234,4 +236,4 @@ def test_after_clearing_a_new_window_begins() -> None:
         assert window.push(WindowSample(i * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
     window.clear()
     assert window.push(WindowSample(24 * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None
-    assert (len(window.ticks), window.fresh_s) == (1, 0.2)
+    assert (len(window.samples), window.fresh_s) == (1, 0.2)

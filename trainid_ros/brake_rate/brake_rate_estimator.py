@@ -23,8 +23,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import (
+    AIR,
     BLEND_SHAPE,
+    CHANGEOVER,
+    DELAY,
+    LAG,
     MIN_RATE,
+    ROLLING,
+    TRACTION,
     BrakeStep,
     MotionModel,
     Posterior,
@@ -312,7 +318,7 @@ class BrakeRateEstimator:
         share = self._model.share(sample, abs(state.filtered_target))
         state.rate, state.rate_variance = posterior.total_rate(share)
         # The model has the width of a changeover, but not its exact shape.
-        state.blending = BLEND_SHAPE * self.config.blend_std if share[6] > 0.0 else 0.0
+        state.blending = BLEND_SHAPE * self.config.blend_std if share[CHANGEOVER] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
         return None
@@ -361,7 +367,8 @@ class BrakeRateEstimator:
             return
         e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, MIN_RATE)
         delay, lag = timing.delay, timing.lag
-        timing.move((e[0] / f, e[1] / f), (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f), self._brake)
+        stds = math.sqrt(variances[DELAY]) / f, math.sqrt(variances[LAG]) / f
+        timing.move((e[DELAY] / f, e[LAG] / f), stds, self._brake)
         applied = (f * (timing.delay - delay), f * (timing.lag - lag))
         self.posterior.recentre((applied[0], applied[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
@@ -392,7 +399,7 @@ class BrakeRateEstimator:
             state.disturbance.pause()
             return
         e, gain_e = self.posterior.errors, interval.gain_e
-        known = interval.known + (gain_e[2] * e[2] + gain_e[3] * e[3] + gain_e[4] * e[4])
+        known = interval.known + (gain_e[ROLLING] * e[ROLLING] + gain_e[AIR] * e[AIR] + gain_e[TRACTION] * e[TRACTION])
         state.disturbance.add(interval, known, sample.speed, state.noise.variance)
 
     def _reinit_motion(self, sample: Sample, elapsed: float) -> None:

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion model of the train over one sample, linear in the brake rate f and in the errors of the train file.
 
-With the brake's lagged target y, its integral s over the sample and k = g / (1000 (1 + gamma)), the inverse of the
-specific inertia,
+With the brake's lagged target y, its integral s over the sample, the acceleration A by traction, the gradient plus all
+known extra resistance i, the Davis resistance w(v) = w0 + w1 v + w2 v^2, and k = g0 / (1000 (1 + gamma)), the inverse
+of the specific inertia,
 
-    v' - v = f r s + gain_e e + T dt - k (i + w(v)) dt,
+    v' - v = f r s + gain_e e + A dt - k (i + w(v)) dt,
 
 where r is the brake rate by the table and the effects of the train file, and the errors e act with the gains
 
-    gain_e = [r ds/dT, r ds/dtau, -k (a + b v) dt, -k c v^2 dt, T dt, r s p(v), r s m(v), -dt].
+    gain_e = [r ds/dT, r ds/dtau, -k (w0 + w1 v) dt, -k w2 v^2 dt, A dt, r s p(v), r s m(v), -dt].
 
 p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which electric and friction brakes change over,
 0 at rest and at twice that speed. The last error is that of the brake at its level, because valves act in steps.
 
-The brake follows ``tau a' = -a + f u(t - T)`` (Zheng et al. 2015, eq. (1), with T for the printed tau in the argument).
+The acceleration a by the brake follows ``tau a' = -a + f u(t - T)`` with dead time T and lag tau (Zheng et al. 2015,
+eq. (1), with T for the printed tau in the argument).
 The command u is piecewise constant, so over any interval the response is exact:
 
     a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
@@ -52,6 +54,15 @@ Errors = tuple[float, float, float, float, float, float, float, float]
 NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ERRORS: Final = 8
+# Indices of the errors e.
+DELAY: Final = 0
+LAG: Final = 1
+ROLLING: Final = 2
+AIR: Final = 3
+TRACTION: Final = 4
+SLOPE: Final = 5
+CHANGEOVER: Final = 6
+LEVEL: Final = 7
 STATES: Final = 11
 """Number of states x = [v, a, b, e]."""
 
@@ -62,9 +73,9 @@ class Transition:
     v' = v + reach a + dt b + gain_e e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = decay_e e.
 
     v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2]. The errors e
-    of the train file are those of dead time and lag, times f [s]; the relative errors of a + b v, of c v^2 and of the
-    traction [1]; the change of the brake rate from standstill to full speed [1]; its change where electric and friction
-    brakes change over [1]; and the error of the brake at its present level [m/s^2].
+    of the train file are those of dead time and lag, times f [s]; the relative errors of w0 + w1 v, of w2 v^2 and of
+    the traction [1], see the module; the change of the brake rate from standstill to full speed [1]; its change where
+    electric and friction brakes change over [1]; and the error of the brake at its present level [m/s^2].
 
     Attributes:
         dt: Duration [s].
@@ -248,14 +259,14 @@ class Timing:
         if self.is_idle(commands, end_ns):
             self.release()
             return TimingStep(0.0, 0.0, 0.0)
-        T, tau, h, k = self.delay, self.lag, self.delay_std, self.lag_std
-        shorter, less = max(0.0, T - h), max(_MIN_LAG * tau, tau - k)
-        self.later, later = _response(commands, start_ns, end_ns, self.later, T + h, tau)
+        T, tau, h_T, h_tau = self.delay, self.lag, self.delay_std, self.lag_std
+        shorter, less = max(0.0, T - h_T), max(_MIN_LAG * tau, tau - h_tau)
+        self.later, later = _response(commands, start_ns, end_ns, self.later, T + h_T, tau)
         self.sooner, sooner = _response(commands, start_ns, end_ns, self.sooner, shorter, tau)
-        self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + k)
+        self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + h_tau)
         self.faster, faster = _response(commands, start_ns, end_ns, self.faster, T, less)
-        delay_gain = (later - sooner) / max(T + h - shorter, _MIN_SPREAD)
-        lag_gain = (slower - faster) / max(tau + k - less, _MIN_SPREAD)
+        delay_gain = (later - sooner) / max(T + h_T - shorter, _MIN_SPREAD)
+        lag_gain = (slower - faster) / max(tau + h_tau - less, _MIN_SPREAD)
         by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
         self.has_acted = True
         return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
@@ -326,7 +337,7 @@ _CHANGING: Final = 0.1
 # Correlation time of the variation between changeovers [s].
 _BLEND_S: Final = 1.0
 # Smallest brake level with a level error [m/s^2].
-_LEVEL: Final = 0.08
+_MIN_LEVEL: Final = 0.08
 
 
 class MotionModel:
@@ -427,10 +438,10 @@ class MotionModel:
         step.q_v = slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v)
         step.q_b = variance * (1.0 - rho * rho)
         gain_e, braked = step.gain_e, gain * nominal
-        gain_e[0], gain_e[1] = gain * timing.delay_gain, gain * timing.lag_gain
-        gain_e[2], gain_e[3], gain_e[4] = -rolling * dt, -air * dt, traction * dt
-        gain_e[5], gain_e[6] = braked * self._slope(v), braked * self._changeover(v)
-        gain_e[7] = -dt if motion.end_target <= -_LEVEL else 0.0
+        gain_e[DELAY], gain_e[LAG] = gain * timing.delay_gain, gain * timing.lag_gain
+        gain_e[ROLLING], gain_e[AIR], gain_e[TRACTION] = -rolling * dt, -air * dt, traction * dt
+        gain_e[SLOPE], gain_e[CHANGEOVER] = braked * self._slope(v), braked * self._changeover(v)
+        gain_e[LEVEL] = -dt if motion.end_target <= -_MIN_LEVEL else 0.0
         self.forget(dt, motion.end_target - motion.start_target, step.decay_e, step.q_e)
         step.steadiness = self._steadiness(motion, dt)
         return step
@@ -465,18 +476,18 @@ class MotionModel:
         speed, for the next braking.
         """
         share = self._share
-        share[5] = share[6] = share[7] = 0.0
+        share[SLOPE] = share[CHANGEOVER] = share[LEVEL] = 0.0
         if sample.brake_command < 0.0 and sample.speed >= _STOPPING:
-            share[5], share[6] = self._slope(sample.speed), self._changeover(sample.speed)
-            share[7] = 1.0 / level if level >= _LEVEL else 0.0
+            share[SLOPE], share[CHANGEOVER] = self._slope(sample.speed), self._changeover(sample.speed)
+            share[LEVEL] = 1.0 / level if level >= _MIN_LEVEL else 0.0
         return share
 
     def forget(self, elapsed: float, change: float, decay_e: vec[float], q_e: vec[float]) -> None:
         """Write the decay of the errors over a time [s] and a change of level [m/s^2], and the variances added."""
         slow, fast = math.exp(-elapsed / _LONG_S), math.exp(-elapsed / _SHORT_S)
-        decay_e[0] = decay_e[1] = decay_e[5] = decay_e[6] = slow
-        decay_e[2] = decay_e[3] = decay_e[4] = fast
-        decay_e[7] = math.exp(-abs(change) / self._level_length)
+        decay_e[DELAY] = decay_e[LAG] = decay_e[SLOPE] = decay_e[CHANGEOVER] = slow
+        decay_e[ROLLING] = decay_e[AIR] = decay_e[TRACTION] = fast
+        decay_e[LEVEL] = math.exp(-abs(change) / self._level_length)
         for j in range(ERRORS):
             q_e[j] = (1.0 - decay_e[j] * decay_e[j]) * self._stds[j] * self._stds[j]
 

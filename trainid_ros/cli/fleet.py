@@ -213,7 +213,7 @@ def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, CauseB
 
 
 def _named_text(train: TrainView, cause: CauseByBags) -> str:
-    """Return what the bags of a train say, and how that goes with what its channels say."""
+    """Return the cause by the bags of a train, and whether it agrees with that by its channels."""
     from trainid_ros.fleet.changes import OTHER  # noqa: PLC0415
     from trainid_ros.report.words import parameters_text  # noqa: PLC0415
 

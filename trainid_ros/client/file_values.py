@@ -121,7 +121,7 @@ class FileValues:
 
     Attributes:
         train_file: The train file.
-        k: Deceleration by a resistance of 1 N/kN, g / (1000 (1 + gamma)) [m/s^2].
+        k: Deceleration by a resistance of 1 N/kN, g0 / (1000 (1 + gamma)) [m/s^2].
         brake: Brake with the effects ``brake_scale`` and ``brake_delay`` of the train file applied.
         effects: Its other effects.
         config: Settings of the brake rate estimator.

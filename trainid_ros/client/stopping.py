@@ -3,7 +3,7 @@
 
 With the time t since the command u1 and the brake target u0 that acts until then (magnitudes, m/s^2),
 
-    -dv/dt = r(v) U(t) + k (a + i + b v + c v^2 + x(v)),        k = g / (1000 (1 + gamma)),
+    -dv/dt = r(v) U(t) + k (a + i + b v + c v^2 + x(v)),        k = g0 / (1000 (1 + gamma)),
     r(v) = s(v) (f + e p(v) + h m(v)),
     U(t) = u0 during the dead time T, then u1 + (u0 - u1) exp(-(t - T) / tau).
 

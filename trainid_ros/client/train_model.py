@@ -318,7 +318,7 @@ class TrainModel:
     def brake_command(self, speed: float, gradient: float, acceleration: float, *, direction: int = 1) -> Value:
         """Return the brake command [m/s^2, <= 0] that gives an acceleration once the brake is built up.
 
-        ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g / (1000 (1 + gamma))``; 0 where no brake is needed.
+        ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g0 / (1000 (1 + gamma))``; 0 where no brake is needed.
 
         Args:
             speed: v [m/s].

@@ -55,13 +55,13 @@ class Snapshots:
         before: The state to go back to; it is older than it takes to find a contradiction.
         newest: The newest state.
         moved_s: Time in motion since then [s].
-        left: The state where the stamps left their time base, None if they never did.
+        before_step: The state before the last step of the stamps forward, None if there was none.
     """
 
     before: Snapshot
     newest: Snapshot
     moved_s: float = 0.0
-    left: Snapshot | None = stored(None, kind=Snapshot)  # noqa: RUF009 - makes a field
+    before_step: Snapshot | None = stored(None, kind=Snapshot)  # noqa: RUF009 - makes a field
 
     def add(self, state: Snapshot) -> None:
         """Add the present state."""
@@ -206,10 +206,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Start over where another drive begins; forget what was learned, and aged, by stamps that were wrong."""
         if is_reset_by(jump, self.stream.config.time_jump_policy):
             self._start_over()
-        elif jump.leaves:
-            self._snapshots.left = self._snapshot()
-        elif jump.returns and self._snapshots.left is not None:
-            self._snapshots.newest = self._snapshots.left
+        elif jump.is_step_forward:
+            self._snapshots.before_step = self._snapshot()
+        elif jump.undoes_step and self._snapshots.before_step is not None:
+            self._snapshots.newest = self._snapshots.before_step
             self._go_back()
 
     def mark_stale(self) -> Output[EstimateT]:

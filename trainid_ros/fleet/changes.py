@@ -108,7 +108,7 @@ class Change:
     """A change of a train."""
 
     day: int  # First day after it
-    alarm: int  # Day on which it was certain enough
+    alarm: int  # Day of the alarm
     evidence: float  # ln R at the newest day of this segment
     steps: tuple[Step | None, ...]  # Steps by channel, None where the channel has no data
 
@@ -319,7 +319,7 @@ class Departure:
 
     first: int  # First day; 0 if the table begins with it
     end: int | None  # First day after it, None if it has not ended
-    alarm: int  # Day on which it was certain enough; if the table begins with it, that on which its end was
+    alarm: int  # Day of the alarm; for a departure that began before the table, the day its end was detected
     evidence: float  # ln R of the most certain of its changes
     # From the usual level to that of its most certain part by channel, None where the channel has no data
     steps: tuple[Step | None, ...]

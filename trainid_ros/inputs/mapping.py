@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.stream.alignment import AlignmentConfig
 
-# Unit of the interface in each; angles to radian.
+# Factor from each unit to that of the interface; angles to radian.
 _FACTORS: Final[dict[str, dict[str, float]]] = {
     'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
     'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},

@@ -63,7 +63,7 @@ class Trajectory:
     dt: NDArray[np.float64]  # Time since the previous node [s], 0 at the start of a piece, shape (n,)
     known: NDArray[np.float64]  # Mean known specific force since the previous node [N/kN], shape (n,)
     traction: NDArray[np.float64]  # Traction part of it [N/kN], shape (n,)
-    inertia: float  # Specific force per acceleration, 1000 (1 + gamma) / g [N/kN per m/s^2]
+    inertia: float  # Specific force per acceleration, 1000 (1 + gamma) / g0 [N/kN per m/s^2]
 
     @property
     def starts(self) -> NDArray[np.intp]:

@@ -131,7 +131,7 @@ class FilterBank:
     """
 
     STATE: ClassVar[State] = declare(
-        'bank', '_tachometer', '_inflation', several('_admitted', AdmittedSample), '_driven', '_running', '_stopped',
+        'bank', '_speed_noise', '_inflation', several('_admitted', AdmittedSample), '_driven', '_running', '_stopped',
         '_stride', '_rejected_s', '_admission', '_advanced_ns', '_innovation', '_innovation_variance', '_test_ratio',
         '_converged',
     )  # fmt: skip
@@ -147,7 +147,7 @@ class FilterBank:
         self._clear()
 
     def _clear(self) -> None:
-        self._tachometer = SpeedNoise.declared(self.config.speed_std, robust=True)
+        self._speed_noise = SpeedNoise.declared(self.config.speed_std, robust=True)
         self._inflation = Inflation()
         self._admitted: list[AdmittedSample] = []
         self._stride = 1
@@ -175,7 +175,7 @@ class FilterBank:
         if (rejection := self._admission.reject(sample)) is not None:
             self._interrupt(sample)
             return rejection
-        self._tachometer.add(sample.speed, sample.dt)
+        self._speed_noise.add(sample.speed, sample.dt)
         self._admitted.append(self._admit(sample))
         if len(self._admitted) == 1 and self._converged:  # the speed may be far from where the last drive ended
             self._check_validity()
@@ -196,7 +196,7 @@ class FilterBank:
             traction=self._known.traction(sample.force_mean, sample),
             track=self._known.track(sample),
             curve=CURVE_RADIUS * sample.curvature,
-            variance=self._tachometer.variance,
+            variance=self._speed_noise.variance,
             weighed=sample.weighed,
             force_interval=sample.force_interval,
         )
@@ -206,7 +206,7 @@ class FilterBank:
         self._admitted.clear()
         self._running = False
         # NaN marks a gap: speed is zero without noise at rest, and has jerks under hard braking.
-        self._tachometer.add(sample.speed, math.nan)
+        self._speed_noise.add(sample.speed, math.nan)
         self._stopped = self._stopped or sample.speed < STANDING
 
     def _advance(self) -> Rejection | None:
@@ -341,7 +341,7 @@ class FilterBank:
         """
         mean, slowest = self._current().mean, self.config.min_speed
         first = max(1, run.first_learned(self._known.settling, slowest))
-        speed_variance = self._tachometer.variance * self._sampled_s / STEP_S
+        speed_variance = self._speed_noise.variance * self._sampled_s / STEP_S
         variances = speed_variance, scale_step(self._train, weighed=self._weighed) ** 2
         found = [
             list(foreseen_mixtures(self.bank, run, sequence, first, 0.5 * slowest, variances))
@@ -417,7 +417,7 @@ def _planned(step: Step, variance: float) -> Interval:
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:
-    """Return the settings of the bank for a train; inertia = 1000 (1 + gamma) / g [N/kN per m/s^2]."""
+    """Return the settings of the bank for a train; inertia = 1000 (1 + gamma) / g0 [N/kN per m/s^2]."""
     davis, errors = train_file.resistance, force_errors(train_file, config.force_delay_std)
     mean, variance = np.zeros(STATES), np.zeros(STATES)
     mean[[A, B, C]] = davis.a, davis.b, davis.c

@@ -151,7 +151,7 @@ def soft_update(
     weight, log_likelihood = weigh(nu, variance + R, R, eps)
     if weight < _MIN_WEIGHT:
         return item, weight, log_likelihood
-    # [11] Eqs. (9)-(11): theta += K nu, P -= g g' / (phi' P phi + slow R / weight); the weight divides the variance
+    # [11] eqs. (9)-(11): theta += K nu, P -= g g' / (phi' P phi + slow R / weight); the weight divides the variance
     gain = 1.0 / (variance + slow * R / weight)
     theta, P = item.mean[:], item.covariance[:]
     k: i64 = 0

@@ -3,7 +3,7 @@
 
 A drive starts at a stop, on level track: full traction, then coasting or holding the speed, then braking, from which no
 resistance is learned. Speeds follow ``m dv/dt = kappa T - a - b v - c v^2`` with the reported specific traction T
-[N/kN], its scale kappa [1] and m = 1000 (1 + gamma) / g.
+[N/kN], its scale kappa [1] and m = 1000 (1 + gamma) / g0.
 
 The shortest drive is suggested that makes known what is not. The estimator promises the standard deviations: it
 continues its own recursion over the planned drive, with the noise that it has learned.

@@ -6,19 +6,19 @@ those of section 3, "V-MILS" those of section 4.2. [n] marks the same step in th
 :mod:`window_learner`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
 kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
 
-    [1]  theta = theta(0), P = P(0): the regularisation                                   (7): lambda I = P(0)^-1
+    [1]  theta = theta(0), P = P(0): the regularisation                                   (7): P(0)^-1 for lambda I
     for each sample without braking:
     [2]      add it to a window of 5 s; every hop seconds the window is fitted            Fig. 2: segments
     [3]      slope of v - v_u by least squares, v_u = speed by the known force alone      (6)
-    [4]      y = -m slope,  m = 1000 (1 + gamma) / g                                      (3), (4), (5)
+    [4]      y = -m slope,  m = 1000 (1 + gamma) / g0                                     (3), (4), (5)
     [5]      phi = [1, v, v^2, -Tw, -Dw, (600/R)w], averaged over the window              (2)
     [6]      R = variance of y; slow R = that of the mean of many y, whose noise is correlated
-    [7]      e = y - phi' theta, S = phi' P phi + R                                       (9), (16)
+    [7]      e = y - phi' theta, S = phi' P phi + R                                       (9)
     [8]      w = probability that y is good, given e: t_s, weighted instead of chosen     V-MILS: t_s
     [9]      Phi = [phi(t), ..., phi(t-p+1)], Y = [y(t), ..., y(t-p+1)]                   V-MILS: Phi(p, t_s), Y(p, t_s)
     [10]     P^-1 = P^-1 + Phi D Phi',  P^-1 theta = P^-1 theta + Phi D Y,                V-MILS: L, P, theta
              D = diag(w / (p slow R)): the printed L = P Phi (D^-1 + Phi' P Phi)^-1 in information form
-    [11]     hypotheses: "a, b, c stepped k observations ago", each updated by (9)-(11)
+    [11]     hypotheses: "a, b, c stepped k observations ago", each updated by eqs. (9)-(11)
     [12]     one that is 1000 times as likely replaces the long memory of [10]
     [13]     if most y contradict the long memory: restart from a robust fit of the latest
     [14]     estimate = mixture of long memory and hypotheses
@@ -28,9 +28,10 @@ kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known
 
 The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vmils.py``. Differences from the paper:
 
-* y includes rotating mass, gradient and traction instead of (5), which has g = 10 and coasting on straight track;
-* the regularisation is a Gaussian prior, which equals ridge regression (7) at every step, instead of (12)-(16), whose
-  penalty grows with time;
+* y includes rotating mass, gradient and traction instead of (5), which has g0 = 10 m/s^2 and coasting on straight
+  track;
+* the regularisation is a Gaussian prior with a mean and a diagonal P(0)^-1 of unequal entries: generalised ridge
+  regression at every step. (7) has lambda I and zero mean; eqs. (12)-(16), whose penalty grows with time, are replaced;
 * the p innovations of a step have p times their noise variance, so that all uses of an observation together have its
   weight exactly once and P is a covariance;
 * "interval-varying": good observations enter the p of a step. A soft gate weights them instead of choosing;
@@ -154,7 +155,7 @@ class VMils:
         self._sampled_s = sample.dt
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
-        tick = WindowSample(
+        used = WindowSample(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
             speed=sample.speed,
@@ -163,7 +164,7 @@ class VMils:
             curve=CURVE_RADIUS * sample.curvature,
         )
         # [2]-[15]
-        rejection = self.learner.push(tick)
+        rejection = self.learner.push(used)
         self._check_validity(updated=self.learner.driven.count != before)
         return rejection
 

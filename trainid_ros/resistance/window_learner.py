@@ -84,14 +84,14 @@ class WindowResult:
 class Cut:
     """Samples of a window, and the time from one window to the next [s]."""
 
-    ticks: list[WindowSample]
+    samples: list[WindowSample]
     hop: float
 
     @property
-    def samples(self) -> int:
+    def hop_samples(self) -> int:
         """Samples from one window to the next."""
-        duration = seconds(self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns)
-        return max(1, round(self.hop * (len(self.ticks) - 1) / duration))
+        duration = seconds(self.samples[-1].stamp_ns - self.samples[0].stamp_ns)
+        return max(1, round(self.hop * (len(self.samples) - 1) / duration))
 
 
 class SlidingWindow:
@@ -100,7 +100,7 @@ class SlidingWindow:
     At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
     """
 
-    STATE: ClassVar[State] = declare(several('ticks', WindowSample), 'fresh_s')
+    STATE: ClassVar[State] = declare(several('samples', WindowSample), 'fresh_s')
 
     def __init__(self, length: float, hop: float) -> None:
         self._length, self._hop = length, hop
@@ -108,70 +108,70 @@ class SlidingWindow:
 
     def clear(self) -> None:
         """Remove all samples."""
-        self.ticks: list[WindowSample] = []
+        self.samples: list[WindowSample] = []
         self.fresh_s = 0.0
 
-    def push(self, tick: WindowSample) -> Cut | None:
+    def push(self, sample: WindowSample) -> Cut | None:
         """Add one sample; return a window if the sample completes one that is due."""
-        ticks = self.ticks
-        ticks.append(tick)
-        self.fresh_s += tick.dt
-        if len(ticks) < _MIN_SAMPLES:
+        samples = self.samples
+        samples.append(sample)
+        self.fresh_s += sample.dt
+        if len(samples) < _MIN_SAMPLES:
             return None
-        half = 0.5 * self._span(0) / (len(ticks) - 1)
-        while len(ticks) > _MIN_SAMPLES and self._span(1) > self._length - half:
-            del ticks[0]
+        half = 0.5 * self._span(0) / (len(samples) - 1)
+        while len(samples) > _MIN_SAMPLES and self._span(1) > self._length - half:
+            del samples[0]
         span = self._span(0)
-        hop = self._hop * max(1.0, span / self._length) if len(ticks) == _MIN_SAMPLES else self._hop
+        hop = self._hop * max(1.0, span / self._length) if len(samples) == _MIN_SAMPLES else self._hop
         # [2] The segments of Fig. 2, in time instead of speed.
         if span < self._length - half or self.fresh_s < hop - half:
             return None
         self.fresh_s = 0.0
-        return Cut(list(ticks), hop)
+        return Cut(list(samples), hop)
 
     def _span(self, first: int) -> float:
-        return seconds(self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns)
+        return seconds(self.samples[-1].stamp_ns - self.samples[first].stamp_ns)
 
 
-def observe_resistance(ticks: list[WindowSample], inertia: float, speed_std: float) -> WindowResult | Rejection:
+def observe_resistance(samples: list[WindowSample], inertia: float, speed_std: float) -> WindowResult | Rejection:
     """Fit one window.
 
     Args:
-        ticks: The window, oldest first; ``dt`` and forces of the first are not used.
-        inertia: Specific force per acceleration, 1000 (1 + gamma) / g [N/kN per m/s^2].
+        samples: The window, oldest first; ``dt`` and forces of the first are not used.
+        inertia: Specific force per acceleration, 1000 (1 + gamma) / g0 [N/kN per m/s^2].
         speed_std: Standard deviation of one speed measurement [m/s].
 
     Returns:
         The observation, or a rejection if the speed is inconsistent with the forces beyond its noise.
     """
-    times, rest = _unforced(ticks, inertia)
+    times, rest = _unforced(samples, inertia)
     tolerance, weights = _OUTLIER_SIGMAS * speed_std, _plain_weights(times)
     speeds = vec[float]()
-    for tick in ticks:
-        speeds = append(speeds, tick.speed)
+    for sample in samples:
+        speeds = append(speeds, sample.speed)
     if _largest_residual(times, rest, weights) > tolerance:
         time, y, v = np.array(list(times)), np.array(list(rest)), np.array(list(speeds))
         robust = y - _robust_line(time, y)
         kept = _inliers(time, y, robust, tolerance)
         if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
             worst = float(np.max(np.abs(robust)))
-            return Rejection(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
+            return Rejection(samples[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
         weights = vec[float](_slope_weights(time, kept).tolist())
         speeds = vec[float](np.interp(time, time[kept], v[kept]).tolist())
-    return _result(ticks, times, rest, weights, speeds, inertia, speed_std)
+    return _result(samples, times, rest, weights, speeds, inertia, speed_std)
 
 
-def _unforced(ticks: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
-    """Return the times since the first tick, and the speeds minus the change due to the known forces."""
+def _unforced(samples: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
+    """Return the times since the first sample, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
     times, rest = vec[float](), vec[float]()
-    for k in range(len(ticks)):
+    for k in range(len(samples)):
         if k > 0:
-            time += ticks[k].dt
-            pushed += ticks[k].known_force * ticks[k].dt
+            time += samples[k].dt
+            pushed += samples[k].known_force * samples[k].dt
         times = append(times, time)
         # [3] v - v_u, whose slope replaces eq. (6).
-        rest = append(rest, ticks[k].speed - pushed / inertia)
+        rest = append(rest, samples[k].speed - pushed / inertia)
     return times, rest
 
 
@@ -202,7 +202,7 @@ def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> 
 
 
 def _result(
-    ticks: list[WindowSample],
+    samples: list[WindowSample],
     times: vec[float],
     rest: vec[float],
     weights: vec[float],
@@ -213,17 +213,17 @@ def _result(
     """Return the observation of a line with these weights."""
     phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
     slowest = fastest = speeds[0]
-    for k in range(len(ticks) - 1, 0, -1):
-        tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
+    for k in range(len(samples) - 1, 0, -1):
+        sample, v1, v0 = samples[k], speeds[k], speeds[k - 1]
         # Share of the interval in the slope: a change of speed there shifts all later speeds.
         later += weights[k]
-        share = tick.dt * later
+        share = sample.dt * later
         phi0 += share
         phi1 += share * 0.5 * (v0 + v1)
         phi2 += share * (v0 * v0 + v0 * v1 + v1 * v1) / 3.0
-        traction += share * tick.traction
-        curve += share * tick.curve
-        size += abs(tick.traction)
+        traction += share * sample.traction
+        curve += share * sample.curve
+        size += abs(sample.traction)
         slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
         # [4] Eqs. (3)-(5).
@@ -231,8 +231,8 @@ def _result(
         phi=(phi0, phi1, phi2),
         noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),
         traction=traction,
-        traction_size=size / (len(ticks) - 1),
-        traction_rate=_traction_rate(ticks, weights),
+        traction_size=size / (len(samples) - 1),
+        traction_rate=_traction_rate(samples, weights),
         curve=curve,
         duration=times[-1],
         speed_min=slowest,
@@ -240,16 +240,16 @@ def _result(
     )
 
 
-def _traction_rate(ticks: list[WindowSample], weights: vec[float]) -> float:
+def _traction_rate(samples: list[WindowSample], weights: vec[float]) -> float:
     """Return sum w_k T(t_k), the slope of the traction; T at a stamp is the mean of the two adjacent intervals.
 
     A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the
     changes of T, weighted by the shares of the intervals, into T weighted by w.
     """
-    rate, T = 0.0, ticks[-1].traction
-    for k in range(len(ticks) - 1, 0, -1):
+    rate, T = 0.0, samples[-1].traction
+    for k in range(len(samples) - 1, 0, -1):
         rate += weights[k] * T
-        T = 0.5 * (ticks[k - 1].traction + ticks[k].traction)
+        T = 0.5 * (samples[k - 1].traction + samples[k].traction)
     return rate + weights[0] * T
 
 
@@ -317,7 +317,7 @@ _MIN_WEIGHT: Final = 0.5
 class WindowPlan:
     """Window lengths and declared noise, see VMilsConfig for the units.
 
-    ``inertia`` is 1000 (1 + gamma) / g [N/kN per m/s^2]; ``disturbance_std`` [N/kN] includes gusts and map errors.
+    ``inertia`` is 1000 (1 + gamma) / g0 [N/kN per m/s^2]; ``disturbance_std`` [N/kN] includes gusts and map errors.
     """
 
     window: float
@@ -332,7 +332,7 @@ class WindowPlan:
 
 
 class WindowLearner:
-    """Estimator updated by ticks; the caller uses :meth:`interrupt` instead for a tick that cannot be used.
+    """Estimator updated by samples; the caller uses :meth:`interrupt` instead for a sample that cannot be used.
 
     Attributes:
         tracker: Estimate of a, b, c, kappa, delta, kappa_curve.
@@ -345,7 +345,7 @@ class WindowLearner:
     """
 
     STATE: ClassVar[State] = declare(
-        'tracker', '_tachometer', '_slow', 'inflation', '_windows', '_disturbance', 'innovation',
+        'tracker', '_speed_noise', '_slow', 'inflation', '_windows', '_disturbance', 'innovation',
         'innovation_variance', 'test_ratio', 'driven',
     )  # fmt: skip
 
@@ -357,7 +357,7 @@ class WindowLearner:
         self._clear()
 
     def _clear(self) -> None:
-        self._tachometer = SpeedNoise.declared(self._plan.speed_std, robust=True)
+        self._speed_noise = SpeedNoise.declared(self._plan.speed_std, robust=True)
         self._slow = SlowNoise()
         self.inflation = Inflation()
         self._windows.clear()
@@ -371,37 +371,37 @@ class WindowLearner:
         self._clear()
 
     def interrupt(self, speed: float) -> None:
-        """Start a new window after a tick that cannot be used; speed in m/s."""
+        """Start a new window after a sample that cannot be used; speed in m/s."""
         self._windows.clear()
-        self._tachometer.add(speed, math.nan)
+        self._speed_noise.add(speed, math.nan)
 
-    def push(self, tick: WindowSample) -> Rejection | None:
-        """Add a tick; every ``hop`` seconds make an observation. Return the rejection, if any."""
-        self._tachometer.add(tick.speed, tick.dt)
+    def push(self, sample: WindowSample) -> Rejection | None:
+        """Add a sample; every ``hop`` seconds make an observation. Return the rejection, if any."""
+        self._speed_noise.add(sample.speed, sample.dt)
         # [2]
-        cut = self._windows.push(tick)
+        cut = self._windows.push(sample)
         if cut is None:
             return None
-        observed = observe_resistance(cut.ticks, self._plan.inertia, self._tachometer.std)
+        observed = observe_resistance(cut.samples, self._plan.inertia, self._speed_noise.std)
         if isinstance(observed, Rejection):
             return observed
         return self._learn(observed, cut)
 
-    def foreseen_information(self, ticks: Sequence[WindowSample], sampled_s: float) -> Array:
+    def foreseen_information(self, samples: Sequence[WindowSample], sampled_s: float) -> Array:
         """Return the information that planned motion would give on theta, shape (n, n).
 
         Args:
-            ticks: The motion, at equal intervals; without noise.
+            samples: The motion, at equal intervals; without noise.
             sampled_s: Time between two speeds that are then measured [s].
         """
         plan, n = self._plan, len(self.tracker.prior.mean)
         windows, information = SlidingWindow(plan.window, plan.hop), np.zeros((n, n))
-        if not ticks:
+        if not samples:
             return information
-        speed_std = self._tachometer.std * math.sqrt(sampled_s / ticks[0].dt)
-        for tick in ticks:
-            cut = windows.push(tick)
-            observed = None if cut is None else observe_resistance(cut.ticks, plan.inertia, speed_std)
+        speed_std = self._speed_noise.std * math.sqrt(sampled_s / samples[0].dt)
+        for sample in samples:
+            cut = windows.push(sample)
+            observed = None if cut is None else observe_resistance(cut.samples, plan.inertia, speed_std)
             if cut is None or not isinstance(observed, WindowResult):
                 continue
             phi = np.array(list(_regressor(observed)))
@@ -410,7 +410,7 @@ class WindowLearner:
         return information
 
     def _learn(self, observed: WindowResult, cut: Cut) -> Rejection | None:
-        tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.ticks[-1].stamp_ns
+        tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.samples[-1].stamp_ns
         # [6]
         noise, slow = self._noise_of(observed, cut)
         expected, variance = tracker.estimate.predict(phi)
@@ -438,7 +438,7 @@ class WindowLearner:
         force = (plan.force_error * item.traction_size) ** 2 + (plan.force_skew * item.traction_rate) ** 2
         one = item.noise_std**2 + self._disturbance + force
         together = max(1.0, 2.0 * plan.disturbance_time / cut.hop)
-        overlap = overlap_factor(len(cut.ticks), cut.samples)
+        overlap = overlap_factor(len(cut.samples), cut.hop_samples)
         mean = overlap * item.noise_std**2 + together * plan.disturbance_std**2 + force
         return one, self._slow.factor * mean / one
 

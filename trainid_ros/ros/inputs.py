@@ -122,7 +122,9 @@ def subscribed_topics(mapping: Mapping = OWN) -> tuple[AnyTopic, ...]:
 
 
 def foreign_qos(topic: ForeignTopic, offered: Sequence[QoSProfile]) -> QoSProfile:
-    """Return a profile with which all publishers are heard, which promises as much as they do where that matters.
+    """Return a profile compatible with all publishers.
+
+    It is reliable, or transient local, only if all of them offer it and the topic may be held.
 
     Args:
         topic: The topic.

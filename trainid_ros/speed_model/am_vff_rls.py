@@ -51,7 +51,7 @@ Theta follows from forward Euler of (1), x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n
     a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
 
 with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
-gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
+gradient are forces per actual weight, so their k is k0 = g0 / (1000 (1 + gamma)), which depends on the rotating masses
 only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
 kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
 """

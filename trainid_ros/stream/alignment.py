@@ -16,8 +16,8 @@ have passed, in the order of stamps, so the order of arrival does not matter. Wh
 between two of them counts from the middle on, since its time is unknown. Commands may also be published only on change:
 with ``command_hold`` set, the last one holds that long, and samples wait ``max_lag`` for a change that is on its way.
 
-A clock that was set wrong for some seconds is set right again. That step back to the previous time base is no other
-drive, however large it is.
+A clock set wrong for some seconds and then corrected returns to its previous time base. Such a return never starts a
+new drive, whatever its size.
 """
 
 from __future__ import annotations
@@ -112,16 +112,24 @@ class AlignmentConfig:
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
     command_hold: float = setting(
-        0.0, 'how long a brake command published only on change holds; 0: commands come all the time', 's', 0.0, 86400.0
+        0.0, 'how long a brake command published only on change holds; 0: commands are periodic', 's', 0.0, 86400.0
     )
-    command_gap: float = setting(0.35, 'a command that changed over a longer gap changed unseen', 's', 0.05, 10.0)
+    command_gap: float = setting(
+        0.35, 'longest gap after which the time of a changed command counts as known', 's', 0.05, 10.0
+    )
     max_interval: float = setting(
-        1.25, 'slowest topic that these limits grow with: 2.5 of its intervals, command_gap 1.5', 's', 0.02, 10.0
+        1.25,
+        'longest interval of a topic that raises these limits: to 2.5 intervals, command_gap to 1.5',
+        's',
+        0.02,
+        10.0,
     )
     max_jump: float = setting(
-        10.0, 'longest time without any message that is not taken for a jump of the clock', 's', 1.0, 3600.0
+        10.0, 'longest pause of all topics that does not count as a jump of the clock', 's', 1.0, 3600.0
     )
-    max_jump_back: float = setting(2.0, 'step of the stamps that one topic alone cannot make', 's', 0.5, 3600.0)
+    max_jump_back: float = setting(
+        2.0, 'largest step of the stamps that a single record may make, back or ahead', 's', 0.5, 3600.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +138,8 @@ class TimeJump:
 
     stamp_ns: int  # First stamp there [ns]
     step_s: float  # How far it is; negative for a jump back [s]
-    leaves: bool = False  # Whether a time base is left to which the stamps may soon return
-    returns: bool = False  # Whether they have returned to it
+    is_step_forward: bool = False  # Whether it leaves a time base to which the stamps may return within a minute
+    undoes_step: bool = False  # Whether it returns to the time base before a step forward
 
 
 AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
@@ -271,16 +279,16 @@ class Aligner:
         """Follow a step of all topics: forward after a time without messages, or to another time base."""
         stamp_ns = self._suspects[0].stamp_ns
         step_ns = stamp_ns - self.newest_ns
-        returns = step_ns < 0 and self._previous.is_return(self.newest_ns, stamp_ns, self._max_jump_back_ns)
+        undoes_step = step_ns < 0 and self._previous.is_return(self.newest_ns, stamp_ns, self._max_jump_back_ns)
         # A time base that only one topic has shown may itself have been the wrong one.
-        if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1 and not returns:
+        if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1 and not undoes_step:
             self._reject_suspects(events)
             return
         rows, self._suspects = self._suspects, []
         if not 0 < step_ns <= self._max_jump_ns:
             self._release(events, everything=True)
-            leaves = step_ns > 0 and self._previous.leave(self.newest_ns, stamp_ns)
-            events.append(TimeJump(stamp_ns, seconds(step_ns), leaves, returns))
+            is_step_forward = step_ns > 0 and self._previous.leave(self.newest_ns, stamp_ns)
+            events.append(TimeJump(stamp_ns, seconds(step_ns), is_step_forward, undoes_step))
             previous = self._previous if step_ns > 0 else PreviousTimeBase()
             self.reset()
             self._previous = previous
@@ -343,7 +351,7 @@ class Aligner:
     def _is_settled(self, stamp_ns: int) -> bool:
         """Return whether no late record can belong to a sample."""
         since_ns, settled_ns = self._sample_ns, self.newest_ns - self._lag_ns
-        if stamp_ns > settled_ns and stamp_ns - self._released_ns > self._speed_interval.room_ns:
+        if stamp_ns > settled_ns and stamp_ns - self._released_ns > self._speed_interval.min_gap_with_loss_ns:
             return False
         return (
             self._force.is_settled(since_ns, stamp_ns, settled_ns)

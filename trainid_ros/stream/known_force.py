@@ -128,7 +128,7 @@ _SETTLING: Final = 8.0
 
 
 class KnownForce:
-    """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
+    """Specific force without the running resistance, u = 1000 F/(M g0) - i - w_extra [N/kN].
 
     With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file enter as
     their equivalent resistance at the sample; their influence on the brake is given by :meth:`brake_share`.
@@ -137,7 +137,7 @@ class KnownForce:
     def __init__(self, train_file: TrainFile) -> None:
         self.train_file = train_file
         self.inertia = specific_inertia(1.0, train_file.train.rotary_mass)
-        """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
+        """1000 (1 + gamma) / g0: specific force [N/kN] per acceleration [m/s^2]."""
         brake = train_file.brake
         extra_delay = effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
         self.settling = brake.delay + extra_delay + _SETTLING * brake.time_constant
@@ -164,7 +164,7 @@ class KnownForce:
         return self._mass if math.isnan(sample.mass) else sample.mass
 
     def traction(self, force: float, sample: Sample) -> float:
-        """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
+        """Return 1000 F/(M g0) [N/kN] of a reported force [N]."""
         mass = self._mass if math.isnan(sample.mass) else sample.mass
         return force * (1000.0 / (mass * G))
 

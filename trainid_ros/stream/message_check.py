@@ -50,8 +50,7 @@ class CommandCheck:
             self.finding = ''
 
 
-# Most of the mass of the train file that a loaded train may have [1]: a wagon that is full, over one that is empty. The
-# reverse is the least.
+# Largest plausible ratio of weighed to stated mass (full over empty wagon); the smallest is its reciprocal [1].
 _MAX_MASS: Final = 5.0
 _TONNE: Final = 1000.0
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check the inputs against each other before anything is learned from them: units, signs, stuck or late inputs.
 
-With specific forces [N/kN] and y = 1000 (1 + gamma) (dv/dt) / g + i + w(v), where w(v) is that of the train file,
+With specific forces [N/kN] and y = 1000 (1 + gamma) (dv/dt) / g0 + i + w(v), where w(v) is that of the train file,
 
 - y = x = traction where no brake acts,
-- y = x = 1000 (1 + gamma) r c / g where the brake has followed the target acceleration c for some time; r is the brake
+- y = x = 1000 (1 + gamma) r c / g0 where the brake has followed the target acceleration c for some time; r is the brake
   rate of the train file.
 
 Both are regressions through the origin, y = R x, over the last seconds of each kind. R is about 1: mass, brake rate and
@@ -134,9 +134,9 @@ class PlausibilityState:
     block: Block = field(default_factory=Block)  # The block that is being filled
     held_s: float = 0.0  # Time since the brake was applied, or released [s]
     slowest: float = 0.0  # Lowest speed since the brake has followed its command, the speed itself before that [m/s]
-    strongest: float = 0.0  # Strongest brake command since some time [m/s^2]
-    strongest_before: float = 0.0  # That over the same time before [m/s^2]
-    strongest_s: float = 0.0  # This time [s]
+    strongest: float = 0.0  # Strongest command in the present window [m/s^2]
+    strongest_before: float = 0.0  # Strongest command in the window before [m/s^2]
+    strongest_s: float = 0.0  # Length of the present window [s]
     steady: float = 0.0  # Brake command when it last changed by more than a brake need follow [m/s^2]
     steady_s: float = 0.0  # Time since then [s]
     has_alternated: bool = True  # True if it was applied or released since the last finding about it

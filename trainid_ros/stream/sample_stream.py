@@ -200,7 +200,9 @@ def max_repeats(noise: SpeedNoise) -> int:
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
 MAX_STEP_S: Final = 3600.0
-"""A clock is set back by at most this time [s]; a larger step back is another drive, but for a return."""
+"""Largest step back of a clock being set [s]. A larger step back starts a new drive, unless it undoes a recent step
+forward.
+"""
 # Age of a command that a brake has followed whatever its dead time and lag, which are seconds [ns].
 _FOLLOWED_NS: Final = 60 * NS_PER_S
 
@@ -404,7 +406,7 @@ class SampleStream:
 
 def is_reset_by(jump: TimeJump, policy: TimeJumpPolicy) -> bool:
     """Return whether everything starts over after a jump of the stamps; a clock set right again loses nothing."""
-    return jump.step_s < -MAX_STEP_S and not jump.returns and policy is TimeJumpPolicy.RESET
+    return jump.step_s < -MAX_STEP_S and not jump.undoes_step and policy is TimeJumpPolicy.RESET
 
 
 @dataclass(slots=True)

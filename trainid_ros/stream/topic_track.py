@@ -26,8 +26,8 @@ ONE_LOST: Final = 2.5
 """Longest time between records when one in a row is lost, in intervals; the half is for jitter."""
 NONE_LOST: Final = 1.5
 """The same when none is lost."""
-# Shortest time in which a record may be missing, in tenths of the shortest interval; with one in between it is 20.
-_ROOM_TENTHS: Final = 18
+# A gap of 1.8 shortest intervals or more may hide a record (exactly one missing gives 2.0); in tenths of an interval.
+_MIN_GAP_WITH_LOSS_TENTHS: Final = 18
 # Rows kept of each topic: 14 min at 5 Hz, should no speed come that lets them be dropped.
 _CAPACITY: Final = 4096
 
@@ -43,8 +43,8 @@ class LearnedInterval:
         longest_ns: A topic with longer intervals is too slow to be used: its interval counts as unknown.
     """
 
-    __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'room_ns')
-    STATE: ClassVar[State] = declare('_stamps', '_interval_ns', '_shortest_ns', 'room_ns', '_outdated')
+    __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'min_gap_with_loss_ns')
+    STATE: ClassVar[State] = declare('_stamps', '_interval_ns', '_shortest_ns', 'min_gap_with_loss_ns', '_outdated')
 
     def __init__(self, longest_ns: int) -> None:
         self._longest_ns = longest_ns
@@ -56,8 +56,8 @@ class LearnedInterval:
         self._stamps.clear()
         self._interval_ns = 0
         self._shortest_ns = 0
-        self.room_ns = 0
-        """Time between two records in which a third may be missing [ns]; 0, so that any may, while it is not known."""
+        self.min_gap_with_loss_ns = 0
+        """Shortest gap between two records that may hide a third [ns]; 0 while it is not known: any gap may."""
         self._outdated = False
 
     def see(self, stamp_ns: int) -> None:
@@ -79,7 +79,7 @@ class LearnedInterval:
         self._shortest_ns = stamps[1] - stamps[0]
         for before, after in pairwise(stamps):
             self._shortest_ns = min(self._shortest_ns, after - before)
-        self.room_ns = self._shortest_ns * _ROOM_TENTHS // 10
+        self.min_gap_with_loss_ns = self._shortest_ns * _MIN_GAP_WITH_LOSS_TENTHS // 10
 
     @property
     def ns(self) -> int:
@@ -179,14 +179,14 @@ class TopicTrack:
             at_ns: Second stamp.
             settled_ns: Stamp up to which no row can come any more.
         """
-        rows, room_ns = self.rows, self.interval.room_ns
+        rows, min_gap_with_loss_ns = self.rows, self.interval.min_gap_with_loss_ns
         k = self.first_from(at_ns)
         if k == len(rows):
             return True
         after_ns = rows[k].stamp_ns
         while after_ns > since_ns and after_ns > settled_ns:
             k -= 1
-            if k < 0 or after_ns - rows[k].stamp_ns > room_ns:
+            if k < 0 or after_ns - rows[k].stamp_ns > min_gap_with_loss_ns:
                 return False
             after_ns = rows[k].stamp_ns
         return True

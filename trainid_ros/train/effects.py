@@ -2,7 +2,7 @@
 """Effects beyond Davis resistance and gradient: name, equation, parameters, similar effects.
 
 Every effect is expressed as an *equivalent extra resistance* in the specific balance with the assumed mass,
-``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``, where T is the reported traction and B the braking
+``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g0``, where T is the reported traction and B the braking
 force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
 
 A new effect is one EffectKind in :mod:`effect_terms`, or one file that defines ``EFFECT`` in a folder listed in

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Longitudinal force balance of a train in specific form: newtons per kilonewton of its weight.
 
-``1000 F / (M g) = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g`` with the Davis resistance
+``1000 F / (M g0) = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g0`` with the Davis resistance
 ``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the
 rotating mass as a share of the mass [1].
 
@@ -30,7 +30,7 @@ from trainid_ros.interface.state import State, declare, stored
 from trainid_ros.train.train_file import Brake, Davis
 
 G: Final = 9.80665
-"""Standard gravity [m/s^2] (3rd CGPM, 1901), used throughout the package."""
+"""Standard gravity g0 [m/s^2] (3rd CGPM, 1901), used throughout the package."""
 
 
 @overload
@@ -43,12 +43,12 @@ def davis(resistance: Davis, v: Any) -> Any:
 
 
 def specific_force(force: float, mass: float) -> float:
-    """Return ``1000 F / (M g)`` [N/kN] of a force [N] on a mass [kg]."""
+    """Return ``1000 F / (M g0)`` [N/kN] of a force [N] on a mass [kg]."""
     return force * (1000.0 / (mass * G))
 
 
 def specific_inertia(acceleration: float, rotary_mass: float) -> float:
-    """Return ``1000 (1 + gamma) a / g`` [N/kN] of an acceleration [m/s^2]; ``rotary_mass`` is gamma [1]."""
+    """Return ``1000 (1 + gamma) a / g0`` [N/kN] of an acceleration [m/s^2]; ``rotary_mass`` is gamma [1]."""
     return acceleration * (1000.0 * (1.0 + rotary_mass) / G)
 
 
@@ -248,7 +248,7 @@ class TrackPoint:
     distance_run: float = 0.0  # Distance run since the start [m]
     # Time since the brake was released [s]; 0 while it is applied, infinite before its first use
     since_release: float = math.inf
-    traction: float = 0.0  # Reported traction, 1000 F/(M g) with the assumed mass M [N/kN]
+    traction: float = 0.0  # Reported traction, 1000 F/(M g0) with the assumed mass M [N/kN]
     brake: float = 0.0  # Braking force of the assumed brake, including its rate, per assumed weight [N/kN, <= 0]
     heat: float = 0.0  # Heat stored in this brake after cooling [J per kg of train]
     acceleration: float = 0.0  # Acceleration [m/s^2]; 0 in live estimators, which measure only speed

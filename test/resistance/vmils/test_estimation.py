@@ -55,7 +55,7 @@ def test_bad_samples_are_rejected_and_change_no_estimate(
     assert isinstance(result, Rejection)
     assert result.reason is reason
     assert encode(estimator.learner.tracker) == before
-    assert estimator.learner._windows.ticks == []
+    assert estimator.learner._windows.samples == []
 
 
 def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey) -> None:
@@ -254,7 +254,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
     ]
 
 
-@pytest.mark.parametrize('key', ['tracker', '_tachometer', '_windows', '_slow', 'inflation'])
+@pytest.mark.parametrize('key', ['tracker', '_speed_noise', '_windows', '_slow', 'inflation'])
 def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):

@@ -34,7 +34,7 @@ def start(p0: float, theta0: float = 0.0) -> tuple[Vector, Factors]:
 
 
 def rls(theta: Vector, UD: Factors, phi: Vector, y: float, variance: float = 1.0) -> tuple[Vector, Factors]:
-    """Make one step of RLS, (9)-(11).
+    """Make one step of RLS, eqs. (9)-(11).
 
     Args:
         theta: Estimate.

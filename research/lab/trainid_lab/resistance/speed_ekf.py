@@ -73,7 +73,7 @@ class SpeedEkf:
     """
 
     STATE: ClassVar[Declared] = declare(
-        '_filter', '_before', '_held', '_tachometer', '_speed', '_force', '_running', '_rejected', '_stamp_ns',
+        '_filter', '_before', '_held', '_speed_noise', '_speed', '_force', '_running', '_rejected', '_stamp_ns',
         '_admission', '_innovation', '_innovation_variance', '_test_ratio', '_speed_min', '_speed_max', '_accepted',
         '_converged',
     )  # fmt: skip
@@ -96,7 +96,7 @@ class SpeedEkf:
         self._filter: State = (0.0, *self._theta0, 1.0, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
         self._before: State = self._filter
         self._held: list[tuple[float, ...]] = []
-        self._tachometer = SpeedNoise.declared(self.config.speed_std, robust=True)
+        self._speed_noise = SpeedNoise.declared(self.config.speed_std, robust=True)
         self._speed = self._force = 0.0
         self._running = self._converged = False
         self._rejected = self._stamp_ns = self._accepted = self._admission.braked_ns = 0
@@ -119,7 +119,7 @@ class SpeedEkf:
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample."""
         self._stamp_ns = sample.stamp_ns
-        self._tachometer.add(sample.speed, sample.dt)
+        self._speed_noise.add(sample.speed, sample.dt)
         if (rejection := self._admission.reject(sample)) is not None:
             self._running = False
             return rejection
@@ -139,7 +139,7 @@ class SpeedEkf:
 
     def _begin(self, speed: float, u: float) -> None:
         """Restart from a measured speed [m/s] with the known specific force u [N/kN]."""
-        self._filter = restarted(self._filter, speed, self._tachometer.variance)
+        self._filter = restarted(self._filter, speed, self._speed_noise.variance)
         self._before, self._held = self._filter, []
         self._speed, self._force = speed, u
         self._running, self._rejected = True, 0
@@ -163,7 +163,7 @@ class SpeedEkf:
 
     def _correct(self, sample: Sample) -> Rejection | None:
         """Correct with the measurement unless it is stuck or beyond the gate."""
-        R, limit = self._tachometer.variance, self.config.gate
+        R, limit = self._speed_noise.variance, self.config.gate
         v, S = self._filter[0], self._filter[4] + R
         nu = sample.speed - v
         self._innovation, self._innovation_variance = nu / self._k, S / self._k**2
@@ -193,7 +193,7 @@ class SpeedEkf:
         state = self._before
         for dt, u, q in self._held:
             state = predicted(state, dt, u, self._k, q)
-        if abs(state[0] - self._speed) <= self.config.stuck_sigmas * self._tachometer.std:
+        if abs(state[0] - self._speed) <= self.config.stuck_sigmas * self._speed_noise.std:
             return False
         self._filter = state
         return True
@@ -212,7 +212,7 @@ class SpeedEkf:
     def _return_to_prior(self, speed: float) -> None:
         """Return to the prior, at a measured speed [m/s]."""
         a, b, c = self._max_variance
-        self._filter = (speed, *self._theta0, self._tachometer.variance, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
+        self._filter = (speed, *self._theta0, self._speed_noise.variance, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
         self._before, self._held = self._filter, []
 
     def _judge(self) -> None:
