@@ -16,40 +16,51 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-# Standard deviations of offset [N/kN] and gain [1] at the start, and of the gain after a stop where the load was
-# weighed [1]: passengers change.
+# Standard deviation of the offset at the start [N/kN].
 _OFFSET_STD: Final = 1.0
+# Standard deviation of the gain at the start, and after a stop where passengers change [1].
 _GAIN_STD: Final = 0.1
+# Standard deviation of the gain after a stop where the load was weighed [1].
 _WEIGHED_STD: Final = 0.01
 # Random walk of the offset [(N/kN)^2 per block]: it follows the line within some minutes.
 _OFFSET_WALK: Final = 1e-3
-# Errors of y besides the noise of the speed: of map and gusts [N/kN], and as a share of x [1].
+# Error of y by map and gusts, besides the noise of the speed [N/kN].
 _CHANGE_ERROR: Final = 1.0
+# Error of y that grows with the traction, as a share of it [1].
 _ERROR_SHARE: Final = 0.03
 # A residual counts for at most this many standard deviations [1].
 _CLIP: Final = 3.0
-# Memory of the sum [s], and of its smoothing, which leaves out the noise of a single speed [blocks].
+# Memory of the unexplained change of the speed [s].
 _MEMORY_S: Final = 8.0
+# Memory of its smoothing, which leaves out the noise of a single speed [blocks].
 _SMOOTH: Final = 3.0
-# Mean square of the sum at the start [(m/s)^2], memory [blocks], blocks before anything is suspected.
+# Mean square of the change at the start [(m/s)^2].
 _SQUARE: Final = 2.5e-3
+# Number of blocks for which that counts.
 _SQUARE_BLOCKS: Final = 20.0
+# Memory of the mean square [blocks].
 _SQUARE_MEMORY: Final = 300.0
+# Number of blocks before anything is suspected.
 _MIN_COUNT: Final = 60.0
-# Standard deviations that are hardly ever exceeded [1], least limit [m/s], share of it below which it is over [1].
+# A larger change than this many standard deviations is suspected [1].
 _SIGMAS: Final = 5.0
+# Smallest limit of the change [m/s].
 _MIN_LIMIT: Final = 0.04
+# Share of the limit below which a suspected change is over [1].
 _CHANGE_OVER: Final = 0.5
-# Time in motion after which a change is no fault but the train as it is now [s]; its limit may then be higher [1].
+# Time in motion after which a change is no fault but the train as it is now [s].
 _MAX_SUSPECTED_S: Final = 60.0
+# Largest factor by which the limit grows with each suspicion [1].
 _GROWTH: Final = 1.5
-# A change that is proportional to the traction is no change of the resistance: least change of the gain [1], and of the
-# force in root mean square [N/kN], standard deviations of it [1], time in motion that shows it [s].
+# A change that is proportional to the traction is named. Smallest change of the gain, as a share of it [1].
 _GAIN: Final = 0.1
+# Smallest change of the force, in root mean square [N/kN].
 _FORCE: Final = 5.0
+# Smallest change of the gain, in standard deviations [1].
 _GAIN_SIGMAS: Final = 5.0
+# Shortest time in motion since the suspicion began [s].
 _NAMED_S: Final = 4.0
-# Ratios to the gain before that say something [1].
+# Range of the ratio to the gain before that the text states [1]; outside, the speed does not follow the force.
 _MIN_RATIO: Final = 0.1
 _MAX_RATIO: Final = 10.0
 
@@ -181,24 +192,28 @@ class ChangeCheck:
             self.finding = f'the speed suddenly {times if plain else "does not follow ato/force any more"}'
 
 
-# Memory of sudden residuals [blocks], and their limit at the start [N/kN].
+# Memory of sudden residuals [blocks].
 SUDDEN_MEMORY: Final = 4.0
+# Their limit at the start [N/kN].
 _FIRST_LIMIT: Final = 10.0
-# Mean residual over a longer time that no resistance explains [N/kN], share of the resistance added [1], and memory
-# [blocks].
+# Largest mean residual over a longer time without resistance [N/kN].
 _MEAN: Final = 6.0
+# Share of the resistance added to it [1].
 _MEAN_SHARE: Final = 1.0
+# Memory of that mean [blocks].
 _MEMORY: Final = 60.0
-# Share of that limit beyond which the mean is suspected [1].
+# Share of its limit beyond which the mean is suspected [1].
 _SUSPECTED: Final = 0.5
-# Distance of the mean from the offset, which follows more slowly, that map, wind and tunnels do not reach [N/kN], and
-# share of the resistance added [1]: beyond it the force drifts. A map may be off by so many of its standard deviations
-# [1].
+# The force drifts when the mean is farther from the offset, which follows more slowly, than map, wind and tunnels
+# explain: this distance [N/kN],
 _DRIFT: Final = 2.0
+# plus this share of the resistance [1];
 _DRIFT_SHARE: Final = 0.16
+# where the map is worse, its standard deviations instead of the distance [1].
 _MAP_SIGMAS: Final = 2.5
-# Shares of it within which a drift is over, and beyond which the offset has followed it [1].
+# Share of that limit within which a drift is over [1].
 _OVER: Final = 0.8
+# Share of it that the offset must have moved for the drift to count as followed by the offset [1].
 _FOLLOWED: Final = 0.5
 
 
@@ -277,28 +292,34 @@ class BalanceCheck:
             self.is_drifting, self.has_stayed = False, abs(offset - self.before) > _FOLLOWED * limit
 
 
-# Error of the gradient that the topic may have against the line [per mille], and multiple of its stated std added.
+# Error of the gradient that the topic may have against the line [per mille].
 _ERROR: Final = 0.3
+# Multiple of the stated std of the line added to it for the mean error [1].
 _STDS: Final = 2.5
-# Memory [blocks]; number of blocks before anything is found.
+# Memory of the errors [blocks].
 _LINE_MEMORY: Final = 300.0
-# Share of the mean square of the line's gradient that the error may have [1]: it is 1 if they are unrelated. Multiple
-# of the limit that the error may have besides where the position is off [1].
+# Share of the mean square of the line's gradient that the squared error may have [1]: it is 1 if they are unrelated.
 _SHARE: Final = 0.6
+# Multiple of the limit of the mean that the error may have as well, where the position is off [1].
 _SCATTER: Final = 3.0
-# Memory of the mean over a short time [blocks]. Its distance from that over a long time hardly exceeds the error above
-# with the stated std and this multiple of its own rms, which knows how long errors of the map last.
+# Memory of the mean over a short time [blocks].
 _SHORT: Final = 4.0
+# Multiple of its usual distance from the long mean, added to the error above and the stated std, beyond which the
+# gradient is suddenly off [1].
 _SUDDEN_SIGMAS: Final = 3.0
-# Largest errors that are learned [per mille], with this multiple of the usual ones added.
+# Largest deviation that is learned [per mille].
 _LEARNED: Final = 0.1
+# Multiple of the usual deviation added to it [1].
 _LEARNED_SIGMAS: Final = 3.0
-# Number of blocks that are suddenly off, less those since that are not, before that is suspected, and found.
+# Number of blocks that are suddenly off, less those since that are not, before that is suspected.
 _SUSPECTED_BLOCKS: Final = 2
+# The same before it is a finding.
 _SUDDEN_BLOCKS: Final = 12
-# Blocks that agree before a finding is over; on a flat line they count less, since signs and units do not show there.
+# Weight of blocks in a row that agree before a finding is over.
 _MENDED: Final = 20.0
+# The line is flat below this multiple of the limit [1]: signs and units do not show there.
 _FLAT: Final = 6.0
+# Weight of a block there; 1 elsewhere.
 _FLAT_WEIGHT: Final = 0.25
 
 
@@ -377,14 +398,18 @@ class LineCheck:
         self.mended = 0.0
 
 
-# Shifts are tried up to this many blocks; smallest step of x, and sum of squared steps, that show one [N/kN].
+# Largest shift that is tried, either way [blocks].
 _MAX_SHIFT: Final = 6
 _SHIFTS: Final = 2 * _MAX_SHIFT + 1
+# Smallest step of the traction that counts [N/kN].
 _EDGE: Final = 6.0
+# Smallest sum of their squares that shows a shift [(N/kN)^2].
 _EDGES: Final = 2000.0
+# Share of the sums kept from block to block [1].
 _SHIFT_KEPT: Final = 0.998
-# Standard deviations by which a shift must stand out from chance, and from no shift.
+# Standard deviations by which a shift must stand out from chance [1].
 _SHIFT_KNOWN: Final = 5.0
+# Standard deviations by which it must stand out from no shift [1].
 _SHIFT_BETTER: Final = 3.0
 
 

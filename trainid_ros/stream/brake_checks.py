@@ -92,20 +92,22 @@ class LaggedCommand:
         return before + (history[last + 1] - before) * (time_s - before_s) / (history[last] - before_s)
 
 
-# Least change that contradicts the train file [1], in standard deviations [1], and the share of it at which a
-# contradiction ends.
+# Smallest change that contradicts the train file [1].
 _MIN_CHANGE: Final = 0.3
+# The same in standard deviations [1].
 _KNOWN: Final = 4.0
+# Share of that limit at which a contradiction ends [1].
 _ENDS: Final = 0.75
 # A braking over a smaller range of p says nothing of a change over speed [1].
 _NARROW: Final = 0.2
-# Fewest blocks of a braking that are compared, and least standard deviation of their residuals [N/kN].
+# Smallest number of blocks of a braking that are compared.
 _MIN_BLOCKS: Final = 8
+# Smallest standard deviation of their residuals [N/kN].
 _RESIDUAL: Final = 2.0
 # Standard deviation from braking to braking of e, and of h, by fade, changes of the brake and gradients [1].
 _SCATTER_E: Final = 0.1
 _SCATTER_H: Final = 0.3
-# Of e and h before the first braking: they may be anything [1].
+# Standard deviations of e and h before the first braking: they may be anything [1].
 _PRIOR_E: Final = 2.0
 _PRIOR_H: Final = 6.0
 # Share of the information that is kept at each further braking: about ten of them count.
@@ -278,11 +280,11 @@ _NEAR: Final = 2
 _HOLDS: Final = 0.2
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
-# Error of the shift of one braking by the shape of the response, rates and gradients [s]. A braking that leaves the
-# shift less certain than this tells nothing [s].
+# Error of the shift of one braking by the shape of the response, rates and gradients [s].
 _SHAPE_S: Final = 0.15
+# Largest standard deviation of the shift of a braking that is used [s].
 _CERTAIN_S: Final = 0.8
-# Least impulse of a braking that says something about the command [N/kN s]: .6 m/s.
+# Smallest impulse of a braking that says something about the command [N/kN s]: 0.6 m/s.
 _MIN_IMPULSE: Final = 60.0
 _NEAR_STDS: Final = 2.0
 _GAIN: Final = 25.0

@@ -14,9 +14,11 @@ from trainid_ros.train.forces import BrakeCommandChange
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
 # times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.
 _REVERSAL: Final = 0.15
-# Most reversals within the memory [s], and the number at which they are over.
+# Largest number of reversals of one publisher within the memory.
 _REVERSALS: Final = 6.0
+# That memory [s].
 _REVERSAL_MEMORY_S: Final = 1.0
+# Number of reversals below which a finding is over.
 _QUIET: Final = 2.0
 
 
@@ -31,7 +33,7 @@ class CommandCheck:
 
     @property
     def limit(self) -> float:
-        """Most reversals of one publisher, with forgetting."""
+        """Largest number of reversals of one publisher, with forgetting."""
         return _REVERSALS
 
     def add(self, changes: tuple[BrakeCommandChange, ...], dt: float) -> None:
@@ -78,11 +80,13 @@ class MassCheck:
         self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
 
-# Most spikes within the memory [s], and the number at which they are over.
+# Largest number of spikes within the memory.
 _SPIKES: Final = 2.5
+# That memory [s].
 _SPIKE_MEMORY_S: Final = 30.0
+# Number of spikes below which a finding is over.
 _NO_SPIKES: Final = 1.0
-# Spikes after which more are suspected.
+# Number of spikes above which more are suspected.
 _SUSPECTED: Final = 1.5
 # Difference of the values before and after a spike as a share of its height [1].
 _SAME: Final = 0.3
@@ -161,9 +165,11 @@ class ExcursionCheck(SpikeCount):
         return abs(excess) > self.height and self.held_s >= self.calm_s and excess * self.direction >= 0.0
 
 
-# A command [m/s^2] and a force [N/kN] that brake, and difference of commands that are the same as a share of them [1].
+# Weakest command that brakes [m/s^2].
 _BRAKING: Final = -0.15
+# Weakest force that brakes [N/kN].
 _EFFORT: Final = -10.0
+# Largest difference of equal commands, as a share of them [1].
 _EQUAL: Final = 0.1
 # Shares of a release that a force has followed or not [1], and largest error of that share: the force varies by this
 # share of it [1] without a change of the command.

@@ -46,20 +46,26 @@ _SPEED_STD: Final = 0.025
 # traction may be rare.
 _SUSPECTED_S: Final = 900.0
 
-# Height [per mille] and longest time [s] of a spike of the gradient, which as the mean under a train cannot change for
-# a moment. The same of the brake command [m/s^2, s], and time for which it has held before [s].
+# Smallest spike of the gradient, which as the mean under a train cannot change for a moment [per mille].
 _GRADIENT_SPIKE: Final = 5.0
+# Its longest duration [s].
 _GRADIENT_SPIKE_S: Final = 0.65
+# Smallest spike of the brake command [m/s^2].
 _COMMAND_SPIKE: Final = 0.15
+# Its longest duration [s].
 _COMMAND_SPIKE_S: Final = 0.25
+# Shortest time for which the command has held before it [s].
 _COMMAND_HELD_S: Final = 1.0
 
-# Memory of acceleration over force, and least number [blocks]; least force that shows it [N/kN]. Acceleration
-# that no train has [m/s^2], and noise of the speed added [std].
+# Memory of the recent slope of acceleration over force [blocks].
 RECENT: Final = 8.0
+# Smallest number of blocks that it needs.
 _RECENT_MIN: Final = 4.0
+# Smallest force that shows it, in root mean square [N/kN].
 _RECENT_FORCE: Final = 15.0
+# Acceleration that no train has [m/s^2].
 _STEP: Final = 4.0
+# Standard deviations of the noise of the speed added to it [1].
 _STEP_SIGMAS: Final = 8.0
 
 NO_BLOCK: Final = 0
@@ -224,8 +230,9 @@ _STEADY: Final = 0.02
 _STEADY_SHARE: Final = 0.1
 # A brake command as strong as any, where some were not seen [m/s^2].
 _UNSEEN: Final = -3.0
-# A brake command that holds a train on any gradient [m/s^2], and a rise of the speed that is no noise [m/s].
+# A brake command that holds a train on any gradient [m/s^2].
 _HOLDING: Final = -0.3
+# A rise of the speed that is no noise [m/s].
 _ROLLING: Final = 0.2
 # Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
 _SUDDEN: Final = 12.0

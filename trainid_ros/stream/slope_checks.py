@@ -15,36 +15,45 @@ from trainid_ros.train.forces import G
 # Plausible slopes of traction and brake [1]: loads, brake rates and resistances differ by less.
 TRACTION_RANGE = (0.55, 1.8)
 BRAKE_RANGE = (0.35, 2.2)
-# Errors of map and resistance that do not grow with x [N/kN]: for traction, and share of the resistance added [1], and
-# for brakes, which may follow slowly.
+# Error of map and resistance that does not grow with the traction [N/kN].
 _OFFSET: Final = 4.0
+# Share of the resistance added to it [1].
 _OFFSET_SHARE: Final = 0.5
+# The same error for brakes, which may follow slowly [N/kN].
 _BRAKE_OFFSET: Final = 8.0
-# Share of them beyond which a slope is suspected [1].
+# Share of these errors beyond which a slope is suspected [1].
 _SUSPECTED: Final = 0.5
-# Memory [blocks], and while a finding lasts: then what was wrong is soon forgotten when it is mended.
+# Memory of a slope [blocks].
 _MEMORY: Final = 20.0
+# Memory while a finding lasts [blocks]: what was wrong is soon forgotten when it is mended.
 _SHORT: Final = 8.0
 # Blocks in a row that are off before they count: slip of the wheels at a departure is shorter.
 _HELD: Final = 8
-# A slope is known when its standard deviation is below this share of it, or of 1, after this many blocks.
+# Standard deviation below which a slope is known, as a share of the slope, or of 1 if that is more.
 _KNOWN: Final = 0.12
+# Number of blocks that this needs.
 _MIN_BLOCKS: Final = 6.0
-# Correlation below which y and x do not belong together [1], after this many blocks.
+# Correlation below which y and x are unrelated [1].
 _UNRELATED: Final = 0.5
+# Number of blocks that this needs.
 _UNRELATED_BLOCKS: Final = 12.0
-# Ratios of effort and deceleration to the command: both are beyond this if the command is wrong, and agree within this
-# with each other; it is right again within this [1].
+# The command is wrong when the ratios of effort and deceleration to it are both farther from 1 than this factor [1],
 _WRONG: Final = 1.35
+# and differ from each other by less than this factor [1].
 _SAME: Final = 1.25
+# It is right again within this factor [1].
 _RIGHT: Final = 1.2
-# An effort is off by this share of the usual one [1], this many usual deviations, and this force [N/kN]. A deviation
-# counts for at most so many usual ones; these are learned with this memory [blocks], from this on [1].
+# Smallest deviation of an effort that is off, as a share of the usual effort [1].
 _OFF: Final = 0.3
+# The same in usual deviations [1].
 _OFF_SIGMAS: Final = 4.0
+# The same as a force, and smallest effort that the share refers to [N/kN].
 _OFF_FORCE: Final = 6.0
+# Largest deviation that is learned, in usual ones [1].
 _LEARNED_SIGMAS: Final = 3.0
+# Memory of the usual deviation [blocks].
 _USUAL_MEMORY: Final = 100.0
+# The usual deviation at the start, and the smallest one, as a share of the effort [1].
 _USUAL: Final = 0.05
 # Blocks in a row that are off before the effort is suspected.
 _OFF_BLOCKS: Final = 2
@@ -52,11 +61,13 @@ _OFF_BLOCKS: Final = 2
 _STRONG: Final = 20.0
 # Slope of a force that certainly acts against the command [1].
 _OPPOSITE: Final = 0.4
-# Ratio within which a slope may be a factor, as far as mass, brake and resistance are known [1].
+# Factor within which a slope may be another one, as far as mass, brake and resistance are known [1].
 _NEAR: Final = 1.0 / 0.7
-# Ratios by which a number in another unit is too large: speeds in km/h and miles per hour, newtons over pounds-force.
+# Ratio by which a speed in km/h is too large.
 _KMH: Final = 3.6
+# Ratio by which a speed in miles per hour is too large.
 _MPH: Final = 2.2369
+# Newtons per pound-force: ratio by which a force in pounds is too small.
 _LBF: Final = 4.4482
 # Slope of the brake below which the train does not brake [1].
 _NO_BRAKING: Final = 0.2
@@ -307,31 +318,37 @@ def _brake_text(slope: float, by_position: float) -> str:
     return f'the train brakes {slope:.2g} times as much as ato/brake_command'
 
 
-# Length of a segment [m]; longest one, where the position stands still [m].
+# Length of a segment [m].
 _SEGMENT: Final = 100.0
+# Longest one, where the position stands still [m].
 _MAX_M: Final = 1000.0
-# Number of segments whose mean error counts, and of those it needs.
+# Number of segments whose mean error counts.
 _DISTANCE_MEMORY: Final = 7.0
+# Number of segments that it needs.
 _MIN_COUNT: Final = 4.0
 # Limit of the mean error [1]: wheels wear by less than 2 %, balises correct the position by some metres.
 _ERROR: Final = 0.035
-# It is over when so many segments in a row have errors below this [1].
+# Error of a segment that agrees again [1].
 _MENDED: Final = 0.025
+# Number of these in a row after which a finding is over.
 _MENDED_SEGMENTS: Final = 3
-# Error beyond the mean that so many segments in a row have at once [1], and standard deviations of the segments before:
-# wheels do not change on the way.
+# Smallest deviation from the mean that is sudden [1]: wheels do not change on the way.
 _SUDDEN: Final = 0.025
+# The same in standard deviations of the segments before [1].
 _SUDDEN_SIGMAS: Final = 5.0
+# Number of such segments in a row that are a finding.
 _SUDDEN_SEGMENTS: Final = 2
 # A change of the position above three times the distance and this is a correction [m].
 _JUMP: Final = 20.0
-# A larger one is no correction of an odometer [m]; the train may know its position only now. Each counts one, less this
-# for each segment since; more than the limit within a kilometre are a fault.
+# A larger one is no correction of an odometer but a leap [m]; the train may know its position only now.
 _LEAP: Final = 100.0
+# Each leap counts one, less this for each segment since.
 _LEAP_KEPT: Final = 0.05
+# A larger count than this is a fault: two leaps within a kilometre.
 _LEAPS: Final = 1.5
-# A position that stands still over three times the longest way before, and this, is stuck [m].
+# A position is stuck that stands still over this way [m],
 _STILL: Final = 200.0
+# and over this multiple of the longest way that it stood still before [1].
 _STILL_FACTOR: Final = 3.0
 # Ratio of the distances beyond which the forces tell whether speed or position is off [1].
 _FORCES_TELL: Final = 1.4
@@ -339,8 +356,9 @@ _FORCES_TELL: Final = 1.4
 _MAX_RATIO: Final = 1e6
 # Ratio within which a speed has another unit [1].
 _UNIT: Final = 1.1
-# Distance over which the present ratio of both is taken, and least one that shows it [m].
+# Distance over which the present ratio of both is taken [m].
 _RATIO_WAY: Final = 60.0
+# Smallest distance that shows it [m].
 _MIN_WAY: Final = 50.0
 # Distance over which a position may stand still and be that of the train [m].
 _BEHIND: Final = 20.0
