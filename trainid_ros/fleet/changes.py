@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 OTHER: Final = 'other'
-"""Name of the cause that is none of those known."""
+"""Name of an unknown cause."""
 _SHOWING: Final = 0.5
 """Probability that a step shows in a channel, q [1]."""
 _WINDOW: Final = 60
-"""Days before the newest one among which a step is looked for."""
+"""Number of newest days in which a step is searched."""
 _MIN_AFTER: Final = 2
 """Minimum number of days with data after a step."""
 _GRID_DENSITY: Final = 6.0
@@ -59,7 +59,7 @@ _GRID_POINTS: Final = (60, 600)
 _FAR: Final = 0.01
 """Prior share of trains that are far from the others [1]."""
 _TINY: Final = 1e-300
-"""Stands for a density of zero, whose logarithm is needed."""
+"""Lower limit of a density, so that its logarithm is finite."""
 _MIN_PROBABILITY: Final = 0.05
 """Minimum probability of a cause that is named [1]."""
 _MAX_USUAL: Final = 5.0
@@ -268,8 +268,9 @@ _KINDS: Final = (
     _Kind('mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0),
     _Kind('traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0),
 )
-# Standard deviation of what 'other' changes, and of what the directions leave out, as shares of the mean [1]
+# Standard deviation of a change by 'other' in each channel, as a share of the mean [1].
 _OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
+# Standard deviation of a change beside the direction of a cause, as a share of the mean [1].
 _SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_ratio': 0.0005}
 
 

@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 """Degrees of freedom of Student's t among which the data choose."""
 ROUNDS: Final = 4
-"""Rounds after which the weights do not change any more."""
+"""Number of rounds, after which the weights have converged."""
 MIN_TRAINS: Final = 4
-"""Trains on most days for a day to have an effect: with fewer it would take away what is a train's own."""
+"""Minimum number of trains on most days for effects of days: with fewer they would absorb those of the trains."""
 _USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
 """Status of estimates that are compared."""
 _LOG_VARIANCES: Final = (-14.0, 4.0)

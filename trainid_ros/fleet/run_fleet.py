@@ -59,13 +59,13 @@ _SPEED: Final = INPUT_TOPICS.index(SPEED_TOPIC)
 _STANDSTILL: Final = 0.05
 """Speed below which the train stands [m/s]."""
 _MIN_LEG: Final = 200.0
-"""Minimum distance from stop to stop that counts [m]: errors of a stop are then below 1 %."""
+"""Minimum distance between two stops that are compared [m]: the error of a stop is then below 1 %."""
 _MAX_GAP: Final = 2.0
 """Maximum time between two speeds for a leg to have a known distance [s]."""
 _STOP_ERROR: Final = 1.0
 """Std of the distance between two stops, by balises, overshoot and slip [m]; added to the scatter."""
 _MAX_RATIO_ERROR: Final = 0.2
-"""Maximum error of a wheel [1]; beyond is another unit, or positions of something else."""
+"""Maximum error of a wheel ratio [1]; beyond it, a unit is wrong, or the positions are not those of the train."""
 
 
 class Odometer:

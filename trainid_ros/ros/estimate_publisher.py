@@ -22,7 +22,7 @@ HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
 """Time after which a status without new samples is published again [ns]: in time for the deadline of 1 s."""
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
 _FIT: Final = frozenset({Status.VALID, Status.HOLDING})
-# Each kind of change is logged at most once in this time [s].
+# Shortest time between two log entries about one kind of change [s].
 _LOG_PERIOD_S: Final = 1.0
 
 # An estimate with one of these is not fit to use.
@@ -118,7 +118,7 @@ class StatusChanges:
 _MIN_STALL_NS: Final = NS_PER_S // 4
 # Simulated time may run at any rate, so it has to be polled often [ns].
 _POLL_NS: Final = NS_PER_S // 10
-# A timer may come this much early [ns].
+# Largest time by which a timer may fire early [ns].
 _MARGIN_NS: Final = NS_PER_S // 100
 
 

@@ -28,20 +28,22 @@ if TYPE_CHECKING:
 
 # Rates and rejections are counted over this time [ns].
 _WINDOW_NS: Final = 5 * NS_PER_S
-# Difference of stamps from the clock of the node, above which they are of another clock or were buffered [s].
+# Difference of stamps from the clock of the node above which another clock set them, or messages were buffered [s].
 _MAX_AGE_S: Final = 2.0
 # Messages kept of each input: 5 s at 800 Hz.
 _MAX_KEPT: Final = 4096
-# The smallest delay of this time counts [ns], as one message may be held up, and may differ by this much [s].
+# Window whose smallest delay counts, as one message may be held up [ns].
 _DELAY_WINDOW_NS: Final = NS_PER_S
+# Largest difference of delays by jitter [s].
 _JITTER_S: Final = 0.1
-# No message is this late: its stamp is of another clock [s].
+# Delay above which another clock has set the stamp [s]: no message is as late.
 _OTHER_CLOCK_S: Final = 3600.0
 _UNITS: Final = ((365.25 * 86400.0, 'years'), (86400.0, 'days'), (3600.0, 'h'), (60.0, 'min'))
 # Inputs that are silent for longer are missing, and not compared [s].
 _MAX_SILENCE_S: Final = 2.5
-# Rejections that need no report, as after a jump of the stamps: this number and this share of all messages [1].
+# Largest number of rejections without a report, as after a jump of the stamps.
 _MAX_REJECTED: Final = 2
+# Share of all messages added to it [1].
 _MAX_REJECTED_SHARE: Final = 0.1
 _REJECTED: Final = {
     Reason.NOT_FINITE: 'correct the sensor or its publisher',
@@ -137,7 +139,7 @@ class InputMonitor:
         return min(islice(self._delays, recent, None), default=0) / NS_PER_S
 
     def judge_rejections(self, now_ns: int) -> Finding | None:
-        """Return that the messages of the last seconds were not used, and why; None if they were, but for a few."""
+        """Return why the messages of the last seconds were not used; None if only a few were rejected."""
         self._forget_before(now_ns - _WINDOW_NS)
         count = len(self._rejected)
         if count <= _MAX_REJECTED + _MAX_REJECTED_SHARE * len(self._arrivals):

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
-# What is read, and the input that does not come without it; positions may come now and then.
+# Quantities that are read, and the input that needs each; positions may be missing at times.
 _INPUTS: Final[dict[str, InputTopic | None]] = {
     'speed': SPEED_TOPIC,
     'position': None,
@@ -260,9 +260,9 @@ class NodeMapping:
         return None if self._make is None else self._make()
 
 
-# Rounds without a message from before their begin, after which the wall clock must have been set back.
+# Number of rounds without a message from before the round, after which the wall clock must have been set back.
 _MAX_IDLE_ROUNDS: Final = 3
-# Messages that show whether two publishers alternate.
+# Number of messages that show whether two publishers alternate.
 _MAX_NUMBERS: Final = 20
 # Time between looks at the graph for publishers of foreign topics [s].
 _DISCOVERY_S: Final = 0.25

@@ -123,7 +123,7 @@ class ShapeSums:
     yy: float = 0.0  # Sum of y^2 [(N/kN)^2]
     products: tuple[float, ...] = (0.0,) * 3  # Sums of y x, y x p and y x q [(N/kN)^2]
     moments: tuple[float, ...] = (0.0,) * 6  # Sums of x^2 times 1, p, q, p^2, p q and q^2 [(N/kN)^2]
-    slowest: float = 0.5  # Least p
+    slowest: float = 0.5  # Smallest p
     fastest: float = -0.5  # Largest p
 
     def add(self, y: float, x: float, p: float) -> None:
@@ -220,7 +220,7 @@ class BrakeShapeCheck:
     """Change of the brake rate over speed against the train file."""
 
     known: ShapeInformation = field(default_factory=ShapeInformation)  # What all brakings say
-    slowest: float = 0.0  # Least p of the last braking over a range of speeds
+    slowest: float = 0.0  # Smallest p of the last braking over a range of speeds
     fastest: float = 0.0  # Largest p of it
     found: ShapeChange = field(default_factory=ShapeChange)  # The last change that contradicts the train file
     is_wrong: bool = False  # Whether the brakings contradict it
@@ -261,10 +261,11 @@ class BrakeShapeCheck:
         self.is_wrong = change.contradicts or (self.is_wrong and change.size > _ENDS * _MIN_CHANGE)
 
 
-# Step of the grid [s], and its largest shifts in steps: a train may brake like a freight train, but hardly before a
-# command. A largest shift to later times stands for all beyond.
+# Step of the grid of shifts [s].
 _STEP_S: Final = 0.5
+# Largest shift to earlier times, in steps: a train hardly brakes before a command.
 _SOONER: Final = 7
+# Largest shift to later times, in steps: a train may brake like a freight train. It stands for all larger ones.
 _LATER: Final = 20
 _SHIFTS: Final = _SOONER + 1 + _LATER
 _MAX_DELAY_S: Final = (_LATER - 1) * _STEP_S
@@ -272,11 +273,12 @@ _MAX_DELAY_S: Final = (_LATER - 1) * _STEP_S
 _BLOCK_S: Final = 0.6
 # Rounding of the length of a block [s].
 _ROUNDING_S: Final = 1e-3
-# Factors that a brake may have [1].
+# Smallest and largest plausible ratio of actual to nominal braking [1].
 _MIN_FACTOR: Final = 0.3
 _MAX_FACTOR: Final = 2.0
-# The command holds where shifts by so many steps change it by no more than this share.
+# The command holds where shifts by up to this number of steps
 _NEAR: Final = 2
+# change it by no more than this share [1].
 _HOLDS: Final = 0.2
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
@@ -288,8 +290,9 @@ _CERTAIN_S: Final = 0.8
 _MIN_IMPULSE: Final = 60.0
 _NEAR_STDS: Final = 2.0
 _GAIN: Final = 25.0
-# Errors of dead time and time constant that are no fault: in standard deviations of the train file, and at least [s].
+# Largest error of dead time and time constant that is no fault, in standard deviations of the train file [1].
 _STATED: Final = 2.0
+# Smallest value of that limit [s].
 _MIN_ERROR_S: Final = 0.8
 
 

@@ -101,7 +101,7 @@ class SpikeCount:
 
     @property
     def limit(self) -> float:
-        """Most spikes, with forgetting."""
+        """Largest number of spikes, with forgetting."""
         return _SPIKES
 
     @property
@@ -126,7 +126,7 @@ class ExcursionCheck(SpikeCount):
     """Values that leave their level for a moment and return to it, too fast for what they measure."""
 
     topic: str = ''  # Topic of the values
-    height: float = 0.0  # Least height of a spike, in the unit of the values
+    height: float = 0.0  # Smallest height of a spike, in the unit of the values
     longest_s: float = 0.0  # Longest time of a spike [s]
     calm_s: float = 0.0  # Time for which the level must have held before [s]: what alternates has no spikes
     direction: float = 0.0  # -1 if spikes are below the level only, 0 if on both sides
@@ -171,11 +171,13 @@ _BRAKING: Final = -0.15
 _EFFORT: Final = -10.0
 # Largest difference of equal commands, as a share of them [1].
 _EQUAL: Final = 0.1
-# Shares of a release that a force has followed or not [1], and largest error of that share: the force varies by this
-# share of it [1] without a change of the command.
+# Share of a release above which the force has followed it [1].
 _FOLLOWED: Final = 0.7
+# Share below which the force has ignored it [1].
 _IGNORED: Final = 0.3
+# Variation of the force without a change of the command, as a share of it [1].
 _FORCE_ERROR: Final = 0.03
+# Largest error by it of the share that was followed [1].
 _MAX_ERROR: Final = 0.4
 
 
@@ -231,16 +233,19 @@ class ReleaseCheck(SpikeCount):
         self.since_s = 0.0
 
 
-# A report of the force stands out by this [N/kN].
+# Smallest height of a spike of the force [N/kN].
 _SPIKE: Final = 12.0
-# Log-likelihood that the force was wrong rather than traction cut for a moment, as slip protection does: limit of the
-# sum (e^4 = 55 to 1), most of one spike by the speed, memory [s]. A cut is towards zero, and the speed answers to it;
-# traction hardly rises for a moment, but may where a controller knows two steps only.
+# Log-likelihood above which spikes are wrong forces rather than short cuts of traction, as by slip protection: e^4 = 55
+# to 1. A cut is towards zero, and the speed answers to it.
 _EVIDENCE: Final = 4.0
+# Largest contribution of one spike by the speed.
 _MAX_EVIDENCE: Final = 2.0
+# Contribution of a spike that is no cut by its sign: traction rarely rises for a moment, except by a controller
+# with two steps only.
 _NO_CUT: Final = 1.0
+# Memory of the log-likelihood [s].
 _EVIDENCE_MEMORY_S: Final = 120.0
-# Samples after which a spike is out of those that are compared.
+# Number of samples that are compared, from a spike on.
 _SAMPLES: Final = 3
 
 

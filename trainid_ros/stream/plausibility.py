@@ -220,42 +220,47 @@ class PlausibilityState:
 
 # Inputs are averaged over blocks, so that the noise of the speed matters little [s].
 _BLOCK_S: Final = 0.5
-# Slower trains may stand or shunt [m/s]. A command below this brakes [m/s^2].
+# Slower trains may stand or shunt [m/s].
 _MIN_SPEED: Final = 1.0
+# A command below this brakes [m/s^2].
 _BRAKING: Final = -0.02
 # Slower trains may brake by friction alone [m/s].
 _BLENDED: Final = 4.0
-# Change of a command that a brake need not follow [m/s^2], and as a share of the command [1].
+# Largest change of a steady command [m/s^2].
 _STEADY: Final = 0.02
+# The same as a share of the command [1].
 _STEADY_SHARE: Final = 0.1
-# A brake command as strong as any, where some were not seen [m/s^2].
+# Brake command assumed where some were not seen: as strong as any [m/s^2].
 _UNSEEN: Final = -3.0
 # A brake command that holds a train on any gradient [m/s^2].
 _HOLDING: Final = -0.3
 # A rise of the speed that is no noise [m/s].
 _ROLLING: Final = 0.2
-# Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
+# Residual that no resistance explains [N/kN].
 _SUDDEN: Final = 12.0
+# Share of the traction added to it [1].
 _SUDDEN_TRACTION: Final = 0.4
+# Share of the brake force added to it [1].
 _SUDDEN_BRAKE: Final = 0.8
-# Multiple of it that inputs which are late do not reach [1].
+# Multiple of that limit to which residuals are clipped in the search for late inputs [1]: slip is no step of traction.
 _SLIP: Final = 3.0
 # Traction that contradicts a brake which has followed its command [N/kN].
 _DRIVING: Final = 10.0
-# Multiple of the noise of the speed that is hardly ever exceeded [1], and error of a force by the change of the speed
-# over two samples besides that noise [N/kN].
+# Largest noise of the speed, in standard deviations [1].
 _SIGMAS: Final = 4.0
+# Error of a force by the change of the speed over two samples, besides that noise [N/kN].
 _IMPULSE_STD: Final = 3.0
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
 # Decay of a sudden residual while nothing can be compared [s].
 _RESIDUAL_S: Final = 5.0
-# Error of the gradient that needs no second look [per mille]. Error of the position [m], and share of the distance
-# driven added, since worn wheels may be .5 % off and not all are corrected on the way. Shares of it at which the line
-# is looked up, nearer ones first [1].
+# Error of the gradient below which no other positions are tried [per mille].
 _SAME_GRADIENT: Final = 0.5
+# Error of the position [m].
 _POSITION_ERROR: Final = 30.0
+# Share of the distance driven added to it [1]: worn wheels may be 0.5 % off, and not all are corrected on the way.
 _POSITION_DRIFT: Final = 0.006
+# Shares of that error at which the line is looked up, nearer ones first [1].
 _SHARES: Final = tuple(sign * k / 8.0 for k in range(1, 9) for sign in (1.0, -1.0))
 # Distance after a stop at which the direction is known [m].
 _TURNED: Final = 20.0
@@ -263,10 +268,11 @@ _TURNED: Final = 20.0
 _LASTING_S: Final = 2.0
 # Motion under findings after which all checks begin anew, so that none lasts when its inputs have gone [s].
 _RETRY_S: Final = 300.0
-# Motion after which an estimate may be valid although the slope of traction is still not known [s]: without strong
-# acceleration (in root mean square, N/kN), and in any case.
+# Motion without strong acceleration after which an estimate may be valid although the slope of traction is unknown [s].
 _CALM_S: Final = 20.0
+# Largest such acceleration, in root mean square [N/kN].
 _CALM: Final = 15.0
+# The same motion whatever the acceleration [s].
 _LENIENT_S: Final = 90.0
 
 

@@ -122,8 +122,8 @@ class DriveHistory:
         return self.motion
 
 
-# Change of speed that the forces give and a sensor does not miss [m/s]: more than any quantum, and more than the train
-# file's error of the resistance adds up to while cruising.
+# Largest change of speed by the forces that a healthy sensor may not show [m/s]: more than any quantum, and more than
+# the train file's error of the resistance adds up to while cruising.
 _MAX_MISSING: Final = 0.5
 # Density of the difference of two equal measurements at zero, times sigma: 1 / (2 sqrt(pi)), rounded.
 _EQUAL: Final = 0.2821
@@ -131,10 +131,11 @@ _EQUAL: Final = 0.2821
 _MAX_REPEAT_PROBABILITY: Final = 0.4
 # Time constants after the dead time until a brake has followed a command to 1 - exp(-2) = 86 %.
 _FOLLOWED: Final = 2.0
-# Probability below which so many repeats are no chance [1]: once in 6 years at 5 Hz. At least this many are needed, and
-# this many speeds before, which show the noise.
+# Probability of chance repeats below which the sensor is stuck [1]: once in 6 years at 5 Hz.
 _MIN_PROBABILITY: Final = 1e-9
+# Smallest number of repeats that is judged.
 _MIN_REPEATS: Final = 5
+# Number of changes of the speed that show its noise first.
 _MIN_CHANGES: Final = 100
 
 

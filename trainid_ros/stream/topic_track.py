@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The records of one topic in stamp order: values at a stamp, means between two, and their learned interval.
 
-Brake commands come all the time, or only when they change: then the last one holds for a declared time.
+Brake commands are periodic, or come only when they change: then the last one holds for a declared time.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, several, unknown
 from trainid_ros.train.forces import BrakeCommandChange
 
-# Number of intervals whose median is taken, and of those from which on it is known.
+# Number of intervals whose median is taken.
 _WINDOW: Final = 16
+# Number of intervals from which on the median is known.
 _MIN_INTERVALS: Final = 4
 # Share of the median that jitter leaves of an interval [1]; one lost record makes the others half of the median.
 _MIN_JITTERED: Final = 0.75
@@ -247,7 +248,8 @@ class TopicTrack:
         return 0.0 if right == 0 else seconds(self.rows[right].stamp_ns - self.rows[right - 1].stamp_ns)
 
 
-# What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
+# Largest effect on the speed of a change of the command at an unknown time [m/s]; a larger one would be attributed to
+# the brake rate.
 _MAX_UNCERTAIN: Final = 0.25
 
 
@@ -259,9 +261,9 @@ class BrakeCommands:
 
     Args:
         track: Rows of the commands.
-        timeout_ns: Age at which a command is no longer known, where commands come all the time [ns].
-        gap_ns: A command that changed over a longer gap changed unseen [ns].
-        hold_ns: How long a command published only on change holds; 0 if commands come all the time [ns].
+        timeout_ns: Age at which a command is no longer known, where commands are periodic [ns].
+        gap_ns: Longest gap after which the time of a changed command counts as known [ns].
+        hold_ns: How long a command published only on change holds; 0 if commands are periodic [ns].
         lag_ns: How far a topic may lag behind the others [ns].
     """
 
