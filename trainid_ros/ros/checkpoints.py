@@ -153,11 +153,11 @@ class Checkpoints:
         return pipeline.status is not Status.FAULT and not self._is_wiped and bool(pipeline.samples or pipeline.resets)
 
     def note_wiped(self) -> None:
-        """Keep the file after a reset that nobody asked for, until the estimate is fit to use again."""
+        """Keep the file after a reset by a jump of the stamps, until the estimate is usable again."""
         self._is_wiped = True
 
     def note_wanted(self) -> None:
-        """Save the state from now on, whatever it is: somebody has asked for it."""
+        """Save any state from now on, as a user has requested."""
         self._is_wiped = False
 
     def save(self, pipeline: EstimatorPipeline[Any]) -> None:

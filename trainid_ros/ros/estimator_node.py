@@ -274,7 +274,7 @@ class EstimatorNode(ManagedNode):
         self.publisher.conclude(self.now_ns())
 
     def latch_loaded(self) -> None:
-        """Latch the estimate of a loaded state, for which late subscribers would else wait until the next sample."""
+        """Latch the estimate of a loaded state: late subscribers then have it before the next sample."""
         if self.shared.pipeline is None or not self.shared.pipeline.samples:
             return
         self.watchdog.saw(self.shared.pipeline.newest_ns, self.now_ns(), self.steady_ns())

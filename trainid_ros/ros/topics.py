@@ -89,7 +89,7 @@ def _fill(message: Any, stamp_ns: int, values: Mapping[str, Any]) -> Any:
 DEADLINE_S: Final = 1.0
 """An active node publishes its estimate at least this often [s], where speeds come at 2 Hz or more."""
 LEASE_S: Final = 2.0
-"""Time after which a node that ended without a word counts as gone [s]."""
+"""Time without a sign of life after which a node counts as gone [s]."""
 LIFESPAN_S: Final = 2.0
 """Age at which an estimate that could not be delivered is dropped [s]."""
 

@@ -174,7 +174,7 @@ class ShapeInformation:
     h: float = 0.0
 
     def add(self, other: ShapeInformation, kept: float) -> None:
-        """Add the information of a further braking; keep a share of that so far."""
+        """Add the information of a further braking, after forgetting a share of that of the brakings before."""
         self.ee = kept * self.ee + other.ee
         self.eh = kept * self.eh + other.eh
         self.hh = kept * self.hh + other.hh
@@ -211,7 +211,7 @@ class ShapeChange:
 
     @property
     def contradicts(self) -> bool:
-        """True if no error of this size is expected of a train file."""
+        """True if the change is larger than errors of train files are."""
         return self.size > max(_MIN_CHANGE, _KNOWN * self.std)
 
 

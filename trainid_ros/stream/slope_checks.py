@@ -84,7 +84,7 @@ class Regression:
     count: float = 0.0  # Effective number of blocks
 
     def add(self, y: float, x: float, memory: float = _MEMORY) -> None:
-        """Add the means of one block [N/kN]; so many count while nothing is wrong."""
+        """Add the means of one block [N/kN]; ``memory`` [blocks] applies while there is no finding."""
         keep = 1.0 - 1.0 / (_SHORT if self.finding else memory)
         self.yy = keep * self.yy + y * y
         self.xx = keep * self.xx + x * x
@@ -116,7 +116,7 @@ class Slope(Regression):
     excess: float = 0.0
 
     def take(self, y: float, x: float, limit: float) -> None:
-        """Add the means of one block [N/kN], one with a residual above a limit only with others like it in a row."""
+        """Add the means of one block [N/kN]; with a residual above a limit it counts only with others in a row."""
         if abs(y - x) <= limit:
             self.off, self.held = 0, ()
             self.add(y, x)
@@ -153,7 +153,7 @@ class Slope(Regression):
         )
 
     def is_unrelated(self, noise: float) -> bool:
-        """Return whether the speed certainly changes, or should, but not with x; ``noise`` is that of y [N/kN]."""
+        """Return whether y and x are certainly unrelated while one is large; ``noise`` is that of y [N/kN]."""
         least = 4.0 * _BRAKE_OFFSET * _BRAKE_OFFSET + noise * noise
         if self.count < _UNRELATED_BLOCKS or max(self.yy, self.xx) < self.count * least:
             return False
@@ -206,7 +206,7 @@ class Effort(Regression):
 
     @property
     def is_suspected(self) -> bool:
-        """True while the force is suddenly another one for the same command."""
+        """True while the force for a command suddenly differs from the usual one."""
         return self.off >= _OFF_BLOCKS
 
     def take(self, y: float, x: float) -> None:
@@ -263,7 +263,7 @@ class Effort(Regression):
 
 
 def _is_off(by_force: float, by_speed: float) -> bool:
-    """Return whether two ratios to the command agree with each other, but not with it."""
+    """Return whether two ratios to the command agree with each other, but are not 1."""
     is_right = _agree(by_force, 1.0, _WRONG) or _agree(by_speed, 1.0, _WRONG)
     return _agree(by_force, by_speed, _SAME) and not is_right
 
