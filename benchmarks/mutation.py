@@ -3,7 +3,8 @@
 
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
 copy of the repository and tested there without compiled modules: first by the test file that mirrors its module, then
-by the other tests of the folder that need no ROS graph and are not slow, until the first failure.
+by the other tests of the folder that need no ROS graph and are not slow, until the first failure. All these tests first
+have to pass without a mutant.
 
 ``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
 """
@@ -20,10 +21,13 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
+
+from pytest import ExitCode
 
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text
@@ -38,10 +42,8 @@ FOLDERS: Final = {
 }
 _SEED: Final = 1
 _JOBS: Final = 2
-# A mutant that runs for ever counts as killed [s].
-_LONGEST_S: Final = 900.0
-# Exit codes of pytest: all passed, and none collected.
-_PASSED: Final = (0, 5)
+# Tests of a mutant that take longer count as failed [s].
+_MAX_RUN_S: Final = 900.0
 _SWAPS: Final[dict[type[ast.AST], Any]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -150,8 +152,9 @@ def targets_of(path: str, root: Path) -> list[list[str]]:
     return [first, whole] if first else [whole]
 
 
-def is_killed(mutant: Mutant) -> bool:
-    """Return whether a test fails on a mutant."""
+@contextmanager
+def _copied() -> Iterator[Path]:
+    """Return a copy of the repository."""
     with tempfile.TemporaryDirectory() as name:
         root = Path(name) / 'copy'
         root.mkdir()
@@ -160,29 +163,66 @@ def is_killed(mutant: Mutant) -> bool:
                 shutil.copytree(item, root / item.name, ignore=shutil.ignore_patterns('__pycache__', '*.so'))
             elif item.name != '.git':
                 (root / item.name).symlink_to(item)
+        yield root
+
+
+def check_unchanged(arguments: Sequence[str]) -> None:
+    """Raise RuntimeError if tests fail on the unchanged sources: they would fail on every mutant."""
+    with _copied() as root:
+        if output := failure_of(arguments, root):
+            raise RuntimeError(f'tests fail without a mutant: {" ".join(arguments)}\n{output}')
+
+
+def is_killed(mutant: Mutant) -> bool:
+    """Return whether a test fails on a mutant."""
+    with _copied() as root:
         source = (REPOSITORY / mutant.path).read_bytes()
         changed = source[: mutant.begin] + mutant.after.encode() + source[mutant.end :]
         (root / mutant.path).write_bytes(changed)
-        return any(_fails(arguments, root) for arguments in targets_of(mutant.path, root))
+        return any(failure_of(arguments, root) for arguments in targets_of(mutant.path, root))
 
 
-def _fails(arguments: Sequence[str], root: Path) -> bool:
+def failure_of(arguments: Sequence[str], root: Path) -> str:
+    """Return what tests print that fail, cannot be imported or take too long; empty if they pass or none is selected.
+
+    Raises:
+        RuntimeError: pytest itself fails, is interrupted or is called wrongly.
+
+    """
     paths = (root, root / 'research' / 'lab', root / 'examples' / 'python')
     env = os.environ | {'TRAINID_COMPILED': '0', 'PYTHONPATH': os.pathsep.join(map(str, paths))}
     options = ('-q', '-x', '-p', 'no:cacheprovider', '-m', 'not ros and not slow and not long')
     command = ['tools/with_test_env', sys.executable, '-m', 'pytest', *options, *arguments]
     try:
-        done = subprocess.run(command, cwd=root, env=env, capture_output=True, check=False, timeout=_LONGEST_S)
+        done = subprocess.run(command, cwd=root, env=env, capture_output=True, check=False, timeout=_MAX_RUN_S)
     except subprocess.TimeoutExpired:
-        return True
-    return done.returncode not in _PASSED
+        return f'longer than {_MAX_RUN_S:g} s'
+    output = (done.stdout + done.stderr).decode(errors='replace')
+    match done.returncode:
+        case ExitCode.OK | ExitCode.NO_TESTS_COLLECTED:
+            return ''
+        case ExitCode.TESTS_FAILED:
+            return output
+        case ExitCode.INTERRUPTED if 'during collection' in output:
+            return output
+        case ExitCode.USAGE_ERROR if 'while loading conftest' in output:
+            return output
+    raise RuntimeError(f'exit code {done.returncode}: {" ".join(command)}\n{output}')
 
 
 def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDERS)) -> tuple[Table, ...]:
-    """Test a sample of mutants; return their number by folder, and those that no test noticed."""
+    """Test a sample of mutants; return their number by folder, and those that no test noticed.
+
+    Raises:
+        RuntimeError: Tests fail without a mutant.
+
+    """
     chosen = sample(mutants, seed, names)
+    paths = sorted({mutant.path for some in chosen.values() for mutant in some})
+    targets = dict.fromkeys(tuple(arguments) for path in paths for arguments in targets_of(path, REPOSITORY))
     rows, survivors = [], []
     with ProcessPoolExecutor(_JOBS, mp_context=get_context('spawn')) as pool:
+        list(pool.map(check_unchanged, targets))
         for name, some in chosen.items():
             killed = list(pool.map(is_killed, some))
             share = 100.0 * sum(killed) / max(1, len(some))

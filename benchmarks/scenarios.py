@@ -54,8 +54,11 @@ EVERY_TOPIC_5_HZ: Final = Rates()
 MOVING: Final = 1.0
 # Time in motion after the start and after each change by which a resistance should have settled [s].
 SETTLED_S: Final = 300.0
-# Errors of the brake rate count while it acts above this speed [m/s], from this time after the first braking on [s].
-_BRAKING, _AFTER_S = 0.5, 7.0
+# Errors of the brake rate count while it acts above this speed [m/s].
+_MIN_BRAKED: Final = 0.5
+# They count from this time on [s] after the first braking above this speed [m/s].
+_LEARNED_S: Final = 7.0
+_MIN_FIRST: Final = 3.0
 _PERIOD_S: Final = 0.2
 # Two-sided normal quantile of 95 %.
 _SIGMA_95: Final = 1.96
@@ -337,9 +340,9 @@ def course_of(trace: Trace, source: Ride, shift_s: float = 0.0) -> Course:
     moved_s = motion_time(time_s, moving)
     if trace.is_rate:
         error = np.abs(rows[:, 1] - known.rate)
-        first = np.flatnonzero(known.braking & (v > FAR))
-        after = time_s >= (time_s[first[0]] + _AFTER_S if first.size else math.inf)
-        counted = known.braking & (v > _BRAKING) & after
+        first = np.flatnonzero(known.braking & (v > _MIN_FIRST))
+        after = time_s >= (time_s[first[0]] + _LEARNED_S if first.size else math.inf)
+        counted = known.braking & (v > _MIN_BRAKED) & after
     else:
         off = rows[:, 1:4] - known.davis
         error = np.abs(off[:, 0] + v * (off[:, 1] + v * off[:, 2]))

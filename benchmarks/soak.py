@@ -48,7 +48,7 @@ _SETTLING_S: Final = 40.0
 _READ_EVERY_S: Final = 5.0
 _PARTS: Final = 5
 _LAST_S: Final = 10.0
-_LONGEST_END_S: Final = 60.0
+_MAX_END_S: Final = 60.0
 """Time for a clean end: a process that is killed leaves its shared memory."""
 _SHARED: Final = '/dev/shm/'
 _TRACING: Final = 'lttng'  # kept by the system for all processes
@@ -188,7 +188,7 @@ def soak(seconds: float, rate: float, busy: int, *, realtime: bool = False) -> S
             stop.set()
             reader.join()
             process.terminate()
-            process.wait(_LONGEST_END_S)
+            process.wait(_MAX_END_S)
         finally:
             stop.set()
             reader.join()

@@ -43,7 +43,7 @@ _STANDING: Final = 0.2
 # Range of the commanded deceleration [m/s^2].
 _LEVELS: Final = (0.3, 1.2)
 # Longest duration of a phase that ends by speed [s].
-_LONGEST_S: Final = 200.0
+_MAX_PHASE_S: Final = 200.0
 
 
 def metro_train() -> TrainFile:
@@ -69,7 +69,7 @@ class Phase:
     """
 
     kind: Kind
-    seconds: float = _LONGEST_S
+    seconds: float = _MAX_PHASE_S
     speed: float = 0.0
     level: float = math.nan
 
@@ -211,7 +211,7 @@ def _drive(
         while t < phase.seconds - 0.5 * DT:
             if phase.kind is Kind.BRAKE and t >= until:
                 level = phase.level if math.isfinite(phase.level) else -float(rng.uniform(*_LEVELS))
-                until = t + (_LONGEST_S if math.isfinite(phase.level) else float(rng.uniform(15.0, 30.0)))
+                until = t + (_MAX_PHASE_S if math.isfinite(phase.level) else float(rng.uniform(15.0, 30.0)))
             wanted = level if phase.kind is Kind.BRAKE else command if phase.kind is Kind.DWELL else 0.0
             stamp_ns = _START_NS + len(samples) * round(DT * NS_PER_S)
             changes = (BrakeCommandChange(stamp_ns, wanted),) if wanted != command or not samples else ()

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
+
+import pytest
 
 from benchmarks.days import REPOSITORY
-from benchmarks.mutation import FOLDERS, mutants_of, sample, targets_of
+from benchmarks.mutation import FOLDERS, failure_of, mutants_of, sample, targets_of
 
 SOURCE = b'''"""Doc."""
 from __future__ import annotations
@@ -55,3 +58,17 @@ def test_the_tests_that_mirror_a_module_run_first() -> None:
     first, rest = targets_of('trainid_ros/stream/alignment.py', REPOSITORY)
     assert first == ['test/stream/alignment']
     assert rest == ['test/stream', '--ignore=test/stream/alignment']
+
+
+def test_what_stops_the_tests_is_not_taken_for_a_failure(tmp_path: Path) -> None:
+    (tmp_path / 'tools').symlink_to(REPOSITORY / 'tools')
+    (tmp_path / 'test_a.py').write_text('def test_a(): pass\n\ndef test_b(): assert not 7\n', encoding='utf-8')
+    (tmp_path / 'test_b.py').write_text('import nothing_of_this_name\n', encoding='utf-8')
+    (tmp_path / 'c').mkdir()
+    (tmp_path / 'c' / 'conftest.py').write_text('import nothing_of_this_name\n', encoding='utf-8')
+    assert failure_of(['test_a.py::test_a'], tmp_path) == ''
+    assert 'assert not 7' in failure_of(['test_a.py'], tmp_path)
+    for broken in ('test_b.py', 'c'):
+        assert 'nothing_of_this_name' in failure_of([broken], tmp_path)
+    with pytest.raises(RuntimeError, match='exit code 4'):
+        failure_of(['missing.py'], tmp_path)

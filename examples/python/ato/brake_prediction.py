@@ -20,7 +20,7 @@ _LONG_S: Final = 0.5
 _SHORT_S: Final = 0.1
 _SLOW: Final = 1.5
 # A command that takes longer does not stop the train [s]; the rest then counts as braked with this [m/s^2].
-_LONGEST_S: Final = 150.0
+_MAX_BRAKING_S: Final = 150.0
 _WEAKEST: Final = 0.1
 # Rounding of times counted in periods [1].
 _EPSILON: Final = 1e-9
@@ -87,7 +87,7 @@ class BrakePredictor:
             dt = _SHORT_S if motion.speed < _SLOW else _LONG_S if time_s > _BUILD_UP_S else _MEDIUM_S
             motion = self._moved(motion, target, dt)
             time_s += dt
-            if time_s > _LONGEST_S:
+            if time_s > _MAX_BRAKING_S:
                 return motion.distance + 0.5 * motion.speed * motion.speed / _WEAKEST
         return motion.distance
 
