@@ -16,7 +16,7 @@ from trainid_msgs.msg import ResistanceEstimate
 
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import RESISTANCE, EstimatorNode
-from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S
+from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S, time_message
 
 pytestmark = pytest.mark.ros
 
@@ -117,16 +117,26 @@ def test_a_subscriber_that_asks_for_more_is_named_once_in_the_log(
     ]
 
 
-def test_a_late_joiner_learns_that_the_last_valid_estimate_is_not_kept_up(graph: Graph, train_file: str) -> None:
-    node = graph.active(train_file, **graph.narrow)
-    graph.feed(node, graph.coasting(150))
-    assert node.publisher.latched is Status.VALID
-    graph.until(lambda: node.pipeline.status is Status.STALE)
+def latched_by(graph: Graph, name: str) -> list[Any]:
     got: list[Any] = []
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    graph.plain('listener').create_subscription(
-        ResistanceEstimate, 'trainid/last_valid/resistance', got.append, latched
-    )
+    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    graph.plain(name).create_subscription(ResistanceEstimate, 'trainid/last_valid/resistance', got.append, profile)
+    return got
+
+
+def test_a_late_joiner_gets_the_last_valid_estimate_and_learns_that_it_is_not_kept_up(
+    graph: Graph, train_file: str
+) -> None:
+    node = graph.active(train_file, **graph.narrow, stale_after=4.0)
+    published = graph.published(node)
+    graph.feed(node, graph.coasting(150))
+    valid = [output for output in published.messages if output.status is Status.VALID][-1]
+    got = latched_by(graph, 'listener')
+    graph.until(lambda: got)
+    assert got[0].header.stamp == time_message(valid.stamp_ns)
+    assert (got[0].a, Status(got[0].status)) == (valid.estimate.a, Status.VALID)
+    graph.until(lambda: node.pipeline.status is Status.STALE)
+    got = latched_by(graph, 'later')
     graph.until(lambda: got)
     assert Status(got[0].status) is Status.STALE
     graph.feed(node, graph.coasting(150, start_ns=graph.start_ns + 60_000_000_000))
