@@ -90,13 +90,13 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
         return None
     if not sections or any(_pattern(section).fullmatch(node) for section in sections):
         return None
-    names = {section: section.rsplit('/', 1)[-1] for section in sections}
+    names = {section or 'the root': section.rsplit('/', 1)[-1] for section in sections}
     near = difflib.get_close_matches(node.rsplit('/', 1)[-1], list(names.values()), n=1, cutoff=_MIN_SIMILARITY)
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         return f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?', True
-    more = f' and {len(sections) - _MAX_NAMED} more' if len(sections) > _MAX_NAMED else ''
-    return f'{path}: no section for {node!r}; its sections are {", ".join(sections[:_MAX_NAMED])}{more}', False
+    more = f' and {len(names) - _MAX_NAMED} more' if len(names) > _MAX_NAMED else ''
+    return f'{path}: no section for {node!r}; its sections are {", ".join(list(names)[:_MAX_NAMED])}{more}', False
 
 
 def read_overrides(path: Path, node: str) -> dict[str, object]:
