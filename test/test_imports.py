@@ -45,8 +45,6 @@ LAYERS = (
     ('client', 'report'),
     ('cli',),
 )
-# Needs ROS, and is imported where a client has a node.
-WITH_ROS = PACKAGE / 'client' / 'subscriptions.py'
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')
 # Importing it takes 0.2 s of CPU time on a fast machine.
@@ -64,7 +62,7 @@ def run(code: str, bytecode: Path | None = None) -> str:
 
 def modules() -> list[str]:
     inner = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
-    found = {*PACKAGE.glob('*.py'), PACKAGE / 'report' / 'viewer.py', *inner} - {WITH_ROS}
+    found = {*PACKAGE.glob('*.py'), PACKAGE / 'report' / 'viewer.py', *inner}
     parts = (
         path.relative_to(PACKAGE.parent).with_suffix('').parts for path in sorted(found) if path.stem != '__init__'
     )

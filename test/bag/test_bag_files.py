@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
@@ -26,11 +26,6 @@ from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import Record, input_topic
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from trainid_ros.interface.records import Record
 
 
 def read(path: Path) -> tuple[list[Record], list[str]]:

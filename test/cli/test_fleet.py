@@ -24,8 +24,6 @@ from trainid_ros.fleet.table_file import Row, read_table, write_table
 from trainid_ros.interface.errors import NoAnswerError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from trainid_ros.fleet.plan import FleetRun
 
 

@@ -35,7 +35,6 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
 START_NS = 1_700_000_000 * NS_PER_S
 PERIOD_NS = NS_PER_S // 5

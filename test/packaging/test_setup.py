@@ -9,7 +9,7 @@ import re
 import runpy
 from importlib.metadata import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -17,9 +17,6 @@ import pytest
 from tools import setup_env
 from tools.setup_env import SHARED, link_shared
 from trainid_ros.bag import PACKAGES
-
-if TYPE_CHECKING:
-    import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 

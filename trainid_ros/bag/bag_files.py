@@ -125,11 +125,11 @@ class Db3File:
         raise InputError(f'{self.path}: unreadable sqlite3 storage ({" ".join(str(error).split())})') from None
 
 
-BagFile: TypeAlias = McapFile | Db3File
+BagFile: TypeAlias = McapFile | Db3File  # a file of a bag, by its storage
 
-METADATA: Final = 'metadata.yaml'
+METADATA: Final = 'metadata.yaml'  # file that names the files of a bag
 _SQLITE: Final = b'SQLite format 3\0'
-SUFFIXES: Final = ('.mcap', '.db3')
+SUFFIXES: Final = ('.mcap', '.db3')  # of files that are read as bags
 _COMPRESSED: Final = '.zstd'  # suffix of a file that ros2 bag compressed as a whole
 _TABLES: Final = ('.csv', '.parquet', '.npz')
 

@@ -101,9 +101,9 @@ class Replay:
 class Pipelines(NamedTuple):
     """The three estimators, before the first record."""
 
-    resistance: ResistancePipeline
-    speed_model: SpeedModelPipeline
-    brake_rate: BrakeRatePipeline
+    resistance: ResistancePipeline  # estimator of the resistance
+    speed_model: SpeedModelPipeline  # estimator of the speed model
+    brake_rate: BrakeRatePipeline  # estimator of the brake rate
 
 
 def replay(

@@ -73,10 +73,10 @@ _HINTS: Final = {
 class Piece(NamedTuple):
     """A piece of the file: a chunk, one whose end is missing, or records outside chunks."""
 
-    offset: int
-    end: int
-    is_chunk: bool
-    is_cut: bool = False
+    offset: int  # where it starts in the file [bytes]
+    end: int  # where it ends in the file [bytes]
+    is_chunk: bool  # or records outside chunks
+    is_cut: bool = False  # its end is missing
 
     @property
     def record(self) -> Record:

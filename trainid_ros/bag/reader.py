@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 OPENING: Final = 0.3  # share of opening in the work on a bag without an index, which is unpacked then [1]
-NAMESPACE: Final = 'use --namespace'
+NAMESPACE: Final = 'use --namespace'  # advice where topics lie in other namespaces
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
 }
@@ -69,34 +69,34 @@ _ROWS_AT_ONCE: Final = 5000
 class LoggedRecord(NamedTuple):
     """A record with the time at which it was logged."""
 
-    log_ns: int
-    topic: str
-    record: Record
+    log_ns: int  # log time [ns]
+    topic: str  # name of the topic
+    record: Record  # the record
 
 
 class LoggedMessage(NamedTuple):
     """A message with its topic and the time at which it was logged."""
 
-    log_ns: int
-    topic: str
-    message: Any
+    log_ns: int  # log time [ns]
+    topic: str  # name of the topic
+    message: Any  # as rosbags reads it
 
 
 class StoredMessage(NamedTuple):
     """A message of a topic of the mapping as it is stored, or the record of one of our own."""
 
-    log_ns: int
-    topic: str
-    content: bytes | Record
+    log_ns: int  # log time [ns]
+    topic: str  # name of the topic
+    content: bytes | Record  # serialised message, or the record
 
 
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
-    """One topic of a bag: name relative to the namespace where it lies in it, full type, messages."""
+    """One topic of a bag."""
 
-    name: str
-    type: str
-    count: int
+    name: str  # relative to the namespace where it lies in it
+    type: str  # full message type
+    count: int  # number of messages
 
 
 class ChannelSource(NamedTuple):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MAGIC: Final = b'\x89MCAP0\r\n'
+MAGIC: Final = b'\x89MCAP0\r\n'  # first and last bytes of an MCAP file
 MAX_CHUNK: Final = 64 << 20
 """Largest chunk that is unpacked unless a larger one is asked for [bytes]."""
 HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
@@ -80,9 +80,9 @@ class DamageError(Exception):
 class Record(NamedTuple):
     """One record: opcode, and where its content starts and ends."""
 
-    opcode: int
-    start: int
-    end: int
+    opcode: int  # kind of the record
+    start: int  # start of its content [bytes]
+    end: int  # end of its content [bytes]
 
     @property
     def offset(self) -> int:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.records import Row
     from trainid_ros.interface.results import Output
 
-PACKAGE: Final = 'trainid_msgs'
+PACKAGE: Final = 'trainid_msgs'  # package of the messages
 _FOLDER: Final = Path(__file__).parent / 'msg'
 _INT32_MAX: Final = 2**31 - 1
 # The messages that ours contain.
@@ -57,7 +57,7 @@ _IDL: Final = ('ros2idl', 'omgidl')
 _MAX_REASON: Final = 200  # characters
 # Strings of wide characters, which rosbags does not know, with two bytes a character in Jazzy or four before.
 _WIDE_NAME: Final = 'wide_text/msg/WideText'
-WIDE_CHARACTERS: Final = 'wide_characters'
+WIDE_CHARACTERS: Final = 'wide_characters'  # name of the field that holds a wide string
 _WIDE: Final = (f'uint16[] {WIDE_CHARACTERS}', f'uint32[] {WIDE_CHARACTERS}')
 _WIDE_FIELD: Final = re.compile(r'^[ \t]*wstring(?:<=\d+)?(\[[^\]]*\])?[ \t]+(\w+)(?![ \t]*=)[^\n]*$', re.MULTILINE)
 # IDL that rosbags does not read, with a form of the same bytes: includes, wide strings, arrays of two dimensions.
@@ -359,6 +359,7 @@ def table_of(rows: Sequence[tuple[int, Row]]) -> RecordTable:
     )
 
 
+# A table without rows.
 EMPTY: Final = RecordTable(
     np.empty(0, np.uint64), np.empty(0, np.int8), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.bool_)
 )

@@ -68,8 +68,8 @@ def _qos(depth: int, durability: QosDurability) -> Qos:
     )
 
 
-STREAM_QOS: Final = _qos(10, QosDurability.VOLATILE)
-LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)
+STREAM_QOS: Final = _qos(10, QosDurability.VOLATILE)  # of inputs and live estimates
+LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)  # of last valid estimates
 
 
 class _Checksums:

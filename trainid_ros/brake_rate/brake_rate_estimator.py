@@ -49,7 +49,6 @@ from trainid_ros.stream.known_force import SpeedNoise
 from trainid_ros.train.forces import CommandHistory
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.motion_model import Transition
     from trainid_ros.estimators.settings import BrakeRateConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile

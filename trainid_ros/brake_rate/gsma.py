@@ -58,7 +58,6 @@ from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
     from trainid_ros.estimators.settings import GsmaConfig, JumpConfig
     from trainid_ros.train.train_file import TrainFile
 

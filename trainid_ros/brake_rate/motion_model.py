@@ -51,18 +51,18 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import Brake, TrainFile
 
 Errors = tuple[float, float, float, float, float, float, float, float]
-NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-ERRORS: Final = 8
+NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # gains, variances or means of e that are zero
+UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)  # decays of e that does not change
+ERRORS: Final = 8  # number of errors e
 # Indices of the errors e.
-DELAY: Final = 0
-LAG: Final = 1
-ROLLING: Final = 2
-AIR: Final = 3
-TRACTION: Final = 4
-SLOPE: Final = 5
-CHANGEOVER: Final = 6
-LEVEL: Final = 7
+DELAY: Final = 0  # of the dead time, times f [s]
+LAG: Final = 1  # of the lag, times f [s]
+ROLLING: Final = 2  # of w0 + w1 v, as a share [1]
+AIR: Final = 3  # of w2 v^2, as a share [1]
+TRACTION: Final = 4  # of the traction, as a share [1]
+SLOPE: Final = 5  # of the change of the brake rate from rest to full speed [1]
+CHANGEOVER: Final = 6  # of its change where electric and friction brakes change over [1]
+LEVEL: Final = 7  # of the brake at its level [m/s^2]
 STATES: Final = 11
 """Number of states x = [v, a, b, e]."""
 

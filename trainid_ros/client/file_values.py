@@ -2,9 +2,9 @@
 """Values of the train file with the standard deviations of the estimators, and its effects at a speed.
 
 The estimators remove these effects from their estimates; the client adds them again. Place, time and history are not
-known there. So effects are evaluated on level, open, straight track, long
-after the last brake release, with warm bearings and at the start of the record: what depends on anything else adds
-nothing. The exception is a hot brake, which is the worst case of a bound.
+known there. So effects are evaluated on level, open, straight track, long after the last brake release, with warm
+bearings and at the start of the record: what depends on anything else adds nothing. The exception is a hot brake, which
+is the worst case of a bound.
 """
 
 from __future__ import annotations
@@ -105,9 +105,9 @@ def _difference(x: float, y: float) -> float:
     return x - y
 
 
-DAVIS: Final = 'a, b, c'
-FORCE_SCALE: Final = 'force scale'
-BRAKE_RATE: Final = 'brake rate'
+DAVIS: Final = 'a, b, c'  # name of the running resistance among the parameters [N/kN, v in m/s]
+FORCE_SCALE: Final = 'force scale'  # name of the actual over the reported force [1]
+BRAKE_RATE: Final = 'brake rate'  # name of the brake rate, or of the factor on its table [1]
 # No a, b or c of a train is outside these [N/kN and per m/s, (m/s)^2], nor its resistance or the std of that [N/kN].
 _MIN_DAVIS, _MAX_DAVIS = -20.0, 200.0
 # Actual over reported force, whichever reads wrong [1].

@@ -163,7 +163,7 @@ FALL_BACK_S: Final = 0.2
 """Time in which values go back to those of the train file [s]."""
 MAX_AGE_S: Final = 0.75
 """Time without a new estimate after which the last one is not used any more [s]."""
-USABLE: Final = frozenset({Status.VALID, Status.HOLDING})
+USABLE: Final = frozenset({Status.VALID, Status.HOLDING})  # statuses of estimates fit to use
 _WORDS: Final = {
     Status.UNINITIALIZED: 'UNINITIALIZED, the node has no sample yet',
     Status.CONVERGING: 'CONVERGING, not fit to use',
@@ -171,8 +171,10 @@ _WORDS: Final = {
     Status.FAULT: 'FAULT, the node has failed',
 }
 SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
+"""Reason for using the train file."""
 REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
-NOT_YET: Final = 'no estimate yet'
+"""Reason for using the train file."""
+NOT_YET: Final = 'no estimate yet'  # reason for using the train file
 # A longer move to the live value is reported, until the rest takes less than FALL_BACK_S [s].
 _LONG_WAY_S: Final = 1.0
 # Standard deviations of the present estimate at which it refutes another value [1].

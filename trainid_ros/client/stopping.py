@@ -44,17 +44,17 @@ from typing import Final
 
 from trainid_ros.interface.errors import NoAnswerError
 
-# Places of the parameters in a list of them: f, e, h [1], a, b, c [N/kN, v in m/s], i [per mille], T and tau [s].
-RATE: Final = 0
-SLOPE: Final = 1
-CHANGEOVER: Final = 2
-A: Final = 3
-B: Final = 4
-C: Final = 5
-GRADIENT: Final = 6
-DELAY: Final = 7
-LAG: Final = 8
-PARAMETERS: Final = 9
+# Places of the parameters in a list of them.
+RATE: Final = 0  # place of f, the brake rate [1]
+SLOPE: Final = 1  # place of e, its change from rest to full speed [1]
+CHANGEOVER: Final = 2  # place of h, its change where electric and friction brakes change over [1]
+A: Final = 3  # place of a [N/kN]
+B: Final = 4  # place of b [N/kN per m/s]
+C: Final = 5  # place of c [N/kN per (m/s)^2]
+GRADIENT: Final = 6  # place of i, the gradient [per mille]
+DELAY: Final = 7  # place of T, the dead time [s]
+LAG: Final = 8  # place of tau, the time constant [s]
+PARAMETERS: Final = 9  # number of parameters
 
 EXTRA_STEP: Final = 0.25
 """Step of the speeds at which x(v) is given [m/s]."""
@@ -371,16 +371,12 @@ def _product(x: float, y: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Bound of a stopping distance [m], standard deviation of the distance [m], and derivative by speed [s].
+    """Bound of a stopping distance."""
 
-    Attributes:
-        gradient: Derivatives of the distance by the parameters at the design point; empty where the bound is infinite.
-
-    """
-
-    distance: float
-    std: float
-    dD_dv: float  # noqa: N815 - as in the equations
+    distance: float  # the bound [m]
+    std: float  # standard deviation of the distance [m]
+    dD_dv: float  # derivative of the distance by the speed [s]  # noqa: N815 - as in the equations
+    # Derivatives of the distance by the parameters at the design point; empty where the bound is infinite.
     gradient: list[float]
 
 

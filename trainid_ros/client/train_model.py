@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 class Argument:
     """A number, its unit and its closed range."""
 
-    name: str
-    unit: str
-    low: float
-    high: float
+    name: str  # as in error messages
+    unit: str  # empty if there is none
+    low: float  # lowest value [unit]
+    high: float  # highest value [unit]
 
     def checked(self, value: object) -> float:
         """Return a number, which may be one of numpy, as a float.
@@ -60,17 +60,16 @@ class Argument:
         return number
 
 
-SPEED: Final = Argument('speed', 'm/s', 0.0, MAX_SPEED)
-GRADIENT: Final = Argument('gradient', 'per mille', -500.0, 500.0)
-ACCELERATION: Final = Argument('acceleration', 'm/s^2', -20.0, 20.0)
-MASS: Final = Argument('mass', 'kg', 1.0, 1e9)
-# The weakest brake command is -0.001 m/s^2.
-COMMAND: Final = Argument('command', 'm/s^2', -20.0, -1e-3)
-APPLIED: Final = Argument('applied', 'm/s^2', -20.0, 0.0)
-CONFIDENCE: Final = Argument('confidence', '', 0.5, 1.0 - 1e-6)
-MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)
-DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)
-STOP: Final = Argument('stop', 'm', -1e9, 1e9)
+SPEED: Final = Argument('speed', 'm/s', 0.0, MAX_SPEED)  # accepted speeds
+GRADIENT: Final = Argument('gradient', 'per mille', -500.0, 500.0)  # accepted gradients, > 0 uphill
+ACCELERATION: Final = Argument('acceleration', 'm/s^2', -20.0, 20.0)  # accepted accelerations
+MASS: Final = Argument('mass', 'kg', 1.0, 1e9)  # accepted masses of the train
+COMMAND: Final = Argument('command', 'm/s^2', -20.0, -1e-3)  # accepted brake commands
+APPLIED: Final = Argument('applied', 'm/s^2', -20.0, 0.0)  # accepted brake commands that act now, 0 without
+CONFIDENCE: Final = Argument('confidence', '', 0.5, 1.0 - 1e-6)  # accepted probabilities that a bound holds [1]
+MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)  # accepted limits of the age of the last estimate
+DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)  # accepted distances to go
+STOP: Final = Argument('stop', 'm', -1e9, 1e9)  # accepted positions of the stop
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
 
 

@@ -69,8 +69,8 @@ EstimateT = TypeVar('EstimateT', bound='Estimate')
 class Choice:
     """A selected algorithm by name, and its settings."""
 
-    algorithm: str
-    config: DataclassInstance
+    algorithm: str  # its name
+    config: DataclassInstance  # its settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class Algorithms(Generic[EstimateT]):
         return self[choice.algorithm].make(train_file, choice.config, generator)
 
 
-GROUP: Final = 'trainid_ros.algorithms'
+GROUP: Final = 'trainid_ros.algorithms'  # entry points of algorithms from other packages
 
 
 def plugged_in(kind: str) -> Iterable[EntryPoint]:

@@ -102,10 +102,10 @@ _MAX_CORRELATION: Final = 0.9
 class ConsistencyVerdict(Enum):
     """Result of testing the innovations against their stated variances."""
 
-    UNKNOWN = 'unknown'
-    CONSISTENT = 'consistent'
-    OPTIMISTIC = 'optimistic'
-    PESSIMISTIC = 'pessimistic'
+    UNKNOWN = 'unknown'  # too few innovations
+    CONSISTENT = 'consistent'  # variances are as stated
+    OPTIMISTIC = 'optimistic'  # errors are larger than stated
+    PESSIMISTIC = 'pessimistic'  # errors are smaller than stated
 
 
 @dataclass(frozen=True, slots=True)

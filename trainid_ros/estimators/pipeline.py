@@ -36,7 +36,7 @@ class PipelineConfig:
     stale_after: float = setting(
         0.8, 'inputs missing this long make an estimate stale; 2.5 intervals of a slower topic', 's', 0.1, 60.0
     )
-    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
+    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET  # response to stamps that jump back
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,14 +34,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.dataset import Run
+    from trainid_ros.explain.dataset import Dataset, Run
     from trainid_ros.explain.search import Selection
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
-    from trainid_ros.explain.dataset import Dataset
-    from trainid_ros.explain.likelihood import Hyperparameters
-    from trainid_ros.explain.model import Model
 
 _MAX_FOLDS: Final = 12
 """Maximum number of fits."""

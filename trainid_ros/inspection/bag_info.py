@@ -68,7 +68,6 @@ if TYPE_CHECKING:
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import InputTopic, Row
-    from trainid_ros.train.train_file import TrainFile
 
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
 
-    from trainid_ros.monitor.view import InputView, Point, TrainView
+    from trainid_ros.monitor.view import Point
 
 BAND_STD: Final = 2.0
 _LEVELS: Final = '▁▂▃▄▅▆▇█'

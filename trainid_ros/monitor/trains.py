@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
     from trainid_ros.interface.records import InputTopic, OutputTopic, Record
-    from trainid_ros.interface.results import Status
 
 _WINDOW_S: Final = 5.0
 _KEPT: Final = 512

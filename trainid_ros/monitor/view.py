@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.interface.results import Status
 
 
 # Numbers from here on are written with a power of ten.

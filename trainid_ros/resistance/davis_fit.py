@@ -86,7 +86,7 @@ class PieceCollector:
     train_file: TrainFile  # Train file with train and effects
     min_speed: float  # Slowest speed to learn from [m/s]
     shortest: float  # Shortest piece to use, given that each needs its own initial speed [s]
-    known: KnownForce = field(init=False)
+    known: KnownForce = field(init=False)  # Forces known from train file and inputs
     _nodes: list[tuple[float, float, float, float]] = field(init=False, default_factory=list)
     _begun: int = field(init=False, default=0)
     _admission: Admission = field(init=False)
@@ -207,7 +207,7 @@ class DavisFitConfig:
     force_skew: float = setting(0.06, 'unknown delay of the reported force, std', 's', 1e-9, 5.0)
     force_error: float = setting(0.005, 'unknown relative error of the traction force, std', '1', 1e-9, 0.5)
     force_jitter: float = setting(0.06, 'unknown delay of each change of the force, std', 's', 0.0, 5.0)
-    learn_noise: bool = True
+    learn_noise: bool = True  # whether the noise is learned from the data
     huber: float = setting(2.0, "residuals beyond this count linearly (Huber's rho)", 'standard deviations', 1.0, 1e9)
     cut: float = setting(6.0, 'residuals beyond this are excluded', 'standard deviations', 2.0, 1e9)
     noise_lag: float = setting(20.0, 'time lag over which the disturbance is measured', 's', 1.0, 600.0)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 CURVE_RADIUS: Final = 600.0
 """Radius at which the error of the curve resistance is stated [m]."""
-MIN_DELAY: Final = -0.2
+MIN_DELAY: Final = -0.2  # shortest estimable force delay [s]
 MAX_DELAY: Final = 0.4
 """Range of estimable force delays [s], limited by the reports available ahead and the range of the cubic."""
 # A delay this near the end of the range counts as beyond it; the mean of a mixture never quite reaches the end.
@@ -54,9 +54,9 @@ _MIN_STD: Final = 1e-4
 class ForceErrors:
     """Prior standard deviations of kappa [1], delta [s] and kappa_curve [N/kN at 600 m]."""
 
-    scale: float
-    delay: float
-    curve: float
+    scale: float  # of kappa [1]
+    delay: float  # of delta [s]
+    curve: float  # of kappa_curve [N/kN at 600 m]
 
     @property
     def variances(self) -> tuple[float, float, float]:

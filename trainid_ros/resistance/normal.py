@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-OUTLIER_WIDTH: Final = 40.0
+OUTLIER_WIDTH: Final = 40.0  # range of outliers [standard deviations]
 _ROOT_2PI: Final = math.sqrt(2.0 * math.pi)
 # Beyond 37 standard deviations the density of a good observation underflows.
 _MAX_NIS: Final = 1400.0
@@ -303,12 +303,12 @@ class Inflation:
 class SlowNoise:
     """Learned factor on the noise variance in the mean of many observations, and the current batch."""
 
-    factor: float = 1.0
-    total: float = 0.0
-    variance: float = 0.0
-    known: float = 0.0
-    count: int = 0
-    memory: float = _FIRST_SLOW_MEMORY
+    factor: float = 1.0  # factor on the noise variance [1]
+    total: float = 0.0  # sum of the innovations of the batch [N/kN]
+    variance: float = 0.0  # expected variance of that sum [(N/kN)^2]
+    known: float = 0.0  # share of the noise in it [(N/kN)^2]
+    count: int = 0  # innovations in the batch
+    memory: float = _FIRST_SLOW_MEMORY  # batches that the factor remembers
 
     def add(self, nu: float, prediction: float, variance: float, bounds: tuple[float, float]) -> None:
         """Add one innovation.

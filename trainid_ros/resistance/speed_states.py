@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-STATES: Final[i64] = 9
-V: Final = 0
-A: Final = 1
-B: Final = 2
-C: Final = 3
-GUST: Final = 4
-MAP: Final = 5
-KAPPA: Final = 6
-DELTA: Final = 7
-KAPPA_R: Final = 8
+STATES: Final[i64] = 9  # number of states
+V: Final = 0  # place of v [m/s]
+A: Final = 1  # place of a [N/kN]
+B: Final = 2  # place of b [N/kN per m/s]
+C: Final = 3  # place of c [N/kN per (m/s)^2]
+GUST: Final = 4  # place of g [N/kN]
+MAP: Final = 5  # place of e [N/kN]
+KAPPA: Final = 6  # place of kappa [1]
+DELTA: Final = 7  # place of delta [s]
+KAPPA_R: Final = 8  # place of kappa_R [N/kN at 600 m]
 # Places of the variances of gust and map error in the upper triangle, and the indices of that in a matrix.
 _GUST_GUST: Final = 30
 _MAP_MAP: Final = 35

@@ -34,10 +34,9 @@ KM_H: Final = 1.0 / 3.6
 """One kilometre per hour [m/s]."""
 STEP_S: Final = 0.4
 """Duration of a step of a plan [s]."""
-# Traction of a service start: limits of acceleration [m/s^2] and jerk [m/s^3]. Brake command to the stop [m/s^2].
-ACCELERATION: Final = 0.9
-JERK: Final = 0.8
-DECELERATION: Final = 0.6
+ACCELERATION: Final = 0.9  # limit of a service start [m/s^2]
+JERK: Final = 0.8  # limit of a service start [m/s^3]
+DECELERATION: Final = 0.6  # of the brake command to the stop [m/s^2]
 # Shortest run with enough data for a prediction, and longest practicable run or braking [s].
 _MIN_RUN_S: Final = 60.0
 _MAX_RUN_S: Final = 900.0
@@ -252,21 +251,21 @@ _NUMBERS: Final = {1: 'once', 2: 'twice'}
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A quantity that should be known: its name, unit, standard deviation in an estimate, and the limit of that."""
+    """A quantity that should be known."""
 
-    name: str
-    unit: str
-    std: Callable[[Any], float]
-    limit: float
+    name: str  # as in tables
+    unit: str  # of the quantity
+    std: Callable[[Any], float]  # returns its standard deviation in an estimate [unit]
+    limit: float  # standard deviation up to which it is known [unit]
 
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """Standard deviation of a quantity before and after a drive, and up to which it is known, all in its unit."""
+    """Standard deviations of a quantity before and after a drive."""
 
-    wanted: Wanted
-    now: float
-    then: float
+    wanted: Wanted  # the quantity, with the limit
+    now: float  # before the drive [unit]
+    then: float  # after the drive [unit]
 
     @property
     def ratio(self) -> float:

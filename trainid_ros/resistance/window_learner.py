@@ -82,10 +82,10 @@ class WindowResult:
 
 @dataclass(slots=True)
 class Cut:
-    """Samples of a window, and the time from one window to the next [s]."""
+    """Samples of a window, and the time to the next one."""
 
-    samples: list[WindowSample]
-    hop: float
+    samples: list[WindowSample]  # of the window
+    hop: float  # time from one window to the next [s]
 
     @property
     def hop_samples(self) -> int:
@@ -315,20 +315,17 @@ _MIN_WEIGHT: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class WindowPlan:
-    """Window lengths and declared noise, see VMilsConfig for the units.
+    """Window lengths and declared noise."""
 
-    ``inertia`` is 1000 (1 + gamma) / g0 [N/kN per m/s^2]; ``disturbance_std`` [N/kN] includes gusts and map errors.
-    """
-
-    window: float
-    hop: float
-    inertia: float
-    speed_std: float
-    disturbance_std: float
-    disturbance_time: float
-    force_error: float
-    force_skew: float
-    outliers: float
+    window: float  # length of a window [s]
+    hop: float  # time from one window to the next [s]
+    inertia: float  # 1000 (1 + gamma) / g0 [N/kN per m/s^2]
+    speed_std: float  # noise of measured speed [m/s]
+    disturbance_std: float  # gusts and map errors [N/kN]
+    disturbance_time: float  # their correlation time [s]
+    force_error: float  # relative error of the force, std [1]
+    force_skew: float  # delay of the force, std [s]
+    outliers: float  # share of outliers [1]
 
 
 class WindowLearner:

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from trainid_ros.ros.checkpoints import Checkpoints
     from trainid_ros.ros.context import NodeContext, StepTimeSummary
     from trainid_ros.ros.estimate_publisher import StatusChanges
-    from trainid_ros.ros.input_monitor import InputMonitor
     from trainid_ros.ros.inputs import AnyTopic, InputGroup
     from trainid_ros.setup.pipelines import EstimatorKind
 

@@ -34,7 +34,6 @@ from trainid_ros.train.train_file import TrainFile
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import Effect
 
 
