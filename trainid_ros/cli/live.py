@@ -20,9 +20,10 @@ from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from trainid_ros.monitor.screen import Lines
+    from trainid_ros.ros.node import ManagedNode
     from trainid_ros.ros.playback import BagPlayer
     from trainid_ros.ros.train_monitor import TrainMonitor
 
@@ -44,7 +45,7 @@ def run_nodes(args: argparse.Namespace) -> int:
 
     from trainid_ros.ros.estimator_node import SPECS, EstimatorNode  # noqa: PLC0415
     from trainid_ros.ros.inputs import SharedInputs  # noqa: PLC0415
-    from trainid_ros.ros.node import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import spin_nodes, start_ros  # noqa: PLC0415
 
     arguments = start_ros(args.ros_args)
     overrides = [Parameter(name, value=str(path.absolute())) for name, path in files.items() if path is not None]
@@ -52,10 +53,7 @@ def run_nodes(args: argparse.Namespace) -> int:
     nodes = [EstimatorNode(SPECS[name], arguments, inputs, parameter_overrides=overrides) for name in names]
     for node in nodes:
         if not node.bring_up():
-            message = f'{node.get_name()}: {node.failure}'
-            close_nodes(nodes)
-            stop_ros()
-            raise InputError(message)
+            raise _refused(f'{node.get_name()}: {node.failure}', nodes)
         print(f'{node.get_name()} is active', flush=True)
     spin_nodes(nodes)
     return 0
@@ -76,21 +74,27 @@ def play(args: argparse.Namespace) -> int:
     # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
-    from trainid_ros.ros.node import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import spin_nodes, start_ros  # noqa: PLC0415
     from trainid_ros.ros.playback import BagPlayer  # noqa: PLC0415
 
     arguments = start_ros(args.ros_args)
     overrides = [Parameter(name, value=value) for name, value in _parameters(args).items()]
     player = BagPlayer(arguments, parameter_overrides=overrides)
     if not player.bring_up():
-        failure = player.failure
-        close_nodes([player])
-        stop_ros()
-        raise InputError(failure)
+        raise _refused(player.failure, [player])
     with progress(f'playing {args.bag.name}', player.timeline.duration_s) as advance:
         shown = _Shown(player, advance)
         spin_nodes([player], until=shown.is_done)
     return 0
+
+
+def _refused(failure: str, nodes: Sequence[ManagedNode]) -> InputError:
+    """Return the error of a node that cannot be brought up, and end ROS with all nodes."""
+    from trainid_ros.ros.node import close_nodes, stop_ros  # noqa: PLC0415
+
+    close_nodes(nodes)
+    stop_ros()
+    return InputError(failure)
 
 
 def _parameters(args: argparse.Namespace) -> dict[str, Any]:
