@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast test-unit test-long test-ros lint typecheck colcon-smoke wheel wheels golden docs bench research research-test research-peers lock clean
+.PHONY: help setup demo test tests test-fast test-unit test-long test-ros lint typecheck colcon-smoke wheel wheels golden docs bench research research-test research-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -17,8 +17,11 @@ demo: ## play bags through the three live nodes and V-MILS, write a report; what
 	@PYTHON='$(PYTHON)' tools/setup --sources
 	@nice tools/setup >.venv/setup_beside_demo.log 2>&1 & .venv/bin/trainid demo; code=$$?; wait; exit $$code
 
-test: setup ## everything that must pass before a change lands
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel
+test: lint ## everything that must pass before a change lands
+	@# The tests first: they take longest, and where they wait the checks beside them use the processor.
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=none tests typecheck wheel colcon-smoke
+
+tests: setup ## all tests but the long ones
 	$(PYTEST) -m 'not long' -n 3 $(BY_FILE)
 
 test-fast: setup ## inner loop: the unit tests of the package alone
@@ -27,7 +30,8 @@ test-fast: setup ## inner loop: the unit tests of the package alone
 test-unit: setup ## tests that need no ROS graph
 	$(PYTEST) -m 'not ros and not long' -n 2 $(BY_FILE)
 
-test-long: setup ## tests on fresh seeds by the dozen, minutes long
+test-long: setup ## tests on fresh seeds by the dozen, minutes long, and colcon with the messages
+	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py --all
 	$(PYTEST) -m long -n 2
 
 research-test: setup ## tests of research/: the algorithms and experiments of the four papers
@@ -42,7 +46,7 @@ lint: setup ## style and common mistakes
 typecheck: setup ## static types, strict
 	.venv/bin/mypy
 
-colcon-smoke: setup ## build the workspace with colcon, start an installed node, stop it
+colcon-smoke: setup ## build the package with colcon, start an installed node, stop it (make test-long: messages too)
 	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py
 
 wheel: setup ## build a wheel with compiled modules in out/wheels and try it in a clean environment

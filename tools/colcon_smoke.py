@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build the repository as a colcon workspace over the virtual environment and run one installed node.
 
+The messages are those that `make setup` has built and installed; with --all they are built by colcon too.
 Nothing is built inside the repository. The node runs from the installed workspace in an environment
 that holds only what `install/setup.bash` sets, answers a lifecycle request from another process, and
 must end with exit code 0 after an interrupt.
@@ -17,8 +18,12 @@ import tempfile
 import time
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trainid_ros.cli.processes import free_domain, local_environment
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'
@@ -73,11 +78,12 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def build(scratch: Path) -> None:
-    """Run a plain `colcon build` of the repository into the scratch folder.
+def build(scratch: Path, packages: tuple[str, ...]) -> None:
+    """Run `colcon build` of packages of the repository into the scratch folder.
 
     Args:
         scratch: Where build, install and log folders go.
+        packages: Packages to build.
 
     Raises:
         SmokeError: If a package is missing or does not build.
@@ -91,7 +97,7 @@ def build(scratch: Path) -> None:
         '--install-base',
         scratch / 'install',
     ]
-    command += ['--cmake-args', '-GNinja']
+    command += ['--packages-select', *packages, '--cmake-args', '-GNinja']
     log = scratch / 'colcon.txt'
     with log.open('wb') as output:
         done = subprocess.run(
@@ -104,18 +110,19 @@ def build(scratch: Path) -> None:
             stdout=output,
             stderr=subprocess.STDOUT,
         )
-    missing = [name for name in PACKAGES if not (scratch / 'install' / name / 'share' / name / 'package.xml').is_file()]
+    missing = [name for name in packages if not (scratch / 'install' / name / 'share' / name / 'package.xml').is_file()]
     if done.returncode or missing:
         details = [file.read_text(errors='replace') for file in scratch.glob('log/latest_build/*/stderr.log')]
         text = '\n'.join([log.read_text(errors='replace'), *details])
         raise SmokeError(f'colcon build: exit code {done.returncode}, not installed: {missing}\n{text}')
 
 
-def run_node(scratch: Path) -> str:
+def run_node(scratch: Path, options: Sequence[str]) -> str:
     """Start the installed node, query its lifecycle state and interrupt it.
 
     Args:
         scratch: Folder of the built workspace.
+        options: Options of this script, which the probe gets too.
 
     Returns:
         The state that the node reported.
@@ -131,7 +138,7 @@ def run_node(scratch: Path) -> str:
             [program], cwd=scratch, env=env, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
         )
         try:
-            command = [str(VENV / 'bin' / 'python'), str(Path(__file__).resolve()), '--probe']
+            command = [str(VENV / 'bin' / 'python'), str(Path(__file__).resolve()), '--probe', *options]
             probe = subprocess.run(
                 command,
                 cwd=scratch,
@@ -158,8 +165,11 @@ def run_node(scratch: Path) -> str:
     return probe.stdout.strip()
 
 
-def probe_node() -> int:
+def probe_node(*, whole: bool) -> int:
     """Check that the workspace's packages are in use and that the node answers.
+
+    Args:
+        whole: Whether the messages are of the workspace too.
 
     Returns:
         Exit code.
@@ -170,7 +180,8 @@ def probe_node() -> int:
 
     import trainid_ros  # noqa: PLC0415
 
-    for module in (trainid_msgs, trainid_ros):
+    built = (trainid_msgs, trainid_ros) if whole else (trainid_ros,)
+    for module in built:
         if 'install' not in Path(str(module.__file__)).parts:
             print(f'{module.__name__} comes from {module.__file__}, not from the workspace')
             return 1
@@ -201,19 +212,22 @@ def main() -> int:
     """
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
     parser.add_argument('--probe', action='store_true', help='only query a running node (used by the script itself)')
-    if parser.parse_args().probe:
-        return probe_node()
+    parser.add_argument('--all', action='store_true', help='build the messages too, which takes most of the time')
+    args = parser.parse_args()
+    if args.probe:
+        return probe_node(whole=args.all)
+    packages = PACKAGES if args.all else PACKAGES[-1:]
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix='trainid_smoke_') as folder:
         try:
-            build(Path(folder))
+            build(Path(folder), packages)
             built = time.monotonic()
-            state = run_node(Path(folder))
+            state = run_node(Path(folder), ['--all'] if args.all else [])
         except (SmokeError, subprocess.TimeoutExpired) as error:
             print(f'colcon smoke: {error}', file=sys.stderr)
             return 1
     print(
-        f'colcon smoke: {len(PACKAGES)} packages built in {built - began:.0f} s; '
+        f'colcon smoke: {" and ".join(packages)} built in {built - began:.0f} s; '
         f'installed {NODE} answered "{state}" and ended cleanly'
     )
     return 0
