@@ -3,8 +3,8 @@
 
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
 copy of the repository and tested there without compiled modules: first by the test file that mirrors its module, then
-by the other tests of the folder that need no ROS graph and are not slow, until the first failure. All these tests first
-have to pass without a mutant.
+by the golden outputs, then by the other tests of the folder that need no ROS graph, until the first failure. All these
+tests first have to pass without a mutant. Other tests of the suite, such as those of the commands, are left out.
 
 ``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
 """
@@ -93,6 +93,8 @@ def _changes(node: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, ast.AST]]:
             return
         case ast.AnnAssign(value=value):
             children = [value] if value is not None else []
+        case ast.ClassDef(body=body):  # no decorators: frozen classes and slots
+            children = list(body)
         case ast.FunctionDef(body=body, args=arguments):
             children = [*arguments.defaults, *filter(None, arguments.kw_defaults), *body]
         case ast.expr() | ast.stmt():
@@ -141,7 +143,7 @@ def sample(count: int, seed: int, names: Sequence[str] = tuple(FOLDERS)) -> dict
 
 
 def targets_of(path: str, root: Path) -> list[list[str]]:
-    """Return the tests of a module: those that mirror it, then those of its folder."""
+    """Return the tests of a module: those that mirror it, the golden outputs, and those of its folder."""
     folder = root / 'test' / Path(path).relative_to('trainid_ros').parent
     while not folder.is_dir():
         folder = folder.parent
@@ -149,7 +151,7 @@ def targets_of(path: str, root: Path) -> list[list[str]]:
     mirrors = [place for place in (folder / f'test_{stem}.py', folder / stem) if place.exists()]
     first = [str(place.relative_to(root)) for place in mirrors]
     whole = [str(folder.relative_to(root)), *(f'--ignore={place}' for place in first)]
-    return [first, whole] if first else [whole]
+    return [*([first] if first else []), ['test/golden'], whole]
 
 
 @contextmanager
@@ -191,7 +193,7 @@ def failure_of(arguments: Sequence[str], root: Path) -> str:
     """
     paths = (root, root / 'research' / 'lab', root / 'examples' / 'python')
     env = os.environ | {'TRAINID_COMPILED': '0', 'PYTHONPATH': os.pathsep.join(map(str, paths))}
-    options = ('-q', '-x', '-p', 'no:cacheprovider', '-m', 'not ros and not slow and not long')
+    options = ('-q', '-x', '-p', 'no:cacheprovider', '-m', 'not ros and not long')
     command = ['tools/with_test_env', sys.executable, '-m', 'pytest', *options, *arguments]
     try:
         done = subprocess.run(command, cwd=root, env=env, capture_output=True, check=False, timeout=_MAX_RUN_S)
@@ -224,12 +226,15 @@ def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDER
     with ProcessPoolExecutor(_JOBS, mp_context=get_context('spawn')) as pool:
         list(pool.map(check_unchanged, targets))
         for name, some in chosen.items():
-            killed = list(pool.map(is_killed, some))
+            killed = []
+            for mutant, is_dead in zip(some, pool.map(is_killed, some), strict=True):
+                killed.append(is_dead)
+                print('killed  ' if is_dead else 'SURVIVED', mutant, file=sys.stderr, flush=True)
             share = 100.0 * sum(killed) / max(1, len(some))
             rows.append((name, str(sum(killed)), str(len(some)), f'{share:.0f} %', f'>= {FOLDERS[name][1]} %'))
             survivors += [(str(mutant),) for mutant, is_dead in zip(some, killed, strict=True) if not is_dead]
             print(*rows[-1], flush=True)
-    note = f'Sample of seed {seed}; tests of the folder of each module, without ROS graph and without slow ones.'
+    note = f'Sample of seed {seed}; tests of the folder of each module and golden outputs, without ROS graph.'
     header = ('folder', 'killed', 'mutants', 'share', 'target')
     return Table('Mutants killed', header, tuple(rows), note), Table('Survivors', ('change',), tuple(survivors))
 

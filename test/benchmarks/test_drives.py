@@ -9,9 +9,8 @@ import pytest
 from benchmarks.drives import kept_share, summary, try_braking, try_drive
 
 
-@pytest.mark.parametrize(
-    ('algorithm', 'world'), [('filter-bank', 'metro'), pytest.param('V-MILS', 'emu', marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(('algorithm', 'world'), [('filter-bank', 'metro'), ('V-MILS', 'emu')])
 def test_the_median_drive_keeps_its_promise_within_20_percent(algorithm: str, world: str) -> None:
     found = [try_drive(world, realism, algorithm, seed) for realism in ('clean', 'field') for seed in range(2)]
     trials = [trial for trial in found if trial is not None]

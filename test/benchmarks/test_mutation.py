@@ -24,6 +24,11 @@ def f(x: int = 1) -> int:
     x += 1
     g(x)
     return x * LIMIT
+
+
+@dataclass(frozen=True)
+class Point:
+    x: float = 3.0
 '''
 
 
@@ -41,6 +46,7 @@ def test_each_kind_of_change_is_made_once_and_texts_and_types_are_left_alone() -
         (12, 'g(x)', 'pass'),
         (13, 'return x * LIMIT', 'return None'),
         (13, 'x * LIMIT', '(x / LIMIT)'),
+        (18, '3.0', '(6.0)'),
     ]
 
 
@@ -55,8 +61,9 @@ def test_a_sample_is_reproducible_and_of_each_folder() -> None:
 
 
 def test_the_tests_that_mirror_a_module_run_first() -> None:
-    first, rest = targets_of('trainid_ros/stream/alignment.py', REPOSITORY)
+    first, golden, rest = targets_of('trainid_ros/stream/alignment.py', REPOSITORY)
     assert first == ['test/stream/alignment']
+    assert golden == ['test/golden']
     assert rest == ['test/stream', '--ignore=test/stream/alignment']
 
 

@@ -115,7 +115,7 @@ def test_the_resistance_of_an_algorithm_is_shown_with_its_error() -> None:
     covariance = (0.04, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     output = Output(START_NS, replace(RESISTANCE, covariance=covariance), Status.VALID, 12, 8, None)
     head, values = describe_resistance('V-MILS', output, Davis(1.5, 0.02, 0.001))
-    assert head == 'V-MILS: w(v) = 1.600 + 0.0200 v + 0.00100 v² N/kN, VALID, 12 samples used, 8 rejected'
+    assert head == 'V-MILS: w(v) = 1.600 +0.0200 v +0.00100 v² N/kN, VALID, 12 samples used, 8 rejected'
     assert 'w(10 m/s) = 1.900 ± 0.200 (error +0.100)' in values
     assert 'error' not in describe_resistance('V-MILS', output, None)[1]
 

@@ -345,3 +345,13 @@ def test_a_train_that_does_not_slow_down_between_two_knots_is_found() -> None:
     assert weak.is_positive(5.0)
     assert not weak.is_positive(40.0)
     assert MinDeceleration(shape(), known, 0.2, 1.645).is_positive(40.0)
+
+
+def test_no_speed_at_which_the_train_might_not_slow_down_is_left_out() -> None:
+    def slowest_at(speed: float) -> MinDeceleration:
+        davis = (speed**2 - 30.0, -2.0 * speed, 1.0)
+        known = StopPosterior((0.9, 0.0, 0.0, *davis, 0.0, 0.6, 0.4), (0.0,) * 9, (0.0,) * 9)
+        return MinDeceleration(shape(), known, 0.2, 1.645)
+
+    for speed in slowest_at(0.0)._grid:
+        assert not slowest_at(speed).is_positive(MAX_SPEED)

@@ -437,7 +437,7 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
         std = float(resistance_std(np.reshape(e.covariance, (3, 3)), v))
         error = '' if true is None else f' (error {w - davis(true, v):+.3f})'
         values.append(f'w({v:g} m/s) = {w:.3f} ± {std:.3f}{error}')
-    head = f'{name}: w(v) = {e.a:.3f} + {e.b:.4f} v + {e.c:.5f} v² N/kN'
+    head = f'{name}: w(v) = {e.a:.3f} {e.b:+.4f} v {e.c:+.5f} v² N/kN'
     return (
         f'{head}, {output.status.name}, {output.used} samples used, {output.rejected} rejected',
         f'  {", ".join(values)}',
