@@ -273,8 +273,12 @@ class McapFile:
             counts[channel] = len(entries)
             known = self._summary.channels.get(channel)
             if known is None or self._is_needed(known.topic):
-                needed += [_Entry(place, log_ns, channel) for log_ns, place in entries.tolist()]
-        found = None if needed and index.compression else self._locate(chunk, begin, sorted(needed))
+                needed.append((channel, entries))
+        most = 0.0 if index.compression else _SPARSE * (chunk.end - chunk.start) / (HEAD.size + MESSAGE_BYTES)
+        if sum(len(entries) for _, entries in needed) > most:
+            return 0
+        wanted = [_Entry(place, log_ns, channel) for channel, entries in needed for log_ns, place in entries.tolist()]
+        found = self._locate(chunk, begin, sorted(wanted))
         if found is None or self._file.record(chunk.end + length) is None:
             return 0
         for number in counts:
