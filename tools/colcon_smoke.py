@@ -17,13 +17,10 @@ import sys
 import tempfile
 import time
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trainid_ros.cli.processes import free_domain, local_environment
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'
@@ -117,12 +114,12 @@ def build(scratch: Path, packages: tuple[str, ...]) -> None:
         raise SmokeError(f'colcon build: exit code {done.returncode}, not installed: {missing}\n{text}')
 
 
-def run_node(scratch: Path, options: Sequence[str]) -> str:
+def run_node(scratch: Path, packages: tuple[str, ...]) -> str:
     """Start the installed node, query its lifecycle state and interrupt it.
 
     Args:
         scratch: Folder of the built workspace.
-        options: Options of this script, which the probe gets too.
+        packages: Packages of the workspace.
 
     Returns:
         The state that the node reported.
@@ -138,7 +135,7 @@ def run_node(scratch: Path, options: Sequence[str]) -> str:
             [program], cwd=scratch, env=env, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
         )
         try:
-            command = [str(VENV / 'bin' / 'python'), str(Path(__file__).resolve()), '--probe', *options]
+            command = [str(VENV / 'bin' / 'python'), str(Path(__file__).resolve()), '--probe', *packages]
             probe = subprocess.run(
                 command,
                 cwd=scratch,
@@ -165,23 +162,19 @@ def run_node(scratch: Path, options: Sequence[str]) -> str:
     return probe.stdout.strip()
 
 
-def probe_node(*, whole: bool) -> int:
+def probe_node(packages: list[str]) -> int:
     """Check that the workspace's packages are in use and that the node answers.
 
     Args:
-        whole: Whether the messages are of the workspace too.
+        packages: Packages of the workspace.
 
     Returns:
         Exit code.
     """
     import rclpy  # noqa: PLC0415 (needs the sourced workspace)
-    import trainid_msgs  # noqa: PLC0415
     from lifecycle_msgs.srv import GetState  # noqa: PLC0415
 
-    import trainid_ros  # noqa: PLC0415
-
-    built = (trainid_msgs, trainid_ros) if whole else (trainid_ros,)
-    for module in built:
+    for module in map(import_module, packages):
         if 'install' not in Path(str(module.__file__)).parts:
             print(f'{module.__name__} comes from {module.__file__}, not from the workspace')
             return 1
@@ -211,18 +204,18 @@ def main() -> int:
         Exit code.
     """
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
-    parser.add_argument('--probe', action='store_true', help='only query a running node (used by the script itself)')
+    parser.add_argument('--probe', nargs='+', help='only query a running node (used by the script itself)')
     parser.add_argument('--all', action='store_true', help='build the messages too, which takes most of the time')
     args = parser.parse_args()
     if args.probe:
-        return probe_node(whole=args.all)
+        return probe_node(args.probe)
     packages = PACKAGES if args.all else PACKAGES[-1:]
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix='trainid_smoke_') as folder:
         try:
             build(Path(folder), packages)
             built = time.monotonic()
-            state = run_node(Path(folder), ['--all'] if args.all else [])
+            state = run_node(Path(folder), packages)
         except (SmokeError, subprocess.TimeoutExpired) as error:
             print(f'colcon smoke: {error}', file=sys.stderr)
             return 1
