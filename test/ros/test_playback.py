@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
+from rclpy.duration import Duration
 from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
@@ -122,6 +123,39 @@ def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(graph:
     assert listener.clock == sorted(set(listener.clock))
     assert {record.stamp_ns for record in RECORDS} <= set(listener.clock)
     assert max(b - a for a, b in zip(listener.clock, listener.clock[1:], strict=False)) <= NS_PER_S // 20
+
+
+@pytest.mark.ros
+def test_the_player_waits_for_a_subscriber_that_acknowledges_nothing(
+    graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listener = InputListener(graph)
+    monkeypatch.setattr(playback, '_LOOK_EVERY', 4)
+    monkeypatch.setattr(playback, '_MAX_UNACKNOWLEDGED', 40)
+    player = graph.make(BagPlayer, bag=bag, rate=1000.0, wait=1)
+    assert player.bring_up(), player.failure
+    real = dict(player._outputs)
+    player._outputs = {name: _Unheard(output) for name, output in real.items()}
+    graph.until(lambda: player.played == 40)
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.01)
+    assert player.played == 40
+    player._outputs = real
+    graph.until(lambda: player.finished)
+    graph.until(lambda: len(listener.records) == len(RECORDS))
+
+
+class _Unheard:
+    """A publisher without acknowledgements."""
+
+    def __init__(self, output: Any) -> None:
+        self._output = output
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._output, name)
+
+    def wait_for_all_acked(self, _: Duration) -> bool:
+        return False
 
 
 @pytest.mark.ros

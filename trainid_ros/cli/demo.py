@@ -75,6 +75,8 @@ _POLL_S: Final = 0.05
 _LINE_S: Final = 5.0  # between the lines that show the newest estimates
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
 _DEPTH: Final = 40000
+# Nor are estimates dropped while the demo is busy with the replay [ns].
+_LIFESPAN_NS: Final = 3600 * NS_PER_S
 
 
 class Node(NamedTuple):
@@ -249,8 +251,9 @@ def node_parameters() -> str:
 
     def parameters(node: Node) -> dict[str, Any]:
         topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS] + [(node.topic, 'publisher')]
-        lossless = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
+        lossless: dict[str, Any] = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
         qos = {f'/{name}': {entity: dict(lossless)} for name, entity in topics}
+        qos[f'/{node.topic}']['publisher']['lifespan'] = _LIFESPAN_NS
         return {'algorithm': getattr(node.settings, node.kind.name).algorithm, 'qos_overrides': qos}
 
     return yaml.safe_dump({node.name: {'ros__parameters': parameters(node)} for node in NODES})

@@ -111,6 +111,10 @@ class Pacer:
 # Time between looks for subscribers [ns], and longest wait for all their acknowledgements [ns].
 _POLL_NS: Final = NS_PER_S // 50
 _MAX_ACKNOWLEDGE_NS: Final = 30 * NS_PER_S
+# Messages after which the player waits until all are acknowledged, and between two looks whether they are [1]: the
+# publishers keep 10,000 of each topic, and a subscriber that falls further behind would lose the oldest.
+_MAX_UNACKNOWLEDGED: Final = 4000
+_LOOK_EVERY: Final = 64
 # Best-effort subscribers send no acknowledgement; they get this long to take the last messages [s].
 _LINGER_S: Final = 0.3
 # A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then [ns].
@@ -238,7 +242,7 @@ class PlaybackNode(ManagedNode):
         self.finished = False
         self._complete_ns = 0
         self._waiting_ns = 0
-        self._ended_ns = 0
+        self._blocked_ns = self._acknowledged = 0
         self._said = ''
         self.position_ns = 0
         self.played = 0
@@ -262,6 +266,8 @@ class PlaybackNode(ManagedNode):
             return
         now = self.steady_ns()
         while self._next is not None:
+            if self._is_too_far_ahead():
+                return
             due = self._pacer.due_ns(self._next[0], now)
             if due > now:
                 self._sleep(due - now)
@@ -318,27 +324,41 @@ class PlaybackNode(ManagedNode):
             self._shift_ns = self.now_ns() - time_ns
         return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
 
+    def _is_too_far_ahead(self) -> bool:
+        """Return whether too many messages are not acknowledged; if so, look again later."""
+        ahead = self.played - self._acknowledged
+        if ahead % _LOOK_EVERY or not ahead:
+            return False
+        if not self._is_acknowledged(must_wait=ahead >= _MAX_UNACKNOWLEDGED):
+            return ahead >= _MAX_UNACKNOWLEDGED
+        self._acknowledged = self.played
+        return False
+
     def _finish(self) -> None:
         if self.parameters.value('loop') and self.played:
             self._rewind()
             self._sleep(_POLL_NS)
             return
-        if not self._is_acknowledged():
+        if not self._is_acknowledged(must_wait=True):
             return
         time.sleep(_LINGER_S)
         self._pause()
         self.finished = True
         self.get_logger().info(f'played {self.played} records')
 
-    def _is_acknowledged(self) -> bool:
-        """Return whether all messages are acknowledged, or not within the longest time; else look again later."""
+    def _is_acknowledged(self, *, must_wait: bool) -> bool:
+        """Return whether all messages are acknowledged; if waiting, look again later, and return True after long."""
+        if all(output.wait_for_all_acked(Duration(nanoseconds=0)) for output in self._outputs.values()):
+            self._blocked_ns = 0
+            return True
+        if not must_wait:
+            return False
         now = self.steady_ns()
-        self._ended_ns = self._ended_ns or now
-        if now - self._ended_ns > _MAX_ACKNOWLEDGE_NS:
+        self._blocked_ns = self._blocked_ns or now
+        if now - self._blocked_ns > _MAX_ACKNOWLEDGE_NS:
+            self._blocked_ns = 0
             return True
         # Signals are served between two looks.
-        if all(output.wait_for_all_acked(Duration(nanoseconds=0)) for output in self._outputs.values()):
-            return True
         self._sleep(_POLL_NS)
         return False
 
