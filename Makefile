@@ -21,17 +21,18 @@ test: lint ## everything that must pass before a change lands
 	@# The tests first: they take longest, and where they wait the checks beside them use the processor.
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=none tests typecheck wheel colcon-smoke
 
-tests: setup ## all tests but the long ones
-	$(PYTEST) -m 'not long' -n 3 $(BY_FILE)
+tests: setup ## all tests but the long ones and those of the benchmarks
+	$(PYTEST) -m 'not long' --ignore test/benchmarks -n 3 $(BY_FILE)
 
 test-fast: setup ## inner loop: the unit tests of the package alone
 	$(PYTEST) -m 'not ros and not slow and not long' --ignore test/benchmarks -n 2 -q
 
-test-unit: setup ## tests that need no ROS graph
+test-unit: setup ## all tests that need no ROS graph
 	$(PYTEST) -m 'not ros and not long' -n 2 $(BY_FILE)
 
-test-long: setup ## tests on fresh seeds by the dozen, minutes long, and colcon with the messages
+test-long: setup ## tests of the benchmarks and on fresh seeds by the dozen, minutes long, and colcon with the messages
 	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py --all
+	$(PYTEST) -m 'not long' test/benchmarks -n 2 $(BY_FILE)
 	$(PYTEST) -m long -n 2
 
 research-test: setup ## tests of research/: the algorithms and experiments of the four papers

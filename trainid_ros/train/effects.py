@@ -6,9 +6,7 @@ Every effect is expressed as an *equivalent extra resistance* in the specific ba
 force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
 
 A new effect is one EffectKind in :mod:`effect_terms`, or one file that defines ``EFFECT`` in a folder listed in
-TRAINID_EFFECTS.
-
-Effects by name, built in and of users, and the effects of a train file: parsed, checked and bound for evaluation.
+TRAINID_EFFECTS. Those of a train file are parsed, checked and bound for evaluation here.
 """
 
 from __future__ import annotations
