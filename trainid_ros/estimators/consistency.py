@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that inform the running resistance, and the online check of the published uncertainty.
+"""Online check of the published uncertainty.
 
-The resistance is learned from complete samples in motion with the brake off, because the brake rate is itself unknown.
-
-The check compares squared innovations with the variances stated for them. If the stated variance is correct, the
+It compares squared innovations with the variances stated for them. If the stated variance is correct, the
 normalised innovation squared (NIS) has mean 1. Over N updates N times the mean NIS has a chi-squared distribution with
 N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Autocorrelated innovations carry less information:
 with the correlation rho between neighbours, and rho^k at lag k, the mean of squares varies like that of N (1 - rho^2) /
@@ -18,72 +16,8 @@ from enum import Enum
 from statistics import NormalDist
 from typing import ClassVar, Final
 
-from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, unknown
 from trainid_ros.interface.vectors import vec
-from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.samples import Sample
-
-# Specific force below which the brake is requested [N/kN]: noise while coasting stays above, braking is far below.
-_BRAKE_FORCE: Final = -1.5
-
-
-class Admission:
-    """Admits or rejects samples one by one.
-
-    Attributes:
-        known: Known part of the force balance.
-        min_speed: Slowest speed admitted [m/s].
-        braked_ns: Last stamp at which braking was requested [ns], 0 if never.
-    """
-
-    STATE: ClassVar[State] = declare('braked_ns')
-
-    def __init__(self, known: KnownForce, min_speed: float) -> None:
-        self.known = known
-        self.min_speed = min_speed
-        self.braked_ns = 0
-
-    def reject(self, sample: Sample) -> Rejection | None:
-        """Return why a sample cannot be used to learn the resistance, or None if it can."""
-        brake_acts = self._brake_acts(sample)
-        if (rejection := self._incomplete(sample)) is not None:
-            return rejection
-        if not sample.speed >= self.min_speed:
-            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self.min_speed)
-        if brake_acts:
-            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.known.settling)
-        return None
-
-    def _incomplete(self, sample: Sample) -> Rejection | None:
-        """Return which input is missing or impossible, None if none is."""
-        if math.isnan(sample.dt):
-            return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
-        if (rejection := self.known.reject(sample)) is not None:
-            return rejection
-        if not is_finite(sample.brake_command):
-            return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
-        return None
-
-    def _brake_acts(self, sample: Sample) -> bool:
-        """Return True while the brake acts, is releasing, or is not known to be off."""
-        force = self.known.traction(min(sample.force, sample.force_mean), sample)
-        # Over a gap of the commands the brake may have acted unseen.
-        unknown = sample.brake_gap or not sample.brake_command >= 0.0
-        requested = unknown or sample.emergency or force < _BRAKE_FORCE
-        for change in sample.brake_changes:
-            requested = requested or change.target_acceleration < 0.0
-        if requested:
-            self.braked_ns = sample.stamp_ns
-            return True
-        if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
-            self.braked_ns = 0
-        return self._since_braked(sample) < self.known.settling
-
-    def _since_braked(self, sample: Sample) -> float:
-        return math.inf if self.braked_ns == 0 else seconds(sample.stamp_ns - self.braked_ns)
-
 
 WINDOW: Final = 200
 """Number of updates judged: 40 s of driving at 5 Hz."""

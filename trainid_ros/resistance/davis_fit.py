@@ -34,9 +34,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg.lapack import dptsv, dtbtrs
 
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import NoAnswerError, check_settings, setting
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import Admission, KnownForce
 
 if TYPE_CHECKING:
     from collections import Counter

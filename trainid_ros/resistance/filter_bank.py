@@ -40,7 +40,6 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection
@@ -73,7 +72,7 @@ from trainid_ros.resistance.speed_states import (
     ProcessNoise,
 )
 from trainid_ros.resistance.suggested_drive import STEP_S
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
 from trainid_ros.stream.samples import STANDING
 
 if TYPE_CHECKING:

@@ -47,7 +47,6 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError, check_settings
 from trainid_ros.interface.records import NS_PER_S
@@ -67,7 +66,7 @@ from trainid_ros.resistance.davis_posterior import (
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.suggested_drive import STEP_S
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan, WindowSample
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import Admission, KnownForce
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

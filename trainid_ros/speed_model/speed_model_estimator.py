@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.interface.scalars import is_finite
@@ -26,7 +25,7 @@ from trainid_ros.speed_model.am_vff_rls import (
     to_physical,
 )
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:

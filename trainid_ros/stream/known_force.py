@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Known part of the specific force balance (traction, gradient, modelled effects), and noise of the measured speed.
+"""Known part of the force balance, samples that the running resistance is learned from, and noise of the speed.
+
+The known part are traction, gradient and modelled effects. The resistance is learned from complete samples in motion
+with the brake off, because the brake rate is itself unknown.
 
 The noise is estimated from the measurements alone. Tachometers of trains differ by a factor of ten. Second differences
 of equally spaced speeds contain the noise (with variance 6 sigma^2) and almost none of the motion, whose jerk is small.
@@ -14,11 +17,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.interface.scalars import is_finite
-from trainid_ros.interface.state import stored
+from trainid_ros.interface.scalars import is_finite, seconds
+from trainid_ros.interface.state import State, declare, stored
 from trainid_ros.stream.samples import STANDING, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G, specific_inertia
@@ -240,3 +243,63 @@ class KnownForce:
             return self._gradient
         offset = self._gradient - line.gradient(here, direction)
         return offset + line.gradient(here + direction * distance, direction)
+
+
+# Specific force below which the brake is requested [N/kN]: noise while coasting stays above, braking is far below.
+_BRAKE_FORCE: Final = -1.5
+
+
+class Admission:
+    """Admits or rejects samples one by one.
+
+    Attributes:
+        known: Known part of the force balance.
+        min_speed: Slowest speed admitted [m/s].
+        braked_ns: Last stamp at which braking was requested [ns], 0 if never.
+    """
+
+    STATE: ClassVar[State] = declare('braked_ns')
+
+    def __init__(self, known: KnownForce, min_speed: float) -> None:
+        self.known = known
+        self.min_speed = min_speed
+        self.braked_ns = 0
+
+    def reject(self, sample: Sample) -> Rejection | None:
+        """Return why a sample cannot be used to learn the resistance, or None if it can."""
+        brake_acts = self._brake_acts(sample)
+        if (rejection := self._incomplete(sample)) is not None:
+            return rejection
+        if not sample.speed >= self.min_speed:
+            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self.min_speed)
+        if brake_acts:
+            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.known.settling)
+        return None
+
+    def _incomplete(self, sample: Sample) -> Rejection | None:
+        """Return which input is missing or impossible, None if none is."""
+        if math.isnan(sample.dt):
+            return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
+        if (rejection := self.known.reject(sample)) is not None:
+            return rejection
+        if not is_finite(sample.brake_command):
+            return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
+        return None
+
+    def _brake_acts(self, sample: Sample) -> bool:
+        """Return True while the brake acts, is releasing, or is not known to be off."""
+        force = self.known.traction(min(sample.force, sample.force_mean), sample)
+        # Over a gap of the commands the brake may have acted unseen.
+        unknown = sample.brake_gap or not sample.brake_command >= 0.0
+        requested = unknown or sample.emergency or force < _BRAKE_FORCE
+        for change in sample.brake_changes:
+            requested = requested or change.target_acceleration < 0.0
+        if requested:
+            self.braked_ns = sample.stamp_ns
+            return True
+        if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
+            self.braked_ns = 0
+        return self._since_braked(sample) < self.known.settling
+
+    def _since_braked(self, sample: Sample) -> float:
+        return math.inf if self.braked_ns == 0 else seconds(sample.stamp_ns - self.braked_ns)

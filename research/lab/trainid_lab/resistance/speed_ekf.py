@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import PriorSettings, prior_variances
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection
@@ -32,7 +31,7 @@ from trainid_ros.resistance.davis_posterior import (
     representative_speeds,
     resistance_estimate,
 )
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
     from trainid_ros.interface.results import ResistanceEstimate

@@ -22,13 +22,12 @@ from trainid_lab.resistance.recursive import covariance, prediction_variance
 from trainid_lab.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import is_accurate, largest_std, representative_speeds
 from trainid_ros.resistance.window_learner import WindowResult, WindowSample, observe_resistance
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import Admission, KnownForce
 
 if TYPE_CHECKING:
     from trainid_lab.resistance.recursive import Vector

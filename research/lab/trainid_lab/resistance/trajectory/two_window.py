@@ -26,13 +26,12 @@ from trainid_lab.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.estimators.settings import PriorSettings, prior_variances
 from trainid_ros.interface.errors import InputError, check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import largest_std
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample

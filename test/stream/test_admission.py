@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.consistency import Admission
 from trainid_ros.interface.results import Reason
-from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.known_force import Admission, KnownForce
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Effect, TrainFile
