@@ -77,42 +77,70 @@ def test_pure_modules_load_neither_ros_nor_bags_nor_plots() -> None:
     assert not set(loaded) & set(FOREIGN)
 
 
-def imported_folders(path: Path) -> set[str]:
-    """Return the folders of the package that a module imports from, also within functions."""
-    nodes = list(ast.walk(ast.parse(path.read_text(encoding='utf-8'))))
-    names = [node.module or '' for node in nodes if isinstance(node, ast.ImportFrom)]
-    names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-    parts = [name.split('.') for name in names if name.startswith('trainid_ros.')]
-    return {part[1] for part in parts if (PACKAGE / part[1]).is_dir()}
+def name_of(path: Path) -> str:
+    """Return the name of a module; that of a package for its ``__init__.py``."""
+    return '.'.join(path.relative_to(PACKAGE.parent).with_suffix('').parts).removesuffix('.__init__')
 
 
-def imported_modules(path: Path) -> set[str]:
+PATHS = {name_of(path): path for path in PACKAGE.rglob('*.py')}
+PACKAGES = {name for name, path in PATHS.items() if path.name == '__init__.py'}
+FOLDERS = {path.name for path in PACKAGE.iterdir() if any(path.glob('*.py'))}
+
+
+def imported_modules(name: str, source: str) -> set[str]:
     """Return the modules of the package that a module imports, also within functions and for types only."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
-        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('trainid_ros'):
-            found |= {str(node.module), *(f'{node.module}.{alias.name}' for alias in node.names)}
-    return found
+    package, found = name.split('.') if name in PACKAGES else name.split('.')[:-1], set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else []
+            origin = '.'.join([*above, *filter(None, [node.module])])
+            # A name imported from a package is a module in it, or comes from its file.
+            inner = {f'{origin}.{alias.name}' for alias in node.names}
+            found |= inner & PATHS.keys() or {origin}
+    return found & PATHS.keys()
+
+
+IMPORTED = {name: imported_modules(name, path.read_text(encoding='utf-8')) for name, path in PATHS.items()}
+
+
+def imported_folders(name: str) -> set[str]:
+    """Return the folders of the package that a module imports from."""
+    return {parts[1] for parts in (other.split('.') for other in IMPORTED[name]) if len(parts) > 1} & FOLDERS
+
+
+@pytest.mark.parametrize(
+    ('name', 'source', 'found'),
+    [
+        ('trainid_ros.train.line', 'from trainid_ros import cli', 'trainid_ros.cli'),
+        ('trainid_ros.train.line', 'from ..bag import reader', 'trainid_ros.bag.reader'),
+        ('trainid_ros.train.line', 'from . import forces', 'trainid_ros.train.forces'),
+        ('trainid_ros.train', 'from .forces import davis', 'trainid_ros.train.forces'),
+        ('trainid_ros.train.forces', 'import trainid_ros.train.effects', 'trainid_ros.train.effects'),
+        ('trainid_ros.client.stopping', 'from trainid_ros.client import TrainModel', 'trainid_ros.client'),
+        ('trainid_ros.client.stopping', 'def f():\n    from trainid_ros.cli import demo', 'trainid_ros.cli.demo'),
+    ],
+)
+def test_every_form_of_import_is_seen(name: str, source: str, found: str) -> None:
+    assert imported_modules(name, source) == {found}
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    paths = {'.'.join(path.relative_to(PACKAGE.parent).with_suffix('').parts): path for path in PACKAGE.rglob('*.py')}
-    graph = {name: imported_modules(path) & paths.keys() for name, path in paths.items()}
-    assert 'trainid_ros.ros.context' in graph['trainid_ros.ros.estimator_node']
-    TopologicalSorter(graph).prepare()  # a CycleError names the modules
+    assert 'trainid_ros.ros.context' in IMPORTED['trainid_ros.ros.estimator_node']
+    TopologicalSorter(IMPORTED).prepare()  # a CycleError names the modules
 
 
 def test_layers_are_all_folders() -> None:
-    folders = {path.parent.name for path in PACKAGE.glob('*/__init__.py')}
-    assert sorted(folder for layer in LAYERS for folder in layer) == sorted(folders)
+    assert sorted(folder for layer in LAYERS for folder in layer) == sorted(FOLDERS)
 
 
 @pytest.mark.parametrize('level', range(len(LAYERS)), ids=lambda level: '+'.join(LAYERS[level]))
 def test_a_folder_imports_only_from_lower_ones(level: int) -> None:
     lower = {folder for layer in LAYERS[:level] for folder in layer}
     for folder in LAYERS[level]:
-        files = sorted((PACKAGE / folder).rglob('*.py'))
-        found = {path.name: imported_folders(path) - {folder} for path in files}
+        modules = [name for name in PATHS if f'{name}.'.startswith(f'trainid_ros.{folder}.')]
+        found = {name: imported_folders(name) - {folder} for name in modules}
         assert not {name: folders - lower for name, folders in found.items() if folders - lower}
         # No more lower than it has to be.
         used = set().union(*found.values())

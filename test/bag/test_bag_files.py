@@ -85,6 +85,18 @@ def test_a_file_of_another_name_is_no_part_of_the_bag(split: Path, records: list
     assert warnings == [f'{split / name}: not listed in metadata.yaml, not read']
 
 
+def test_a_missing_part_makes_no_other_file_one(split: Path, records: list[Record]) -> None:
+    (split / 'split_2.mcap').rename(split / 'other.mcap')
+    (split / 'split_1.mcap').unlink()
+    found, warnings = read(split)
+    assert found == records[::3]
+    assert warnings == [
+        f'{split / "split_1.mcap"}: file listed in metadata.yaml is missing, the files that are there were read',
+        f'{split / "other.mcap"}: not listed in metadata.yaml, not read',
+        f'{split}: 67 of 133 messages found',
+    ]
+
+
 def test_a_bag_of_one_file_has_no_other_parts(bag: Path, records: list[Record]) -> None:
     shutil.copy(bag / 'bag.mcap', bag / 'bag_1.mcap')
     found, warnings = read(bag)
@@ -289,6 +301,7 @@ def other_topic(encoding: str) -> tuple[str, ...]:
         ("UPDATE topics SET offered_qos_profiles = '- history: 1\n  depth: 10'",),
         ("UPDATE topics SET offered_qos_profiles = 'no: [yaml'",),
         ("UPDATE topics SET offered_qos_profiles = ''",),
+        (*other_topic('cdr'), "UPDATE topics SET name = x'ff00', type = 5 WHERE id = 99"),
         ('UPDATE topics SET id = id + 70000', 'UPDATE messages SET topic_id = topic_id + 70000'),
     ],
 )

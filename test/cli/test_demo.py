@@ -13,7 +13,10 @@ import yaml
 
 from trainid_ros.cli import demo
 from trainid_ros.cli.demo import (
+    MISSION,
+    V_MILS,
     Comparison,
+    Node,
     Published,
     compare,
     describe_resistance,
@@ -81,14 +84,14 @@ def test_only_the_chapters_played_need_their_folders(tmp_path: Path) -> None:
         main(['demo', '--only', 'yizhuang', '--out', str(tmp_path)])
 
 
-def newest() -> list[Output[Any]]:
+def newest() -> dict[Node, Output[Any]]:
     stamp = START_NS + 90 * NS_PER_S
-    v_mils = replace(RESISTANCE, resistance=1.7)
-    return [
-        Output(stamp, RESISTANCE, Status.VALID, 12, 8, None),
-        Output(stamp, BRAKE, Status.HOLDING, 3, 17, None),
-        Output(stamp, v_mils, Status.CONVERGING, 2, 18, None),
-    ]
+    resistance, _, brake_rate = MISSION
+    return {
+        resistance: Output(stamp, RESISTANCE, Status.VALID, 12, 8, None),
+        brake_rate: Output(stamp, BRAKE, Status.HOLDING, 3, 17, None),
+        V_MILS: Output(stamp, replace(RESISTANCE, resistance=1.7), Status.CONVERGING, 2, 18, None),
+    }
 
 
 def test_line_shows_estimates_truth_and_status() -> None:
@@ -100,9 +103,8 @@ def test_line_shows_estimates_truth_and_status() -> None:
 
 
 def test_line_without_truth_or_brake_rate() -> None:
-    text = line(newest()[:1], None)
-    assert 'truth' not in text
-    assert 'brake' not in text
+    text = line({V_MILS: newest()[V_MILS]}, None)
+    assert text == 'w by V-MILS 1.700 ± 0.200 CONVERGING, 2 used, 18 rejected'
 
 
 def test_line_with_a_truth_that_knows_no_brake_rate() -> None:

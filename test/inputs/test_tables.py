@@ -35,6 +35,28 @@ def test_a_row_with_more_cells_than_names_is_an_error(tmp_path: Path) -> None:
         read(table(tmp_path, 't,v\n0,36\n1,36,5\n'), 't', 'v')
 
 
+@pytest.mark.parametrize('end', ['', 'closed"'])
+def test_a_quote_that_is_not_closed_loses_no_rows_in_silence(tmp_path: Path, end: str) -> None:
+    rows = [f'{k},{k},' for k in range(9)]
+    rows[3] += '"door open'
+    rows[6] += end
+    with pytest.raises(InputError, match=r'log\.csv: lines 5 to \d+ are one row by their quotes: one is not closed'):
+        read(table(tmp_path, '\n'.join(['t,v,note', *rows])), 't', 'v')
+
+
+def test_a_text_of_several_lines_is_no_fault(tmp_path: Path) -> None:
+    content = 't,v,note\n0,36.5,"one\ntwo, three"\n0.5,,\n1,-1.25,\n'
+    assert read(table(tmp_path, content), 't', 'v') == {
+        name: pytest.approx(x, nan_ok=True) for name, x in NUMBERS.items()
+    }
+
+
+def test_a_block_without_times_is_blank_among_times(tmp_path: Path) -> None:
+    rows = ['2024-03-08T12:00:00,1'] * 2 + [',1'] * ROWS_AT_ONCE
+    found = joined(table(tmp_path, '\n'.join(['t,v', *rows])).blocks(('t', 'v')), ('t',))['t']
+    assert np.isnat(found).tolist() == [False] * 2 + [True] * ROWS_AT_ONCE
+
+
 def test_names_and_units_alone_are_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no numbers below the names of its columns 't', 'v'"):
         read(table(tmp_path, 't;v\ns;km/h\n'), 't', 'v')
@@ -224,6 +246,7 @@ def test_a_long_npz_file_comes_in_blocks(tmp_path: Path) -> None:
         ({'t': np.zeros(3), 'v': np.zeros((2, 1))}, r"log\.npz: column 'v' of type float64 and shape \(2,\)"),
         ({'t': np.array(['12:00:00', 'x']), 'v': np.zeros(2)}, r"npz: row 2: column 't' = 'x' is not a time of day"),
         ({'t': np.zeros(3), 'v': np.array(['a', 'b', 'c'])}, r"log\.npz: column 'v' of type <U1"),
+        ({'t': np.array([2**64 - 1], dtype='uint64'), 'v': np.zeros(1)}, r"log\.npz: column 't': 18446744073709551615"),
         ({'t': np.zeros(3), 'v': np.array([None] * 3)}, r'log\.npz: cannot be read \(Object arrays'),
     ],
 )

@@ -103,7 +103,7 @@ def test_without_nodes_it_fails_with_one_line(graph: Graph) -> None:
     [
         ('--world', 'foo', "invalid choice: 'foo'"),
         ('--runs', '0', 'must be at least 1'),
-        ('--rate', '0', "'0' must be > 0"),
+        ('--rate', '0', "'0' must be a number > 0"),
         ('--prepare', '/nowhere/day.yaml', '/nowhere/day.yaml: No such file or directory'),
     ],
 )

@@ -46,6 +46,11 @@ def test_start_and_duration_cut_the_timeline() -> None:
     assert out[-1] == (1200 * MS, '', None)
 
 
+def test_a_duration_beyond_the_end_adds_no_time() -> None:
+    out = list(with_ticks(timeline(1000, 1100), 0.0, 100.0))
+    assert out[-1] == (1100 * MS, '', None)
+
+
 def test_the_pace_does_not_drift() -> None:
     pacer = Pacer(4.0)
     assert pacer.due_ns(1000 * MS, 50 * MS) == 50 * MS

@@ -100,7 +100,7 @@ def test_consecutive_texts_of_one_name_form_one_effect_until_a_key_is_repeated()
         ('headwnd:speed=3', "effect headwnd is not known; did you mean 'headwind'?"),
         ('headwind:sped=3', "effect headwind:sped is not a parameter; did you mean 'speed'?"),
         ('headwind:speed=fast', "effect 'headwind:speed=fast': speed = 'fast' is not a number"),
-        ('headwind:speed=nan', 'effect headwind:speed = nan m/s is outside [-60, 60]'),
+        ('headwind:speed=nan', 'effect headwind:speed = nan m/s must be finite'),
         ('headwind', "effect 'headwind' must have the form NAME:key=value"),
         ('headwind:speed', "effect 'headwind:speed' must have the form NAME:key=value"),
         ('mass_error:ratio=9', 'effect mass_error:ratio = 9 is outside [0.2, 5]'),

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _MESSAGES_AT_ONCE: Final = 5000  # from a sqlite3 file
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
 # SQLite stores any type in any column: texts compare above all numbers as times, and may stand for payloads.
+# As text, whatever is stored: a topic that nobody reads must not make the others unreadable.
+_TOPIC: Final = ', '.join(f'CAST({column} AS TEXT)' for column in ('name', 'type', 'serialization_format'))
 _TIMES: Final = 'SELECT timestamp FROM messages WHERE timestamp >= 0 AND typeof(timestamp) = "integer" ORDER BY 1'
 _COUNTS: Final = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
 _MESSAGES: Final = (
@@ -101,7 +103,7 @@ class Db3File:
     def _topics(self) -> tuple[dict[int, Channel], dict[int, Schema]]:
         """Return channels and definitions, both by the number of the topic."""
         hashes = 'type_description_hash' if self._has('topics', 'type_description_hash') else "''"
-        rows = self._file.execute(f'SELECT id, name, type, serialization_format, {hashes} FROM topics ORDER BY id')
+        rows = self._file.execute(f'SELECT id, {_TOPIC}, {hashes} FROM topics ORDER BY id')
         texts: dict[str, tuple[str, str]] = {}
         if self._has('message_definitions', 'encoded_message_definition'):
             query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
@@ -246,7 +248,7 @@ def _from_metadata(path: Path) -> BagFiles:
         hashes = tuple((str(topic['name']), str(topic.get('type_description_hash') or '')) for topic in topics)
         custom = tuple((str(name), str(text)) for name, text in (info.get('custom_data') or {}).items())
         storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none').lower()
-    except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (InputError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         reason = ' '.join(str(error).split()).removeprefix(f'{where}: ')
     else:
         is_known = storage in {'mcap', 'sqlite3'} and mode in {'none', 'file', 'message'}
@@ -266,16 +268,16 @@ def _from_metadata(path: Path) -> BagFiles:
         warnings.append(f'{where}: compression mode {mode!r}, but the files are unpacked, and were read')
     listed = [path / name for name in names]
     others = [file for file in _bag_files(path) if file not in listed]
-    if missing := [file for file in listed if not file.is_file()]:
-        warning = f'{missing[0]}: file listed in {METADATA} is missing'
-        if len(missing) == len(listed) and not others:
-            raise InputError(warning + _hint(path))
-        return BagFiles(_bag_files(path), count, hashes, (f'{warning}, the files that are there were read',), custom)
-    # The recorder was killed before it listed them, or they were copied in.
-    parts = [file for file in others if _series(file) in map(_series, listed)]
-    warnings += [f'{file}: not listed in {METADATA}, read as a part of the bag' for file in parts]
+    there = [file for file in listed if file.is_file()]
+    missing = [f'{file}: file listed in {METADATA} is missing' for file in listed if file not in there]
+    if not (there or others):
+        raise InputError(missing[0] + _hint(path))
+    # The recorder was killed before it listed them, or they were copied in or renamed.
+    parts = [file for file in others if not there or _series(file) in map(_series, listed)]
+    warnings += [f'{warning}, the files that are there were read' for warning in missing]
+    warnings += [f'{file}: not listed in {METADATA}, read as a part of the bag' for file in parts if there]
     warnings += [f'{file}: not listed in {METADATA}, not read' for file in others if file not in parts]
-    files = tuple(sorted([*listed, *parts], key=_part_number)) if parts else tuple(listed)
+    files = tuple(sorted([*there, *parts], key=_part_number)) if parts else tuple(there)
     return BagFiles(files, count, hashes, tuple(warnings), custom)
 
 

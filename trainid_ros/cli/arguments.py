@@ -7,7 +7,10 @@ import argparse
 import math
 import re
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 LIVE_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
 DEMO_BAGS: Final = {'altrios': 'altrios_manifest', 'yizhuang': 'yizhuang_day'}
@@ -348,20 +351,21 @@ def namespace(text: str) -> str:
 
 def positive(text: str) -> float:
     """Return a finite number above zero; ArgumentTypeError for anything else."""
-    value = not_negative(text)
-    if value == 0.0:
-        raise argparse.ArgumentTypeError(f'{text!r} must be > 0')
-    return value
+    return _number(text, 'a number > 0', lambda value: value > 0.0)
 
 
 def not_negative(text: str) -> float:
     """Return a finite number, zero or above; ArgumentTypeError for anything else."""
+    return _number(text, 'a number >= 0', lambda value: value >= 0.0)
+
+
+def _number(text: str, wanted: str, is_wanted: Callable[[float], bool]) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        raise argparse.ArgumentTypeError(f'{text!r} must be a number >= 0')
+    if not (math.isfinite(value) and is_wanted(value)):
+        raise argparse.ArgumentTypeError(f'{text!r} must be {wanted}')
     return value
 
 

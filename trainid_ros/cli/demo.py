@@ -331,7 +331,8 @@ class Live:
             self.first_s = self.first_s or self.last_s
         if self.first_s and time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + _LINE_S
-            self._say(line([one.newest for one in self.published.values() if one.newest is not None], self._truth))
+            newest = {node: one.newest for node, one in self.published.items() if one.newest is not None}
+            self._say(line(newest, self._truth))
         return count
 
     def lacks(self, replayed: Replayed) -> bool:
@@ -350,14 +351,14 @@ class Live:
         return is_new
 
 
-def line(newest: list[Output[Any]], truth: Truth | None) -> str:
-    """Return the newest outputs in the order of the nodes as one line of text, with the truth."""
+def line(newest: Mapping[Node, Output[Any]], truth: Truth | None) -> str:
+    """Return the newest outputs of the nodes as one line of text, with the truth."""
     parts: list[str] = []
-    for output in newest:
+    for node, output in newest.items():
         at, e = None if truth is None else truth.truth_at_ns(output.stamp_ns), output.estimate
         known = ''
         if isinstance(e, ResistanceEstimate):
-            name = f'{3.6 * e.speed:5.1f} km/h  w' if not parts else 'w by V-MILS'
+            name = 'w by V-MILS' if node is V_MILS else f'{3.6 * e.speed:5.1f} km/h  w'
             value = f'{name} {e.resistance:.3f} ± {e.resistance_std:.3f}'
             known = '' if at is None else f' (truth {davis(at.resistance, e.speed):.3f})'
         elif isinstance(e, BrakeRateEstimate):

@@ -89,7 +89,18 @@ def open_table(path: Path, mapping: Mapping) -> Table:
 def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
     """Return the columns of all blocks."""
     found = [block.columns for block in blocks]
-    return {name: np.concatenate([columns[name] for columns in found]) if found else np.empty(0) for name in names}
+    return {name: _concatenated([columns[name] for columns in found]) for name in names}
+
+
+def _concatenated(parts: list[Column]) -> Column:
+    """Return the parts of a column as one; blank cells are NaN in a part without times, NaT beside times."""
+    times = next((part.dtype for part in parts if part.dtype.kind in 'mM'), None)
+    if times is not None:
+        blank = np.array('NaT', times)
+        parts = [
+            np.full(len(part), blank) if part.dtype.kind == 'f' and np.isnan(part).all() else part for part in parts
+        ]
+    return np.concatenate(parts) if parts else np.empty(0)
 
 
 def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> None:
@@ -213,7 +224,7 @@ class CsvTable(Table):
         size, reached = max(1, self.path.stat().st_size), 0
         with self.path.open('rb') as raw, io.TextIOWrapper(raw, layout.encoding, errors='replace', newline='') as text:
             reader = csv.reader(text, delimiter=layout.separator)
-            full = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
+            full = ((reader.line_num, row) for row in self._closed(reader, layout) if any(map(str.strip, row)))
             rows = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, places))
             try:
                 for _ in islice(rows, layout.skipped):
@@ -226,6 +237,20 @@ class CsvTable(Table):
                     yield lines, cells, (reached - before) / size
             except csv.Error as error:
                 raise InputError(f'{self.path}: line {reader.line_num}: {error}') from None
+
+    def _closed(self, reader: Any, layout: _Layout) -> Iterator[list[str]]:
+        """Yield the rows; InputError for a text in quotes that holds whole rows: its second quote is missing."""
+        before, others = 0, len(layout.names) - 1
+        for row in reader:
+            if reader.line_num > before + 1:
+                inside = [line for cell in row for line in cell.splitlines()[1:]]
+                if others and any(line.count(layout.separator) >= others for line in inside):
+                    raise InputError(
+                        f'{self.path}: lines {before + 1} to {reader.line_num} are one row by their quotes: one is not '
+                        'closed'
+                    )
+            before = reader.line_num
+            yield row
 
     def _cells(self, line: int, row: list[str], places: Sequence[int], layout: _Layout) -> list[str]:
         """Return the cells of the columns in a row, blank where it ends early."""
@@ -447,6 +472,8 @@ class NpzTable(Table):
                 f'{self.path}: column {shown(name)} of type {column.dtype} and shape {column.shape}; one number for '
                 f'each of {shown(first)} expected, which has shape {shape}'
             )
+        if kind == 'u' and column.size and column.max() > np.iinfo(np.int64).max:
+            raise InputError(f'{self.path}: column {shown(name)}: {column.max()} is no number of 64 bits with a sign')
         return _text_times(self.path, name, column.tolist(), column.dtype) if kind == 'U' else column.astype(to[kind])
 
 

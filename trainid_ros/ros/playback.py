@@ -66,7 +66,7 @@ class Timeline:
 def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterator[Entry]:
     """Yield a part of a timeline with clock ticks in its gaps; start and duration in [s], a duration of 0 means all."""
     begin = timeline.first_ns + round(start_s * NS_PER_S)
-    end = begin + round(duration_s * NS_PER_S) if duration_s > 0.0 else timeline.last_ns
+    end = min(begin + round(duration_s * NS_PER_S), timeline.last_ns) if duration_s > 0.0 else timeline.last_ns
     clock = begin
     for entry in timeline.entries():
         time_ns = entry[0]

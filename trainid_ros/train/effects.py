@@ -189,8 +189,10 @@ def _bind(kind: EffectKind, function: Resistance, parameters: Parameters) -> Ter
 def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
     if value is None:
         raise InputError(f'{name} is missing')
-    if not (math.isfinite(value) and limits.low <= value <= limits.high):
-        unit = f' {limits.unit}' if limits.unit else ''
+    unit = f' {limits.unit}' if limits.unit else ''
+    if not math.isfinite(value):
+        raise InputError(f'{name} = {value:g}{unit} must be finite')
+    if not limits.low <= value <= limits.high:
         raise InputError(f'{name} = {value:g}{unit} is outside [{limits.low:g}, {limits.high:g}]')
 
 
