@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +40,6 @@ def test_quoted_figures_are_in_the_results(path: Path) -> None:
 
 # Tables of evidence whose figures no part of the results holds, by their first cell.
 NOT_IN_RESULTS = {
-    ('faults_evidence.md', 'faults'): 'counts over the full tables, see below',
     ('status_evidence.md', 'estimate'): 'a replay of the bag with rounded speeds',
 }
 
@@ -54,23 +52,6 @@ def test_all_other_tables_of_evidence_are_quoted() -> None:
             if block.startswith('|') and not before.startswith('<!-- quoted from '):
                 found.add((path.name, block.split('|')[1].strip()))
     assert found == NOT_IN_RESULTS.keys()
-
-
-def test_counts_of_faults_are_those_of_the_full_tables() -> None:
-    tables = (ROOT / 'benchmarks' / 'results' / 'faults.md').read_text('utf-8').split('\n### ')[1:]
-    caused: dict[str, list[float]] = {'from the first message on': [], 'mid-drive': [], 'Pairs': []}
-    for table in tables:
-        rows = [line.split('|') for line in table.splitlines() if line.startswith('|')]
-        header = [cell.strip() for cell in rows[0]]
-        if 'by the fault, s' not in header:  # a summary
-            continue
-        column = header.index('by the fault, s')
-        seconds = [float(row[column]) for row in rows[2:] if row[1].strip() != 'nothing']
-        for kind in caused:
-            caused[kind] += seconds if kind in table.partition('\n')[0] else []
-    counts = [f'| {len(s)} | {sum(x <= 1.0 for x in s)} | {sum(x > 30.0 for x in s)} |' for s in caused.values()]
-    document = (ROOT / 'docs' / 'faults_evidence.md').read_text('utf-8')
-    assert re.findall(r'\| \d+ \| \d+ \| \d+ \|$', document, re.MULTILINE) == counts
 
 
 def test_a_figure_that_is_not_in_its_part_is_found(tmp_path: Path) -> None:
