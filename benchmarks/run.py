@@ -57,15 +57,15 @@ PARTS: Final[Mapping[str, Part]] = {
     'faults_live': Part('benchmarks.faults_live:measure', 0, 9.5),
     # Simulated drives.
     'accuracy': Part('benchmarks.scenario_parts:accuracy', 12, 9.0),
-    'real_trains': Part('benchmarks.scenario_parts:real_trains', 4, 5.0),
+    'real_trains': Part('benchmarks.scenario_parts:real_trains', 4, 4.0),
     'unknowns': Part('benchmarks.scenario_parts:unknowns', 1, 4.0),
     'rates': Part('benchmarks.scenario_parts:rates', 2, 1.0),
     'brake_worlds': Part('benchmarks.scenario_parts:brake_worlds', 3, 3.0),
     'faults': Part('benchmarks.fault_matrix:measure', 1, 13.0),
     'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.0),
-    'explain': Part('benchmarks.explain:measure', 12, 5.0),
+    'explain': Part('benchmarks.explain:measure', 12, 2.5),
     'fleet': Part('benchmarks.fleet:measure', 1, 4.0),
-    'closed_loop': Part('benchmarks.closed_loop:measure', 3, 4.0),
+    'closed_loop': Part('benchmarks.closed_loop:measure', 8, 9.0),
     'drives': Part('benchmarks.drives:measure', 1, 1.0),
     # Experiments of the four papers, and comparisons with other libraries.
     'liu2018': Part('research.papers.liu2018:measure', 3, 1.0),
