@@ -24,9 +24,6 @@ def test_results_are_the_summary_of_the_full_tables() -> None:
     assert RESULTS.count('\n') <= 1500
 
 
-@pytest.mark.xfail(
-    strict=True, reason='the parts were measured at several revisions; a full `make bench` replaces them'
-)
 def test_all_parts_are_of_one_revision() -> None:
     assert len(set(revisions(RESULTS))) == 1
 
