@@ -2,9 +2,10 @@
 """Do the tests notice a changed line? A sample of mutants of the sources, each against the tests of its folder.
 
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
-copy of the repository and tested there without compiled modules: first by the test file that mirrors its module, then
-by the golden outputs, then by the other tests of the folder that need no ROS graph, until the first failure. All these
-tests first have to pass without a mutant. Other tests of the suite, such as those of the commands, are left out.
+copy of the repository and tested there without compiled modules, until the first failure. All tests of the folder that
+need no ROS graph, and the golden outputs, first have to pass without a mutant; that run also notes which functions each
+test calls. The tests that call a changed function then run first, the fastest before the others, and after them the
+rest of their files. Other tests of the suite, such as those of the commands, are left out.
 
 ``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
 """
@@ -13,9 +14,11 @@ from __future__ import annotations
 
 import argparse
 import ast
+import math
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -29,6 +32,7 @@ from typing import Any, Final
 
 from pytest import ExitCode
 
+from benchmarks.called import Called, read_calls
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text
 
@@ -42,8 +46,14 @@ FOLDERS: Final = {
 }
 _SEED: Final = 1
 _JOBS: Final = 2
-# Tests of a mutant that take longer count as failed [s].
+# Parts in which the tests of a folder run without a mutant.
+_PARTS: Final = 6
+# Tests of a mutant that take longer count as failed: CPU time of the imports [s], and times that without a mutant [1].
+# A mutant that only waits is stopped by the clock [s].
+_IMPORT_S: Final = 60
+_MAX_CPU_RATIO: Final = 5.0
 _MAX_RUN_S: Final = 900.0
+_OUT_OF_CPU: Final = 128 + signal.SIGXCPU
 _SWAPS: Final[dict[type[ast.AST], Any]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -142,16 +152,27 @@ def sample(count: int, seed: int, names: Sequence[str] = tuple(FOLDERS)) -> dict
     return chosen
 
 
-def targets_of(path: str, root: Path) -> list[list[str]]:
-    """Return the tests of a module: those that mirror it, the golden outputs, and those of its folder."""
-    folder = root / 'test' / Path(path).relative_to('trainid_ros').parent
-    while not folder.is_dir():
-        folder = folder.parent
-    stem = Path(path).stem
-    mirrors = [place for place in (folder / f'test_{stem}.py', folder / stem) if place.exists()]
-    first = [str(place.relative_to(root)) for place in mirrors]
-    whole = [str(folder.relative_to(root)), *(f'--ignore={place}' for place in first)]
-    return [*([first] if first else []), ['test/golden'], whole]
+def tests_of(name: str) -> list[str]:
+    """Return the test files of a folder by its name in ``FOLDERS``, and the golden outputs."""
+    folders = [REPOSITORY / 'test' / part for part in (*FOLDERS[name][0], 'golden')]
+    return sorted(str(path.relative_to(REPOSITORY)) for folder in folders for path in folder.rglob('test_*.py'))
+
+
+def function_at(path: str, line: int) -> int:
+    """Return the first line of the function of a file that holds a line; 0 outside of functions."""
+    tree = ast.parse((REPOSITORY / path).read_bytes())
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and line <= (node.end_lineno or 0)]
+    # A function with decorators begins with the first of them.
+    starts = [min((node.lineno, *(one.lineno for one in node.decorator_list))) for node in found]
+    return max((start for start in starts if start <= line), default=0)
+
+
+def order_of(mutant: Mutant, tests: Sequence[Called]) -> list[Called]:
+    """Return the tests that may notice a mutant, the likeliest and fastest first."""
+    line = function_at(mutant.path, mutant.line)
+    direct = {test for test in tests if any(path == mutant.path and line in (0, at) for path, at in test.functions)}
+    files = {test.file for test in direct or tests}
+    return sorted((test for test in tests if test.file in files), key=lambda test: (test not in direct, test.cpu_s))
 
 
 @contextmanager
@@ -162,30 +183,42 @@ def _copied() -> Iterator[Path]:
         root.mkdir()
         for item in REPOSITORY.iterdir():
             if item.name in {'trainid_ros', 'test'}:
-                shutil.copytree(item, root / item.name, ignore=shutil.ignore_patterns('__pycache__', '*.so'))
+                shutil.copytree(item, root / item.name, ignore=shutil.ignore_patterns('*.so'))
             elif item.name != '.git':
                 (root / item.name).symlink_to(item)
         yield root
 
 
-def check_unchanged(arguments: Sequence[str]) -> None:
-    """Raise RuntimeError if tests fail on the unchanged sources: they would fail on every mutant."""
+def called(files: Sequence[str]) -> list[Called]:
+    """Run tests on the unchanged sources; return what each calls.
+
+    Raises:
+        RuntimeError: Tests fail: they would fail on every mutant.
+
+    """
     with _copied() as root:
-        if output := failure_of(arguments, root):
-            raise RuntimeError(f'tests fail without a mutant: {" ".join(arguments)}\n{output}')
+        out = root.parent / 'called.jsonl'
+        if output := failure_of(['-p', 'benchmarks.called', '--called', str(out), *files], root):
+            raise RuntimeError(f'tests fail without a mutant: {" ".join(files)}\n{output}')
+        return read_calls(out)
 
 
-def is_killed(mutant: Mutant) -> bool:
-    """Return whether a test fails on a mutant."""
+def is_killed(mutant: Mutant, tests: Sequence[str], cpu_s: float) -> bool:
+    """Return whether one of the tests fails on a mutant; together they take a CPU time [s] without it."""
     with _copied() as root:
         source = (REPOSITORY / mutant.path).read_bytes()
         changed = source[: mutant.begin] + mutant.after.encode() + source[mutant.end :]
         (root / mutant.path).write_bytes(changed)
-        return any(failure_of(arguments, root) for arguments in targets_of(mutant.path, root))
+        return bool(failure_of(tests, root, cpu_s))
 
 
-def failure_of(arguments: Sequence[str], root: Path) -> str:
+def failure_of(arguments: Sequence[str], root: Path, cpu_s: float = math.inf) -> str:
     """Return what tests print that fail, cannot be imported or take too long; empty if they pass or none is selected.
+
+    Args:
+        arguments: Tests, as pytest takes them.
+        root: Copy of the repository.
+        cpu_s: CPU time that they take without a mutant [s].
 
     Raises:
         RuntimeError: pytest itself fails, is interrupted or is called wrongly.
@@ -194,7 +227,9 @@ def failure_of(arguments: Sequence[str], root: Path) -> str:
     paths = (root, root / 'research' / 'lab', root / 'examples' / 'python')
     env = os.environ | {'TRAINID_COMPILED': '0', 'PYTHONPATH': os.pathsep.join(map(str, paths))}
     options = ('-q', '-x', '-p', 'no:cacheprovider', '-m', 'not ros and not long')
-    command = ['tools/with_test_env', sys.executable, '-m', 'pytest', *options, *arguments]
+    limit = 'unlimited' if math.isinf(cpu_s) else str(round(_IMPORT_S + _MAX_CPU_RATIO * cpu_s))
+    tests = [sys.executable, '-m', 'pytest', *options, *arguments]
+    command = ['bash', '-c', 'ulimit -St "$0"; exec tools/with_test_env "$@"', limit, *tests]
     try:
         done = subprocess.run(command, cwd=root, env=env, capture_output=True, check=False, timeout=_MAX_RUN_S)
     except subprocess.TimeoutExpired:
@@ -205,10 +240,12 @@ def failure_of(arguments: Sequence[str], root: Path) -> str:
             return ''
         case ExitCode.TESTS_FAILED:
             return output
+        case _ if done.returncode == _OUT_OF_CPU:
+            return f'more CPU time than {limit} s'
         case ExitCode.INTERRUPTED if 'during collection' in output:
             return output
-        case ExitCode.USAGE_ERROR if 'while loading conftest' in output:
-            return output
+        case ExitCode.USAGE_ERROR if 'while loading conftest' in output or 'not found: ' in output:
+            return output  # the latter is a test whose parameters have changed
     raise RuntimeError(f'exit code {done.returncode}: {" ".join(command)}\n{output}')
 
 
@@ -220,14 +257,17 @@ def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDER
 
     """
     chosen = sample(mutants, seed, names)
-    paths = sorted({mutant.path for some in chosen.values() for mutant in some})
-    targets = dict.fromkeys(tuple(arguments) for path in paths for arguments in targets_of(path, REPOSITORY))
     rows, survivors = [], []
     with ProcessPoolExecutor(_JOBS, mp_context=get_context('spawn')) as pool:
-        list(pool.map(check_unchanged, targets))
         for name, some in chosen.items():
+            files = tests_of(name)
+            parts = [part for k in range(_PARTS) if (part := files[k::_PARTS])]
+            tests = [test for part in pool.map(called, parts) for test in part]
             killed = []
-            for mutant, is_dead in zip(some, pool.map(is_killed, some), strict=True):
+            orders = [order_of(mutant, tests) for mutant in some]
+            names_of = [[test.name for test in order] for order in orders]
+            times = [sum(test.cpu_s for test in order) for order in orders]
+            for mutant, is_dead in zip(some, pool.map(is_killed, some, names_of, times), strict=True):
                 killed.append(is_dead)
                 print('killed  ' if is_dead else 'SURVIVED', mutant, file=sys.stderr, flush=True)
             share = 100.0 * sum(killed) / max(1, len(some))

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import mutation
+from benchmarks.called import Called, read_calls
 from benchmarks.days import REPOSITORY
-from benchmarks.mutation import FOLDERS, failure_of, mutants_of, sample, targets_of
+from benchmarks.mutation import FOLDERS, failure_of, function_at, mutants_of, order_of, sample
 
 SOURCE = b'''"""Doc."""
 from __future__ import annotations
@@ -60,14 +62,38 @@ def test_a_sample_is_reproducible_and_of_each_folder() -> None:
         ast.parse(source[: mutant.begin] + mutant.after.encode() + source[mutant.end :])
 
 
-def test_the_tests_that_mirror_a_module_run_first() -> None:
-    first, golden, rest = targets_of('trainid_ros/stream/alignment.py', REPOSITORY)
-    assert first == ['test/stream/alignment']
-    assert golden == ['test/golden']
-    assert rest == ['test/stream', '--ignore=test/stream/alignment']
+def test_the_tests_that_call_the_changed_function_run_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(mutation, 'REPOSITORY', tmp_path)
+    (tmp_path / 'm.py').write_bytes(SOURCE)
+    mutant = next(mutant for mutant in mutants_of('m.py', SOURCE) if mutant.line == 13)
+    assert function_at('m.py', 13) == 7
+    assert function_at('m.py', 4) == 0
+    slow, fast = (
+        Called('a.py::slow', 2.0, frozenset({('m.py', 7)})),
+        Called('b.py::fast', 1.0, frozenset({('m.py', 7)})),
+    )
+    beside, other = Called('a.py::beside', 0.1, frozenset()), Called('c.py::other', 0.1, frozenset({('m.py', 16)}))
+    assert order_of(mutant, [beside, slow, fast, other]) == [fast, slow, beside]
 
 
-def test_what_stops_the_tests_is_not_taken_for_a_failure(tmp_path: Path) -> None:
+def test_calls_of_a_test_are_those_of_the_package(tmp_path: Path) -> None:
+    for path in ('tools', 'benchmarks', 'pyproject.toml'):
+        (tmp_path / path).symlink_to(REPOSITORY / path)
+    (tmp_path / 'trainid_ros').mkdir()
+    (tmp_path / 'trainid_ros' / '__init__.py').write_bytes(b'')
+    (tmp_path / 'trainid_ros' / 'm.py').write_text('\n\ndef f(): pass\n', encoding='utf-8')
+    (tmp_path / 'test_m.py').write_text(
+        'import math\nfrom trainid_ros.m import f\n\ndef test_a(): f()\n\ndef test_b(): math.sin(1)\n', encoding='utf-8'
+    )
+    out = tmp_path / 'out'
+    assert failure_of(['-p', 'benchmarks.called', '--called', str(out), 'test_m.py'], tmp_path) == ''
+    assert [(one.name, one.functions) for one in read_calls(out)] == [
+        ('test_m.py::test_a', frozenset({('trainid_ros/m.py', 3)})),
+        ('test_m.py::test_b', frozenset()),
+    ]
+
+
+def test_what_stops_the_tests_is_not_taken_for_a_failure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / 'tools').symlink_to(REPOSITORY / 'tools')
     (tmp_path / 'test_a.py').write_text('def test_a(): pass\n\ndef test_b(): assert not 7\n', encoding='utf-8')
     (tmp_path / 'test_b.py').write_text('import nothing_of_this_name\n', encoding='utf-8')
@@ -77,5 +103,9 @@ def test_what_stops_the_tests_is_not_taken_for_a_failure(tmp_path: Path) -> None
     assert 'assert not 7' in failure_of(['test_a.py'], tmp_path)
     for broken in ('test_b.py', 'c'):
         assert 'nothing_of_this_name' in failure_of([broken], tmp_path)
+    (tmp_path / 'test_c.py').write_text('def test_c():\n    while True: pass\n', encoding='utf-8')
+    monkeypatch.setattr(mutation, '_IMPORT_S', 3)
+    assert 'CPU time' in failure_of(['test_c.py'], tmp_path, 0.0)
+    assert 'not found' in failure_of(['test_a.py::test_gone'], tmp_path)
     with pytest.raises(RuntimeError, match='exit code 4'):
-        failure_of(['missing.py'], tmp_path)
+        failure_of(['--unknown'], tmp_path)
