@@ -383,3 +383,15 @@ def test_a_matrix_that_is_no_covariance_is_not_possible(bad: tuple[float, ...]) 
 @pytest.mark.parametrize('good', [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0), (4e-9, -2e-6, -2e-6, 1e-3)])
 def test_a_covariance_of_parameters_that_are_known_together_is_possible(good: tuple[float, ...]) -> None:
     assert Normal((0.0, 0.0), good).is_possible()
+
+
+@pytest.mark.parametrize(('correlation', 'is_possible'), [(-0.49, True), (-0.51, False)])
+def test_parameters_of_small_and_large_units_are_judged_alike(correlation: float, is_possible: bool) -> None:
+    """Three parameters cannot all be correlated below -1/2 with each other."""
+    stds = (1e-4, 1.0, 1e2)
+    P = tuple(a * b * (1.0 if i == k else correlation) for i, a in enumerate(stds) for k, b in enumerate(stds))
+    assert Normal((0.0, 0.0, 0.0), P).is_possible() is is_possible
+
+
+def test_a_possible_estimate_has_no_problem() -> None:
+    assert Parameter(FILE, ((1.0,),), 0.01, 10.0).problem('rate', LIVE['rate']) == ''
