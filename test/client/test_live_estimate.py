@@ -395,3 +395,9 @@ def test_parameters_of_small_and_large_units_are_judged_alike(correlation: float
 
 def test_a_possible_estimate_has_no_problem() -> None:
     assert Parameter(FILE, ((1.0,),), 0.01, 10.0).problem('rate', LIVE['rate']) == ''
+
+
+def test_a_publisher_that_is_lost_after_a_silence_is_the_reason() -> None:
+    one = estimate(10.0)
+    one.mark_lost('the node is gone', 20.0)
+    assert one.reason() == 'train file: the node is gone'
