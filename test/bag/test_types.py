@@ -118,6 +118,11 @@ def test_a_stamp_outside_ros_time_is_rejected(stamp: int) -> None:
         split_stamp(stamp)
 
 
+@pytest.mark.parametrize(('sec', 'nanosec'), [(0, 0), (0, 999_999_999), (2**31 - 1, 999_999_999)])
+def test_a_stamp_within_ros_time_is_split(sec: int, nanosec: int) -> None:
+    assert split_stamp(sec * 10**9 + nanosec) == (sec, nanosec)
+
+
 def test_every_definition_is_packaged() -> None:
     root = Path(__file__).parents[2] / 'msg_defs' / 'msg'
     names = [path.stem for path in root.glob('*.msg')]

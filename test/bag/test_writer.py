@@ -108,10 +108,17 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         pass
 
 
-def test_a_negative_log_time_is_rejected(tmp_path: Path) -> None:
+@pytest.mark.parametrize('stamp_ns', [-1, 2**63])
+def test_a_log_time_that_cannot_be_stored_is_rejected(tmp_path: Path, stamp_ns: int) -> None:
     message = message_from_record(MassRecord(STAMP, 1e5))
-    with pytest.raises(InputError, match='ato/mass: log time -1 ns'), BagWriter(tmp_path / 'bag') as writer:
-        writer.write_message('ato/mass', 'TrainMass', -1, message)
+    with pytest.raises(InputError, match=f'ato/mass: log time {stamp_ns} ns'), BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('ato/mass', 'TrainMass', stamp_ns, message)
+
+
+def test_a_log_time_may_be_zero(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('ato/mass', 'TrainMass', 0, message_from_record(MassRecord(STAMP, 1e5)))
+        assert writer.message_count == 1
 
 
 def test_writing_outside_the_context_is_rejected(tmp_path: Path) -> None:
