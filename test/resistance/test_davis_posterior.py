@@ -6,7 +6,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.davis_posterior import DavisPosterior, drift_rates, drifted, largest_std, predict
+from trainid_ros.resistance.davis_posterior import (
+    DavisPosterior,
+    drift_rates,
+    drifted,
+    largest_std,
+    length_under_train,
+    predict,
+)
 
 ESTIMATE: DavisPosterior = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
 
@@ -31,6 +38,24 @@ def test_drift_increases_variances_up_to_the_limit_and_keeps_correlations() -> N
     assert np.diag(matrix(most)) == pytest.approx([1.0, 1e-3, 1e-4])
     assert np.min(np.linalg.eigvalsh(matrix(most))) > 0.0
     assert most[:3] == ESTIMATE[:3]
+
+
+def mean_over(length: float, train_length: float) -> float:
+    """Return integral over variance of the mean over a train of a process with the autocorrelation exp(-d / length)."""
+    u = np.linspace(-train_length, train_length, 200_001)
+    weights = (train_length - np.abs(u)) / train_length**2
+    variance = float(np.sum(weights * np.exp(-np.abs(u) / length)) * (u[1] - u[0]))
+    return length / variance
+
+
+@pytest.mark.parametrize(('length', 'train_length'), [(250.0, 30.0), (250.0, 650.0), (1000.0, 200.0), (1000.0, 1000.0)])
+def test_the_map_error_under_a_train_is_correlated_further(length: float, train_length: float) -> None:
+    assert length_under_train(length, train_length) == pytest.approx(mean_over(length, train_length), rel=1e-4)
+
+
+def test_the_map_error_under_a_short_train_is_that_of_the_map() -> None:
+    assert length_under_train(250.0, 1e-9) == pytest.approx(250.0)
+    assert length_under_train(250.0, 0.2499) == pytest.approx(length_under_train(250.0, 0.2501), rel=1e-6)
 
 
 def test_after_an_hour_the_drift_is_its_share_of_the_prior() -> None:

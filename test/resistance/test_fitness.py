@@ -91,9 +91,9 @@ def test_before_the_first_speed_nothing_is_fit() -> None:
 
 @pytest.mark.parametrize(
     ('std', 'was_accurate', 'expected'),
-    [(0.099, False, True), (0.101, False, False), (0.101, True, True), (0.149, True, True), (0.151, True, False)],
+    [(0.099, False, True), (0.101, False, False), (0.101, True, True), (0.199, True, True), (0.201, True, False)],
 )
-def test_over_driven_speeds_the_limit_is_half_as_large_again_if_it_was_fit(
+def test_over_driven_speeds_the_limit_is_twice_as_large_if_it_was_fit(
     std: float, was_accurate: bool, expected: bool
 ) -> None:
     assert fit(std, was_accurate=was_accurate) is expected
@@ -118,8 +118,8 @@ def test_a_share_of_the_resistance_adds_to_the_limit_in_squares() -> None:
     assert limit == pytest.approx(0.20502, abs=1e-5)
     assert fit(0.999 * limit, share=0.05)
     assert not fit(1.001 * limit, share=0.05)
-    assert fit(1.499 * limit, share=0.05, was_accurate=True)
-    assert not fit(1.501 * limit, share=0.05, was_accurate=True)
+    assert fit(1.999 * limit, share=0.05, was_accurate=True)
+    assert not fit(2.001 * limit, share=0.05, was_accurate=True)
 
 
 def test_correlated_errors_may_cancel_where_driven() -> None:

@@ -40,7 +40,7 @@ class FilterBankConfig(PriorSettings):
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     gust_std: float = setting(0.1, 'smallest std of gusts; 2, 4 and 8 times it are tried too', 'N/kN', 1e-3, 10.0)
     gust_time: float = setting(6.0, 'correlation time of gusts', 's', 0.1, 600.0)
-    map_length: float = setting(250.0, 'correlation length of map errors', 'm', 1.0, 1e5)
+    map_length: float = setting(250.0, 'correlation length of map errors along the line', 'm', 1.0, 1e5)
     force_noise: float = setting(0.35, 'white noise of the reported specific force', 'N/kN', 0.0, 100.0)
     force_delay_std: float = setting(0.15, 'prior std of the delay of the reported force', 's', 0.0, 1.0)
     force_skew: float = setting(0.015, 'jitter between the stamps of force and speed', 's', 0.0, 1.0)
@@ -48,7 +48,7 @@ class FilterBankConfig(PriorSettings):
         0.03, 'drift in one hour, except of the force scale, std as a share of the prior std', '1', 0.0, 100.0
     )
     outlier_share: float = setting(0.01, 'share of outliers among the speeds', '1', 1e-6, 0.5)
-    step_interval: float = setting(3600.0, 'mean time between steps of a or c', 's', 60.0, 1e7)
+    step_interval: float = setting(1800.0, 'mean time between steps of a or c', 's', 60.0, 1e7)
     step_a: float = setting(0.3, 'std of a step of a, to which 15 % of a are added', 'N/kN', 1e-3, 10.0)
     step_share_c: float = setting(0.2, 'std of a step of c as a share of c', '1', 1e-3, 10.0)
     hypotheses: int = setting(28, 'maximum number of hypotheses', '', 4, 1000)

@@ -48,6 +48,8 @@ _UNWEIGHED_STEP: Final = 0.03
 # The mass error of empty train and scales is constant, that of the load is not: share of the mass error that changes.
 _CHANGING: Final = 0.5
 _MIN_STD: Final = 1e-4
+# Length of a train, in correlation lengths, up to which a linear approximation is accurate.
+_SHORT_TRAIN: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,22 @@ def curve_std(train_file: TrainFile) -> float:
             coefficient = dict(effect.parameters).get('coefficient', 0.0)
             return dict(effect.std).get('coefficient', _CURVE_SHARE * coefficient) / CURVE_RADIUS
     return _CURVE_STD
+
+
+def length_under_train(length: float, train_length: float) -> float:
+    """Return the correlation length of the map error as a train feels it: its mean over the length of the train [m].
+
+    With the autocorrelation exp(-d / l) along the line, the mean over L has the variance share
+    2 l / L (1 - l / L (1 - exp(-L / l))). Averaging keeps the integral of the autocovariance, so the correlation
+    length, integral over variance, becomes l over that share: l for short trains, (l + L) / 2 for long ones.
+
+    Args:
+        length: Correlation length l of the map error along the line [m].
+        train_length: Length L of the train [m].
+    """
+    x = train_length / length
+    # Its limit for short trains: the formula would lose digits.
+    return length * (1.0 + x / 3.0) if x < _SHORT_TRAIN else length * x * x / (2.0 * (x - 1.0 + math.exp(-x)))
 
 
 def is_delay_at_end(delay: float) -> bool:
@@ -203,8 +221,10 @@ def resistance_estimate(
     )
 
 
-# An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker.
+# An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker: at a few
+# speeds, and over all driven ones.
 _HYSTERESIS: Final = 1.5
+_DRIVEN_HYSTERESIS: Final = 2.0
 
 
 def representative_speeds(slowest: float, fastest: float) -> tuple[float, float, float]:
@@ -276,7 +296,7 @@ def is_accurate_over_driven_speeds(
     variance = A + 2.0 * B * m1 + (2.0 * C + D) * m2 + 2.0 * E * m3 + F * m4
     square = a * a + 2.0 * a * b * m1 + (2.0 * a * c + b * b) * m2 + 2.0 * b * c * m3 + c * c * m4
     limit = valid_std * valid_std + valid_share * valid_share * square
-    return variance < limit * (_HYSTERESIS * _HYSTERESIS if was_accurate else 1.0)
+    return variance < limit * (_DRIVEN_HYSTERESIS * _DRIVEN_HYSTERESIS if was_accurate else 1.0)
 
 
 def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:

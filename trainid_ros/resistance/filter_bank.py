@@ -54,6 +54,7 @@ from trainid_ros.resistance.davis_posterior import (
     is_accurate_at,
     is_accurate_over_driven_speeds,
     is_delay_at_end,
+    length_under_train,
     resistance_estimate,
     scale_step,
 )
@@ -99,8 +100,9 @@ _GATE: Final = 5.5
 _RESTART_AFTER_S: Final = 5.0
 # Longer than a stop, so that weather and train may have changed in the meantime [s].
 _IDLE_S: Final = 600.0
-# Multiple of the limit up to which an estimate is fit to use while a step is suspected.
+# Multiple of the limit up to which an estimate is fit to use while a step is suspected, and up to which it stays so.
 _SUSPECTED: Final = 2.0
+_STILL_SUSPECTED: Final = 3.0
 # Number of accepted samples between two tests whether the estimate is fit to use, a second at 5 Hz; and the time since
 # the last sample from which on each is tested [ns].
 _VALIDITY_CHECK_INTERVAL: Final = 5
@@ -278,6 +280,7 @@ class FilterBank:
         """Decide whether w is fit to use: at the driven speeds, and at the present one even if a step just happened."""
         config, speed = self.config, self._admitted[-1].speed
         now = self._inflated(self.bank.mixture(), self._inflation.factor)
+        suspected = _STILL_SUSPECTED if self._converged else _SUSPECTED
         # A delay outside the range that can be estimated biases the other states.
         self._converged = (
             not is_delay_at_end(now.mean[_DELAY])
@@ -285,7 +288,7 @@ class FilterBank:
                 now.davis, self._driven, config.valid_std, config.valid_share, was_accurate=self._converged
             )
             and is_accurate_at(
-                speed, self._current().davis, _SUSPECTED * config.valid_std, _SUSPECTED * config.valid_share
+                speed, self._current().davis, suspected * config.valid_std, suspected * config.valid_share
             )
         )
 
@@ -441,15 +444,15 @@ def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -
         young_weight=config.young_weight,
         wrong_prior=config.wrong_prior,
         drift=drift,
-        noise=_process_noise(config, inertia),
+        noise=_process_noise(config, inertia, train_file.train.length),
     )
 
 
-def _process_noise(config: FilterBankConfig, inertia: float) -> ProcessNoise:
+def _process_noise(config: FilterBankConfig, inertia: float, train_length: float) -> ProcessNoise:
     return ProcessNoise(
         inertia=inertia,
         gust_time=config.gust_time,
-        map_length=config.map_length,
+        map_length=length_under_train(config.map_length, train_length),
         force_density=config.force_noise**2 * _FORCE_INTERVAL_S,
         skew=config.force_skew,
         outliers=config.outlier_share,

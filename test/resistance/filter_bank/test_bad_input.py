@@ -221,7 +221,8 @@ def test_a_stamp_jitter_of_a_microsecond_changes_the_resistance_by_less_than_a_t
     ]
     plain, moved = run(minutes[:500]).estimate(12.0), run(jittered[:500]).estimate(12.0)
     assert abs(moved.resistance - plain.resistance) < 1e-3
-    assert moved.resistance_std == pytest.approx(plain.resistance_std, rel=1e-2)
+    # Hypotheses may branch and become old enough one sample earlier or later.
+    assert moved.resistance_std == pytest.approx(plain.resistance_std, rel=5e-2)
     assert abs(moved.force_scale - plain.force_scale) < 1e-4
     assert abs(moved.force_delay - plain.force_delay) < 1e-4
     assert moved.resistance != plain.resistance
