@@ -94,6 +94,20 @@ def test_a_step_is_followed(step: float) -> None:
     assert error(tracker, 1.5 + step) < 0.12
 
 
+def test_the_stated_covariance_covers_a_step_before_the_estimate_follows_it() -> None:
+    def known(step_weight: float) -> Tracker:
+        tracker, rng = Tracker(PRIOR, replace(PLAN, step_weight=step_weight)), np.random.default_rng(3)
+        for i, v in enumerate(rng.uniform(3.0, 20.0, 1010).tolist()):
+            y = float(w(v, 1.5 if i < 1000 else 2.0)) + STD * float(rng.standard_normal())
+            tracker.update(phi(v), y, STD * STD)
+        return tracker
+
+    plain, cautious = known(1.0), known(100.0)
+    assert plain.stated.P.tolist() == plain.estimate.P.tolist()
+    assert cautious.estimate.theta == pytest.approx(plain.estimate.theta, abs=0.01)
+    assert cautious.stated.P[0, 0] > 1.5 * plain.stated.P[0, 0]
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_noise_that_lasts_for_eight_observations_is_not_detected_as_a_step(seed: int) -> None:
     rng, tracker = np.random.default_rng(seed), Tracker(PRIOR, PLAN)

@@ -91,6 +91,10 @@ def test_a_mixture_has_the_moments_of_samples_drawn_from_it() -> None:
     assert np.abs(found.theta - together.mean(axis=0)) == pytest.approx(np.zeros(3), abs=0.01 * STD[:3].max())
     assert np.diag(found.P) == pytest.approx(together.var(axis=0), rel=0.02)
     assert pytest.approx(one.P, rel=1e-12) == mixed([one], [0.3]).P
+    # Other weights for the covariance leave the mean.
+    stated, off = mixed([one, other], [2.0, 6.0], [1.0, 1.0]), np.array([one.theta, other.theta]) - found.theta
+    assert stated.theta.tolist() == found.theta.tolist()
+    assert pytest.approx(0.5 * (one.P + other.P + np.outer(off[0], off[0]) + np.outer(off[1], off[1]))) == stated.P
 
 
 def test_steps_increase_variances_up_to_the_limit_and_keep_correlations() -> None:

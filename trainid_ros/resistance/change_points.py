@@ -5,7 +5,8 @@ A forgetting factor responds to a step faster at the price of more noise at all 
 estimate (multi-innovation least squares) runs beside a few run-length hypotheses. Each assumes that the parameters
 stepped when it was created: it starts from the long-memory estimate of that time with the variance of a step added,
 and accumulates the log Bayes factor of its predictions against those of the long memory. The estimate is the
-mixture of all, weighted by their probability. Once the long memory has negligible probability, the most likely
+mixture of all, weighted by their probability; the stated covariance weights the hypotheses more, since it must cover
+both outcomes while a step is suspected. Once the long memory has negligible probability, the most likely
 hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
 
 The long memory is multi-innovation least squares, [9] and [10] at the head of :mod:`vmils`, for n parameters: with
@@ -131,6 +132,8 @@ class ChangePointConfig:
     # Number of observations over which weights are averaged to detect a lock-out, and from which the long memory then
     # restarts
     lockout: int
+    # Factor on the weight of the hypotheses in the stated covariance, while they weigh less than the long memory
+    step_weight: float = 1.0
 
 
 class RunLengthHypothesis:
@@ -156,6 +159,7 @@ class Tracker:
 
     Attributes:
         estimate: Mixture of the long memory and the hypotheses.
+        stated: The same mean with the covariance to be published, in which hypotheses have more weight.
         steps_found: Number of detected steps.
         change_probability: Probability of a step since the long memory began [1], below 0.001 when settled.
     """
@@ -294,9 +298,14 @@ class Tracker:
         """Update the mixture, weighted by probability."""
         # [14]
         normals, odds = [self._long], [1.0]
+        least = -_TAKEOVER_LOG_ODDS - math.log(self.plan.step_weight)
         for item in self._hypotheses:
-            if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_TAKEOVER_LOG_ODDS:
+            if item.age > self.plan.min_age and item.evidence + self._log_hazard > least:
                 normals.append(item.normal)
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)
-        self.estimate = mixed(normals, odds) if len(normals) > 1 else self._long
+        self.estimate = self.stated = self._long
+        if len(normals) > 1:
+            self.estimate = mixed(normals, odds)
+            weight = min(self.plan.step_weight, max(1.0, 1.0 / math.fsum(odds[1:])))
+            self.stated = mixed(normals, odds, [1.0, *[weight * x for x in odds[1:]]])

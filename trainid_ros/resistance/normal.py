@@ -163,15 +163,22 @@ def soft_update(
     return Normal(theta, P), weight, log_likelihood
 
 
-def mixed(items: list[Normal], weights: list[float]) -> Normal:
-    """Return mean and covariance of a mixture; the weights need not sum to one."""
-    n, total = len(items[0].mean), math.fsum(weights)
+def mixed(items: list[Normal], weights: list[float], stated: list[float] | None = None) -> Normal:
+    """Return mean and covariance of a mixture.
+
+    Args:
+        items: Its parts.
+        weights: Their weights, which need not sum to one.
+        stated: Other weights for the covariance, which is about the mean by the first ones.
+    """
+    n, total, spread = len(items[0].mean), math.fsum(weights), weights if stated is None else stated
+    all_spread = math.fsum(spread)
     theta, apart, P = vec[float]([0.0] * n), vec[float]([0.0] * n), vec[float]([0.0] * (n * n))
     for item, weight in zip(items, weights, strict=True):
         for i in range(n):
             theta[i] += weight / total * item.mean[i]
-    for item, weight in zip(items, weights, strict=True):
-        share = weight / total
+    for item, weight in zip(items, spread, strict=True):
+        share = weight / all_spread
         k: i64 = 0
         for i in range(n):
             apart[i] = item.mean[i] - theta[i]

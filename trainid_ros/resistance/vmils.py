@@ -21,7 +21,7 @@ kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known
     [11]     hypotheses: "a, b, c stepped k observations ago", each updated by eqs. (9)-(11)
     [12]     one that is 1000 times as likely replaces the long memory of [10]
     [13]     if most y contradict the long memory: restart from a robust fit of the latest
-    [14]     estimate = mixture of long memory and hypotheses
+    [14]     estimate = mixture of long memory and hypotheses; in its stated P hypotheses count more
     [15]     learn the variance of disturbances, slow, and the inflation of P from e
     [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c
     [17] publish: P = inflation P + (model error)^2 theta theta'
@@ -86,6 +86,8 @@ _SPACING: Final = 6
 _HYPOTHESES: Final = 5
 # Observations over which a lock-out is detected and from which the estimate restarts.
 _LOCKOUT: Final = 30
+# Factor on the weight of the hypotheses in the stated covariance [1]: a step of 1 % probability counts as much as none.
+_STEP_WEIGHT: Final = 100.0
 # Speed below which the train is at a stop, where the passenger load changes [m/s].
 _STANDING: Final = 0.3
 # Index of kappa and delta in theta.
@@ -204,15 +206,15 @@ class VMils:
             self.learner.tracker.inflate_variance(variances, limits)
             self._drifted_ns = self._stamp_ns
 
-    def _published(self) -> DavisPosterior:
-        """Return a, b, c and the upper triangle of their covariance as published.
+    def _published(self, P: Array) -> DavisPosterior:
+        """Return a, b, c and the upper triangle of their covariance as published, of a covariance of theta.
 
         This includes the drift since it was last added. P is multiplied by the inflation factor of the innovations,
         and (e w)^2 with e the model error is added to the variance of w at every speed:
 
             P_published = factor P + e^2 theta theta'.
         """
-        now = self._davis(self.learner.tracker.estimate.P)
+        now = self._davis(P)
         if 0 < self._drifted_ns < self._stamp_ns:
             now = drifted(now, self._rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
         return self._inflated(now, self.learner.inflation.factor)
@@ -238,7 +240,7 @@ class VMils:
             return
         self._validity_checked_ns = self._stamp_ns
         self._converged = is_accurate_over_driven_speeds(
-            self._published(),
+            self._published(learner.tracker.estimate.P),
             learner.driven,
             self.config.valid_std,
             self.config.valid_share,
@@ -252,12 +254,12 @@ class VMils:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        variances = self.learner.inflation.factor * self.learner.tracker.estimate.P.diagonal()
-        return self._estimate(self._published(), variances, speed)
+        P = self.learner.tracker.stated.P
+        return self._estimate(self._published(P), self.learner.inflation.factor * P.diagonal(), speed)
 
     def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate]:
         """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
-        P = np.array(self.learner.tracker.estimate.P)
+        P = np.array(self.learner.tracker.stated.P)
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
         # At an arrival no load has been weighed yet.
         step = scale_step(self._known.train_file.train, weighed=False) ** 2
@@ -322,6 +324,7 @@ def change_point_config(config: VMilsConfig, step_variances: tuple[float, ...]) 
         hypotheses=_HYPOTHESES,
         min_age=config.step_min_age,
         lockout=_LOCKOUT,
+        step_weight=_STEP_WEIGHT,
     )
 
 

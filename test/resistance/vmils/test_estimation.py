@@ -274,6 +274,6 @@ def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None
 def test_the_model_error_is_a_share_of_w_at_every_speed(train_file: TrainFile, journey: Journey, v: float) -> None:
     config = replace(CONFIG, drift_share=0.0, model_error=0.2)
     estimator = after(train_file, journey(200.0, traction=saw_tooth), config)
-    posterior, found, phi = estimator.learner.tracker.estimate, estimator.estimate(v), np.array([1.0, v, v * v])
+    posterior, found, phi = estimator.learner.tracker.stated, estimator.estimate(v), np.array([1.0, v, v * v])
     variance = estimator.learner.inflation.factor * float(phi @ posterior.P[:3, :3] @ phi)
     assert found.resistance_std**2 - variance == pytest.approx((0.2 * found.resistance) ** 2, rel=1e-6)
