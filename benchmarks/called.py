@@ -6,6 +6,8 @@ from __future__ import annotations
 import cProfile
 import json
 import time
+from collections import Counter, defaultdict
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Generator, Iterator
     from types import CodeType
 
 _PACKAGE: Final = 'trainid_ros'
@@ -21,22 +23,26 @@ _PACKAGE: Final = 'trainid_ros'
 
 @dataclass(frozen=True, slots=True)
 class Called:
-    """A test, and what it calls."""
+    """A test, and what it calls; what a fixture calls counts for all tests of the file, which may share it."""
 
     name: str
     cpu_s: float
     functions: frozenset[tuple[str, int]]  # File and first line of each function
 
-    @property
-    def file(self) -> str:
-        """The file of the test."""
-        return self.name.partition('::')[0]
-
 
 def read_calls(path: Path) -> list[Called]:
     """Read what the plug-in has written."""
-    rows = map(json.loads, path.read_text(encoding='utf-8').splitlines())
-    return [Called(name, cpu_s, frozenset(map(tuple, found))) for name, cpu_s, found in rows]
+    rows = [json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
+    by_fixtures = defaultdict[str, set[tuple[str, int]]](set)
+    cpu_s, called = Counter[str](), defaultdict[str, set[tuple[str, int]]](set)
+    for name, phase, seconds, found in rows:
+        cpu_s[name] += seconds
+        (by_fixtures[_file(name)] if phase == 'setup' else called[name]).update(map(tuple, found))
+    return [Called(name, cpu_s[name], frozenset(called[name] | by_fixtures[_file(name)])) for name in cpu_s]
+
+
+def _file(name: str) -> str:
+    return name.partition('::')[0]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -45,18 +51,32 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Run a test, and write a line on it."""
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
+    """Note what the fixtures of a test call."""
+    with _noted(item, 'setup'):
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Note what a test itself calls."""
+    with _noted(item, 'call'):
+        yield
+
+
+@contextmanager
+def _noted(item: pytest.Item, phase: str) -> Iterator[None]:
+    """Write a line on a phase of a test."""
     profile = cProfile.Profile(subcalls=False, builtins=False)
     begin = time.process_time()
     profile.enable()
     try:
-        return (yield)
+        yield
     finally:
         profile.disable()
         codes = (entry.code for entry in profile.getstats())
         found = [place for code in codes if (place := _place(code, item.config.rootpath))]
-        line = json.dumps([item.nodeid, time.process_time() - begin, found])
+        line = json.dumps([item.nodeid, phase, time.process_time() - begin, found])
         with item.config.getoption('--called').open('a', encoding='utf-8') as file:
             file.write(line + '\n')
 

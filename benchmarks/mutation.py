@@ -4,8 +4,8 @@
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
 copy of the repository and tested there without compiled modules, until the first failure. All tests of the folder that
 need no ROS graph, and the golden outputs, first have to pass without a mutant; that run also notes which functions each
-test calls. The tests that call a changed function then run first, the fastest before the others, and after them the
-rest of their files. Other tests of the suite, such as those of the commands, are left out.
+test calls. Those that call the changed function then run, the fastest first. Other tests of the suite, such as those of
+the commands, are left out.
 
 ``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
 """
@@ -169,11 +169,10 @@ def function_at(path: str, line: int) -> int:
 
 
 def order_of(mutant: Mutant, tests: Sequence[Called]) -> list[Called]:
-    """Return the tests that may notice a mutant, the likeliest and fastest first."""
+    """Return the tests that call the changed function, all where none is known to; the fastest first."""
     line = function_at(mutant.path, mutant.line)
-    direct = {test for test in tests if any(path == mutant.path and line in (0, at) for path, at in test.functions)}
-    files = {test.file for test in direct or tests}
-    return sorted((test for test in tests if test.file in files), key=lambda test: (test not in direct, test.cpu_s))
+    direct = [test for test in tests if any(path == mutant.path and line in (0, at) for path, at in test.functions)]
+    return sorted(direct or tests, key=lambda test: test.cpu_s)
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def test_a_sample_is_reproducible_and_of_each_folder() -> None:
         ast.parse(source[: mutant.begin] + mutant.after.encode() + source[mutant.end :])
 
 
-def test_the_tests_that_call_the_changed_function_run_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_tests_that_call_the_changed_function_are_chosen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(mutation, 'REPOSITORY', tmp_path)
     (tmp_path / 'm.py').write_bytes(SOURCE)
     mutant = next(mutant for mutant in mutants_of('m.py', SOURCE) if mutant.line == 13)
@@ -73,7 +73,8 @@ def test_the_tests_that_call_the_changed_function_run_first(monkeypatch: pytest.
         Called('b.py::fast', 1.0, frozenset({('m.py', 7)})),
     )
     beside, other = Called('a.py::beside', 0.1, frozenset()), Called('c.py::other', 0.1, frozenset({('m.py', 16)}))
-    assert order_of(mutant, [beside, slow, fast, other]) == [fast, slow, beside]
+    assert order_of(mutant, [beside, slow, fast, other]) == [fast, slow]
+    assert order_of(mutant, [beside]) == [beside]
 
 
 def test_calls_of_a_test_are_those_of_the_package(tmp_path: Path) -> None:
@@ -81,15 +82,17 @@ def test_calls_of_a_test_are_those_of_the_package(tmp_path: Path) -> None:
         (tmp_path / path).symlink_to(REPOSITORY / path)
     (tmp_path / 'trainid_ros').mkdir()
     (tmp_path / 'trainid_ros' / '__init__.py').write_bytes(b'')
-    (tmp_path / 'trainid_ros' / 'm.py').write_text('\n\ndef f(): pass\n', encoding='utf-8')
+    (tmp_path / 'trainid_ros' / 'm.py').write_text('\n\ndef f(): pass\n\ndef g(): pass\n', encoding='utf-8')
     (tmp_path / 'test_m.py').write_text(
-        'import math\nfrom trainid_ros.m import f\n\ndef test_a(): f()\n\ndef test_b(): math.sin(1)\n', encoding='utf-8'
+        'import pytest\nfrom trainid_ros.m import f, g\n\n@pytest.fixture(scope="module")\ndef x(): g()\n\n'
+        'def test_a(): f()\n\ndef test_b(x): len("")\n',
+        encoding='utf-8',
     )
     out = tmp_path / 'out'
     assert failure_of(['-p', 'benchmarks.called', '--called', str(out), 'test_m.py'], tmp_path) == ''
     assert [(one.name, one.functions) for one in read_calls(out)] == [
-        ('test_m.py::test_a', frozenset({('trainid_ros/m.py', 3)})),
-        ('test_m.py::test_b', frozenset()),
+        ('test_m.py::test_a', frozenset({('trainid_ros/m.py', 3), ('trainid_ros/m.py', 5)})),
+        ('test_m.py::test_b', frozenset({('trainid_ros/m.py', 5)})),
     ]
 
 
