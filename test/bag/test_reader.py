@@ -16,6 +16,9 @@ from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -189,6 +192,20 @@ def test_progress_is_reported_while_a_file_without_an_index_is_opened(tmp_path: 
     assert len(shares) >= 7
     assert 0.8 < math.fsum(shares) <= 1.0
     assert max(shares) < 0.3
+
+
+@pytest.mark.parametrize(('count', 'reports'), [(499, 0), (500, 1), (1001, 2)])
+def test_progress_of_a_stream_is_reported_every_500_records(tmp_path: Path, count: int, reports: int) -> None:
+    file = TrainFile(Train(mass=1e5), Davis(1.5, 0.02, 0.001))
+    records = (('ato/mass', STAMP + k, MassRecord(STAMP + k, 1e5)) for k in range(count))
+    with BagReader(write(tmp_path / 'bag', records)) as reader:
+        steps = list[float]()
+        assert not [
+            event
+            for event in reader.events(SampleStream(StreamConfig(file)), steps.append)
+            if isinstance(event, Sample)
+        ]
+    assert steps == [500] * reports
 
 
 @pytest.mark.parametrize('scanned', [0.0, 0.9, 1.0])
