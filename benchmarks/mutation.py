@@ -4,8 +4,8 @@
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
 copy of the repository and tested there without compiled modules, until the first failure. All tests of the folder that
 need no ROS graph, and the golden outputs, first have to pass without a mutant; that run also notes which functions each
-test calls. Those that call the changed function then run, the fastest first. Other tests of the suite, such as those of
-the commands, are left out.
+test calls. Those that call the changed function then run, the fastest first, the slowest not at all. Other tests of the
+suite, such as those of the commands, are left out.
 
 ``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
 """
@@ -48,6 +48,8 @@ _SEED: Final = 1
 _JOBS: Final = 2
 # Parts in which the tests of a folder run without a mutant.
 _PARTS: Final = 6
+# Longer tests are left out, with the calls noted: compiled they are fast, but each survivor would run them [s].
+_MAX_TEST_S: Final = 20.0
 # Tests of a mutant that take longer count as failed: CPU time of the imports [s], and times that without a mutant [1],
 # which is about doubled by noting the calls.
 # A mutant that only waits is stopped by the clock [s].
@@ -172,7 +174,8 @@ def order_of(mutant: Mutant, tests: Sequence[Called]) -> list[Called]:
     """Return the tests that call the changed function, all where none is known to; the fastest first."""
     line = function_at(mutant.path, mutant.line)
     direct = [test for test in tests if any(path == mutant.path and line in (0, at) for path, at in test.functions)]
-    return sorted(direct or tests, key=lambda test: test.cpu_s)
+    fast = [test for test in direct or tests if test.cpu_s < _MAX_TEST_S]
+    return sorted(fast, key=lambda test: test.cpu_s)
 
 
 @contextmanager
