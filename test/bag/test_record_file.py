@@ -7,7 +7,23 @@ import struct
 from typing import TYPE_CHECKING
 
 import pytest
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
 from trainid_ros.bag.record_file import MAGIC, Record, RecordFile
 
@@ -68,3 +84,38 @@ def test_records_are_found_behind_garbage(tmp_path: Path, record: bytes, garbage
 def test_where_no_record_follows_the_search_ends_at_the_end(tmp_path: Path) -> None:
     file = opened(tmp_path / 'x.mcap', b'\xff' * 100)
     assert file.search(len(MAGIC), chunked=True) == file.end == len(MAGIC) + 100
+
+
+SHORTEST = (
+    Header('', ''),
+    Schema(data=b'', encoding='', id=1, name=''),
+    Channel(id=1, topic='', message_encoding='', metadata={}, schema_id=1),
+    MessageIndex(channel_id=1, records=[]),
+    ChunkIndex(
+        chunk_length=0, chunk_start_offset=0, compression='', compressed_size=0, message_end_time=0,
+        message_index_length=0, message_index_offsets={}, message_start_time=0, uncompressed_size=0,
+    ),
+    AttachmentIndex(offset=0, length=0, create_time=0, log_time=0, data_size=0, name='', media_type=''),
+    Statistics(
+        attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0, message_count=0,
+        message_end_time=0, message_start_time=0, metadata_count=0, schema_count=0,
+    ),
+    Metadata(metadata={}, name=''),
+    MetadataIndex(offset=0, length=0, name=''),
+    SummaryOffset(group_opcode=Opcode.SCHEMA, group_start=0, group_length=0),
+    DataEnd(data_section_crc=0),
+    Footer(summary_start=0, summary_offset_start=0, summary_crc=0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize('shortest', SHORTEST, ids=lambda record: type(record).__name__)
+def test_the_shortest_record_of_each_kind_is_one_and_a_shorter_one_is_not(tmp_path: Path, shortest: McapRecord) -> None:
+    builder = RecordBuilder()
+    shortest.write(builder)
+    content: bytes = builder.end()  # type: ignore[no-untyped-call]
+    opcode, length = struct.unpack_from('<BQ', content)
+    assert len(content) == 9 + length
+    file = opened(tmp_path / 'x.mcap', content)
+    assert file.record(len(MAGIC)) == Record(opcode, len(MAGIC) + 9, file.end)
+    cut = struct.pack('<BQ', opcode, length - 1) + content[9:-1]
+    assert opened(tmp_path / 'y.mcap', cut).record(len(MAGIC)) is None

@@ -49,7 +49,7 @@ _MIN_BYTES: Final[dict[int, int]] = {
     Opcode.MESSAGE: MESSAGE_BYTES,
     Opcode.CHUNK: 40,
     Opcode.MESSAGE_INDEX: 6,
-    Opcode.CHUNK_INDEX: 52,
+    Opcode.CHUNK_INDEX: 64,
     Opcode.ATTACHMENT: 36,
     Opcode.ATTACHMENT_INDEX: 48,
     Opcode.STATISTICS: 46,
