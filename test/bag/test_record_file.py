@@ -63,7 +63,7 @@ def test_what_cannot_be_a_chunk_is_no_record(tmp_path: Path, content: bytes) -> 
 
 @pytest.mark.parametrize(('name', 'length'), [('lz4', 40), ('lz4', 0), ('', 40)])
 def test_a_chunk_without_its_stored_size_has_no_head(tmp_path: Path, name: str, length: int) -> None:
-    """The name may be that of a compression; no other bytes follow it."""
+    """The record ends with the name of the compression, or before it."""
     head = struct.pack('<QQQII', 1, 2, 5, 0, len(name)) + name.encode()
     content = struct.pack('<BQ', Opcode.CHUNK, len(head)) + head
     start = len(MAGIC) + 9
