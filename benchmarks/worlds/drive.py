@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.worlds.conditions import draw_brake_rate, draw_gusts, draw_loads, draw_resistance
 from benchmarks.worlds.driving import HABITS, TICK
-from benchmarks.worlds.motion import STEPS_PER_TICK, Plan, simulate
+from benchmarks.worlds.motion import STEPS_PER_TICK, Motion, Plan, simulate
 from benchmarks.worlds.sensing import EPOCH_NS, Rates, Sensors, draw_map_error, draw_weighed, sense
 from benchmarks.worlds.stated import stated_dead_time, stated_file
 from benchmarks.worlds.tracks import lay_way, track_of
@@ -19,7 +19,7 @@ from benchmarks.worlds.unknowns import FIELD, draw_errors, random_of
 from benchmarks.worlds.vehicles import KINDS, draw_vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from numpy.typing import NDArray
 
@@ -49,6 +49,8 @@ def drive(
     unknowns: Collection[str] = FIELD,
     rate_hz: float | Rates = 5.0,
     duration: float | None = None,
+    motion: type[Motion] = Motion,
+    change: Callable[[Plan], Plan] | None = None,
 ) -> Drive:
     """Simulate a drive of about an hour.
 
@@ -58,6 +60,8 @@ def drive(
         unknowns: Names of the unknowns that are switched on.
         rate_hz: Messages per second of all topics but mass, or of each topic.
         duration: Time after which the next stop ends the drive [s]; about an hour if not given.
+        motion: How the train moves, to be other than usual.
+        change: Returns what is driven instead of what was drawn.
 
     Raises:
         ValueError: World or unknowns are not among the known names.
@@ -66,7 +70,8 @@ def drive(
     if world not in WORLDS:
         raise ValueError(f'world must be one of {", ".join(WORLDS)}, not {world}')
     plan = _plan(world, seed, unknowns, DURATIONS[world] if duration is None else duration)
-    log = simulate(plan, random_of(world, seed, 'driver'))
+    plan = plan if change is None else change(plan)
+    log = simulate(plan, random_of(world, seed, 'driver'), motion)
     map_error, weighed = draw_map_error(plan, world, seed), draw_weighed(plan, world, seed)
     return Drive(
         records=sense(Sensors(plan, log, weighed, map_error), _rates(rate_hz), world, seed),

@@ -150,9 +150,9 @@ class Motion:
         return rate * acted / nominal if nominal > 0.1 else rate
 
 
-def simulate(plan: Plan, rng: np.random.Generator) -> Log:
+def simulate(plan: Plan, rng: np.random.Generator, kind: type[Motion] = Motion) -> Log:
     """Drive from stop to stop until the duration is over; the train reverses at the end of the line."""
-    motion, driver = Motion(plan), Driver(plan.vehicle, plan.habits, rng)
+    motion, driver = kind(plan), Driver(plan.vehicle, plan.habits, rng)
     side, at, leg = plan.first, plan.start, 0
     motion.way = plan.ways[side].stops[at]
     dwell(motion, plan.ways[side], leg, 10.0)

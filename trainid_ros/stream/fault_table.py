@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table of the ways in which the inputs can be wrong, and of what healthy trains differ in.
+
+A row is a hypothesis: how to correct the inputs if it is true, which quantities then differ from what is usual, and
+which inputs it condemns. Those decide which estimators must wait. :mod:`input_check` scores all rows alike; a new kind
+of fault is a new row here and a case in its test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from trainid_ros.train.forces import G
+
+
+class Input(Enum):
+    """An input as it is called in sentences."""
+
+    SPEED = 'ato/speed'
+    POSITION = 'the position in ato/speed'
+    FORCE = 'ato/force'
+    COMMAND = 'ato/brake_command'
+    GRADIENT = 'ato/gradient'
+    LINE = 'line.gradient of the train file'
+    BRAKE = 'brake.delay of the train file'
+
+
+NOTHING: Final[frozenset[Input]] = frozenset()
+RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.GRADIENT})
+"""Inputs of resistance and speed model: while one of them is condemned, neither learns."""
+BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKE})
+"""Inputs of the brake rate. No estimator depends on position or line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """A quantity in which healthy trains differ."""
+
+    mean: float  # What is usual, in the unit of the quantity
+    std: float  # Standard deviation over trains and time
+    time_s: float  # Time in which it varies [s]
+
+
+# Places of the quantities in a filter, after the speed.
+V: Final = 0
+OFFSET: Final = 1
+WIND: Final = 2
+GAIN: Final = 3
+BRAKE: Final = 4
+FORCE_LATE: Final = 5
+BRAKE_LATE: Final = 6
+
+USUAL: Final = (
+    Usual(0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
+    Usual(0.0, 0.4, 120.0),  # Share of it that is added [1]: head wind of 10 m/s, errors of the train file
+    Usual(1.0, 0.07, 600.0),  # Traction over reported force [1]: mass and force are each 5 % off
+    Usual(1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
+    Usual(0.1, 0.12, 600.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
+    Usual(0.0, 0.25, 300.0),  # Share of dead time and lag by which the brake acts later than stated [1]
+)
+"""What is usual, in the order of the places from ``OFFSET`` on."""
+WHEEL: Final = Usual(0.0, 0.01, 3000.0)
+"""Measured over true speed, minus one [1]: wear of a wheel between two turnings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A hypothesis: corrections of the inputs, and what is then unusual."""
+
+    sentence: str  # What is wrong; in braces the size as estimated
+    condemns: frozenset[Input]  # What it says must not be used
+    force: float = 1.0  # Factors that correct force, command, gradient and speed [1]
+    command: float = 1.0
+    gradient: float = 1.0
+    speed: float = 1.0
+    late: Input | None = None  # The input that comes too late
+    late_s: float = 0.0  # By so much [s]
+    early: bool = False  # True if it comes too early instead
+    ignores: frozenset[Input] = NOTHING  # Inputs that follow nothing
+    unusual: tuple[tuple[int, float, float], ...] = ()  # Places, means and standard deviations instead of the usual
+    wheel_std: float = WHEEL.std  # Standard deviation of the wheel instead of the usual [1]
+
+    @property
+    def holds_resistance(self) -> bool:
+        """True if resistance and speed model must wait."""
+        return not self.condemns.isdisjoint(RESISTANCE_USES)
+
+    @property
+    def holds_brake_rate(self) -> bool:
+        """True if the brake rate must wait."""
+        return not self.condemns.isdisjoint(BRAKE_RATE_USES)
+
+    @property
+    def is_of_brake(self) -> bool:
+        """True if only the brake shows it: it is scored by applications of the brake, not by blocks."""
+        return self.condemns <= {Input.COMMAND, Input.BRAKE} and bool(self.condemns)
+
+    @property
+    def has_speed(self) -> bool:
+        """True if it says something about speed over position."""
+        return self.speed != 1.0 or self.wheel_std != WHEEL.std
+
+
+# Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
+_LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
+_KMH: Final = 3.6
+_MPH: Final = 2.236936
+_LBF: Final = 4.448222  # [N]
+
+
+def _late(what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False) -> tuple[Row, ...]:
+    return tuple(Row(f'{sentence} by about {s:.1f} s', frozenset({what}), late=what, late_s=s, early=early)
+                 for s in delays)  # fmt: skip
+
+
+def _only(*inputs: Input) -> frozenset[Input]:
+    return frozenset(inputs)
+
+
+_FOLLOWS: Final = 'the train follows {gain:.2g} times it'
+
+TABLE: Final[tuple[Row, ...]] = (
+    Row('', NOTHING),
+    Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / _KMH),
+    Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
+    Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
+    Row('ato/speed is stuck or follows nothing', _only(Input.SPEED), ignores=_only(Input.SPEED)),
+    Row('ato/speed and its position are stuck', _only(Input.SPEED, Input.POSITION),
+        ignores=_only(Input.SPEED, Input.POSITION)),
+    Row('the position in ato/speed follows nothing', _only(Input.POSITION), ignores=_only(Input.POSITION)),
+    Row('ato/force is in kN', _only(Input.FORCE), force=1e3),
+    Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF),
+    Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0),
+    Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
+    Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=1.35, unusual=((GAIN, 1.0, 0.1),)),
+    Row(f'ato/force is too large: {_FOLLOWS}', _only(Input.FORCE), force=0.5, unusual=((GAIN, 1.0, 0.2),)),
+    Row(f'ato/force is too large: {_FOLLOWS}', _only(Input.FORCE), force=0.75, unusual=((GAIN, 1.0, 0.1),)),
+    Row('ato/force or ato/gradient is off by {offset:+.0f} N/kN', _only(Input.FORCE, Input.GRADIENT),
+        unusual=((OFFSET, 0.0, 12.0),)),
+    Row('ato/force is stuck or follows nothing', _only(Input.FORCE), ignores=_only(Input.FORCE)),
+    *_late(Input.FORCE, 'ato/force is late', _LATE_S),
+    *_late(Input.FORCE, 'ato/force is early', _LATE_S[1:3], early=True),
+    *_late(Input.SPEED, 'ato/speed is late', _LATE_S),
+    Row('ato/brake_command is in g', _only(Input.COMMAND), command=G),
+    Row('ato/brake_command is too small by 2', _only(Input.COMMAND), command=2.0),
+    Row('ato/brake_command is too small by 4', _only(Input.COMMAND), command=4.0),
+    Row('ato/brake_command is too large by 2', _only(Input.COMMAND), command=0.5),
+    Row('ato/brake_command is too large by 3', _only(Input.COMMAND), command=0.3),
+    Row('ato/brake_command is stuck or follows nothing', _only(Input.COMMAND), ignores=_only(Input.COMMAND)),
+    *_late(Input.COMMAND, 'ato/brake_command is late', _LATE_S[1:]),
+    *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[1:]),
+    Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0),
+    Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0),
+    Row('ato/gradient does not fit the line', _only(Input.GRADIENT), ignores=_only(Input.GRADIENT)),
+    Row('line.gradient of the train file does not fit ato/gradient', _only(Input.LINE), ignores=_only(Input.LINE)),
+)
+"""All hypotheses; the first one is that all is well."""

@@ -1,0 +1,885 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One check of all inputs against each other: which row of the table of faults explains them best.
+
+Samples become blocks of at least half a second. Each row of :data:`~trainid_ros.stream.fault_table.TABLE` corrects the
+inputs as it says, and one and the same Kalman filter predicts the next block from them. With specific forces [N/kN],
+m = 1000 (1 + gamma)/g0, F the reported force, B the brake command after exact dead time and lag as a force, r the brake
+rate and (a, b, c) the resistance of the train file, i gradient and effects:
+
+    (1)  m dv/dt = gain (T + force_late dT/dt) + brake r (B - brake_late (delay + lag) dB/dt)
+                   - i - (1 + wind) (a + b v + c v^2) - offset + noise,      T = F - B
+    (2)  distance by position = distance by speed / (1 + wheel) + noise
+
+Traction and brake act together: power braking, and dynamic braking without a command, are no exceptions. The states
+[v, offset, wind, gain, brake, force_late, brake_late] and the wheel return to what is usual, and stop at ``_RANGE``
+standard deviations of it, so that no row explains everything away. A block has four scores [nats]: of speed and
+position by Student's t, of the reported force against B, of the gradient against the line.
+
+One row is accepted, at first that all is well. For each other row
+
+    (3)  S = sum of log likelihoods of its blocks - the same of the accepted row,
+
+from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
+ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``: accepted, a finding.
+S of the first row > ``_CLEAR``: all is well again. Rows about the brake are scored by applications of the brake, since
+the errors within one are the same.
+
+A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from trainid_ros.interface.scalars import is_finite
+from trainid_ros.interface.state import State, declare, definite, several, stored, unknown
+from trainid_ros.interface.vectors import i64, vec
+from trainid_ros.stream.fault_table import (
+    BRAKE,
+    BRAKE_LATE,
+    FORCE_LATE,
+    GAIN,
+    NOTHING,
+    OFFSET,
+    TABLE,
+    USUAL,
+    WHEEL,
+    WIND,
+    Input,
+    Row,
+    V,
+)
+from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.forces import BrakeActuator
+from trainid_ros.train.line import LineProfile
+
+_STATES: Final[i64] = 7  # number of states
+_WIND_WIND: Final = 13  # place of the variance of the wind in the upper triangle of a covariance
+_GAIN_GAIN: Final = 18  # that of the gain
+
+# Decision
+
+_SUSPECT: Final = 6.0  # nats: exp(-6) = 1/400
+_FIND: Final = 14.0  # nats: 1e-6 for each fresh start, of which there are some 1e4 a day
+_CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked for
+_FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so more is asked for
+_LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
+_LEAD_S: Final = 10.0  # s ... but for at most this time
+_GIVE_UP: Final = -3.0  # nats: a row that is this improbable starts afresh
+_APPLICATION: Final = 6.0  # nats: the most that one application of the brake counts, so that it takes three
+_START: Final = -0.5  # nats: a block that the accepted row explains worse starts the others
+_HOPELESS_S: Final = 30.0  # s after which a row that has gained less than one nat starts afresh
+
+# Scores
+
+_ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
+_BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
+_FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
+_STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
+_NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
+_SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
+_SLIP_S: Final = 2.5  # s: ... it has not lasted longer, and ...
+_SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
+_SLIP_SHARE: Final = 0.25  # s by which that time falls per second without slip: wheels do not slip for ever
+_LOST_S: Final = 5.0  # s of odd speeds after which the accepted row takes the speed as measured
+_BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
+_GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
+_PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
+_GRADIENTS: Final = 40.0  # per mille: range of all gradients
+
+# Blocks
+
+_BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
+_GAP_S: Final = 1.6  # s: samples further apart are no neighbours
+_MIN_SPEED: Final = 1.0  # m/s: slower trains stand, or stop with a jerk
+_KEPT: Final = 8  # blocks kept: the longest delay, and the one before
+_PLACE_M: Final = 30.0  # m: error of the place on the line ...
+_PLACE_SHARE: Final = 0.006  # ... and its share of the distance driven, by worn wheels
+_PLACES_TRIED: Final = 8  # places in which the line is looked up on either side
+_SAME_GRADIENT: Final = 0.5  # per mille: a smaller error is not looked into
+_NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
+
+# Noise
+
+_SPEED_STD: Final = 0.02  # m/s: least noise of a speed
+_FORCE_STD: Final = 0.6  # N/kN, white: ripple of the resistance within a block
+_SLACK: Final = 4.0  # N/kN: jerks of couplers and of the friction brake of a train that hardly moves ...
+_SLACK_SPEED: Final = 4.0  # m/s: ... slower than this
+_TRACTION_SHARE: Final = 0.03  # share of the traction, white: ripple within a block
+_BRAKE_SHARE: Final = 0.10  # the same of the brake
+_OVERLAP_SHARE: Final = 0.1  # share of traction beside a brake, which is the difference of two forces
+_JITTER_S: Final = 0.12  # s: error of the times of a force that changes
+_TIMING_SHARE: Final = 0.2  # share of dead time and lag: the same of a brake that changes
+_ANY_FORCE: Final = 40.0  # N/kN: traction that is not known
+_POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
+_MIN_POSITION_STD: Final = 0.1  # m: least such noise
+_POSITION_LAG: Final = 0.1  # s by which position and speed are apart
+_DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
+_LEAP: Final = 50.0  # m: a position that is this far off is another place of the line
+_BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
+_REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
+_REPORTED_SHARE: Final = 0.25  # ... and its share of that force
+_RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
+_GRADIENT_STD: Final = 0.6  # per mille: gradient of the topic against that of the line ...
+_GRADIENT_SHARE: Final = 0.15  # ... and its share
+
+# What is usual, and how far a row may depart from it
+
+_RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
+_LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
+_TUNNEL_WIND: Final = 1.0  # std of the wind in a tunnel, as a share of the resistance [1]
+_BOARDING: Final = 0.05  # share of the mass by which it may change at a stop, if it is not weighed ...
+_BOARDING_S: Final = 30.0  # s ... in this time
+_LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: a memory of 100 blocks
+_CAPPED_MEAN: Final = 0.51606  # E min(z^2, 1) of a standard normal z: Huber's proposal 2
+
+MOVING: Final = 0
+"""State of a block: the train moves, and all inputs are known."""
+STANDING: Final = 1
+"""It stands."""
+UNKNOWN: Final = 2
+"""Nothing can be compared."""
+
+
+@dataclass(slots=True)
+class Block:
+    """The inputs over about half a second."""
+
+    seconds: float = 0.0  # Its length [s]
+    state: int = UNKNOWN  # What can be compared
+    speed: float = 0.0  # Speed at its end [m/s]
+    variance: float = 0.0  # Variance of that [(m/s)^2]
+    by_speed: float = 0.0  # Distance by speed [m]
+    by_position: float = stored(0.0, may_be_nan=True)  # Distance by position [m], NaN if unknown
+    force: float = 0.0  # Mean reported force F [N/kN]
+    force_step: float = 0.0  # Its change over the block [N/kN]
+    brake: float = 0.0  # Mean force B of a nominal brake [N/kN, <= 0]
+    brake_step: float = 0.0  # Its change over the block [N/kN]
+    rate: float = 1.0  # Brake rate of the train file [1]
+    gradient: float = 0.0  # Mean gradient of the topic [per mille]
+    line: float = math.nan  # Gradient of the line at its end [per mille], NaN if unknown
+    least: float = math.nan  # Least gradient of the line nearby [per mille]
+    most: float = math.nan  # Greatest one
+    extra: float = 0.0  # Resistance of the effects of the train file [N/kN]
+    tunnel: bool = False  # Whether it ends in a tunnel
+    is_frozen: bool = False  # Whether the speed is exactly that of the block before
+
+
+class Prior:
+    """A row of the table as numbers: what its filter assumes.
+
+    Attributes:
+        row: The row.
+        mean: Usual values of the states, shape (7,); that of v is not used.
+        std: Their standard deviations, shape (7,).
+        own: 1 where it has its own opinion of a state, else 0, shape (7,).
+    """
+
+    def __init__(self, row: Row) -> None:
+        self.row = row
+        self.mean = vec[float]([0.0] + [usual.mean for usual in USUAL])
+        self.std = vec[float]([0.0] + [usual.std for usual in USUAL])
+        self.own = vec[float]([0.0] * _STATES)
+        for place, mean, std in row.unusual:
+            self.mean[place], self.std[place], self.own[place] = mean, std, 1.0
+        for place, is_own in (
+            (GAIN, row.force != 1.0),
+            (BRAKE, row.command != 1.0),
+            (FORCE_LATE, row.late in {Input.FORCE, Input.SPEED}),
+            (BRAKE_LATE, row.late in {Input.COMMAND, Input.BRAKE}),
+        ):
+            if is_own:
+                self.own[place] = 1.0
+        self.ignores_speed = Input.SPEED in row.ignores
+        self.ignores_position = Input.POSITION in row.ignores
+        self.ignores_force = Input.FORCE in row.ignores
+        self.ignores_command = Input.COMMAND in row.ignores
+        self.ignores_gradient = Input.GRADIENT in row.ignores
+        self.ignores_line = Input.LINE in row.ignores
+        # Inputs that are read from an earlier block: all but the late one, or the early one alone.
+        late, others = row.late, row.late is not None and not row.early and row.late is not Input.BRAKE
+        self.delays_speed = others and late is not Input.SPEED
+        self.delays_force = (others and late is not Input.FORCE) or row.early
+        self.delays_command = others and late is not Input.COMMAND
+        self.delays_brake = self.delays_command or late is Input.BRAKE
+        self.delays_gradient = others
+        self.is_of_brake, self.has_speed = row.is_of_brake, row.has_speed
+        self.asks_more = self.ignores_speed or self.ignores_position or self.ignores_force or self.ignores_command
+
+
+_PRIORS: Final = [Prior(row) for row in TABLE]
+
+
+class Train:
+    """What the filters must know of the train.
+
+    Attributes:
+        inertia: m of (1) [N/kN per m/s^2].
+        a: Coefficients of its resistance [N/kN, v in m/s].
+        b: ...
+        c: ...
+        timing: Dead time and lag of its brake [s].
+    """
+
+    def __init__(self, known: KnownForce) -> None:
+        resistance, brake = known.train_file.resistance, known.train_file.brake
+        self.inertia = known.inertia
+        self.a, self.b, self.c = resistance.a, resistance.b, resistance.c
+        self.timing = brake.delay + brake.time_constant
+
+
+def student_t(z2: float, spread: float) -> tuple[float, float]:
+    """Return log likelihood [nats] and weight of a residual by Student's t.
+
+    Args:
+        z2: Its square over its variance [1].
+        spread: That variance over the one of the measurement alone [1].
+    """
+    score = -0.5 * (_NU + 1.0) * math.log(1.0 + z2 / _NU) - 0.5 * math.log(spread)
+    return max(score, -_ODD), min((_NU + 1.0) / (_NU + z2), 1.0)
+
+
+class Trial:
+    """One row of the table with its filter.
+
+    Attributes:
+        row: Place of the row.
+        shift: Blocks by which the inputs of the row are apart.
+        x: Mean of the states, shape (7,).
+        P: Upper triangle of their covariance, row by row, 28 numbers.
+        centre: Values to which they return, shape (7,).
+        wheel: Mean of the wheel [1].
+        wheel_var: Its variance.
+        wheel_centre: Value to which it returns [1].
+        scores: Log likelihoods of the last blocks by their number, NaN where there is none [nats].
+        total: S against the accepted row [nats], without ...
+        part: ... that of the present application of the brake.
+        age_s: Time since its fresh start [s].
+        odd_s: Time for which the speed has been odd [s].
+    """
+
+    STATE: ClassVar[State] = declare(
+        'row', 'shift', 'x', definite('P'), 'centre', 'wheel', 'wheel_var', 'wheel_centre', unknown('scores'), 'total',
+        'part', 'age_s', 'odd_s',
+    )  # fmt: skip
+
+    def __init__(self, row: int) -> None:
+        self.row, self.shift = row, 0
+        self.centre = _PRIORS[row].mean[:]
+        self.x = self.centre[:]
+        self.P = vec[float]([0.0] * (_STATES * (_STATES + 1) // 2))
+        self.wheel = self.wheel_centre = 0.0
+        self.wheel_var = WHEEL.std * WHEEL.std
+        self.scores = vec[float]([math.nan] * _KEPT)
+        self.total = self.part = self.age_s = self.odd_s = 0.0
+        self._f = vec[float]([0.0] * _STATES)
+        self._row = vec[float]([0.0] * _STATES)
+
+    @property
+    def sum(self) -> float:
+        """S of (3) [nats]."""
+        return self.total + min(self.part, _APPLICATION)
+
+    def start(self, other: Trial, shift: int) -> None:
+        """Start afresh from what another row knows, but for what either of the two has its own opinion of."""
+        prior, theirs = _PRIORS[self.row], _PRIORS[other.row]
+        self.shift = shift
+        k: i64 = 0
+        for i in range(_STATES):
+            is_mine = prior.own[i] + theirs.own[i] > 0.0
+            self.x[i] = prior.mean[i] if is_mine else other.x[i]
+            self.centre[i] = prior.mean[i]
+            for j in range(i, _STATES):
+                if is_mine or prior.own[j] + theirs.own[j] > 0.0:
+                    self.P[k] = prior.std[i] * prior.std[i] if i == j else 0.0
+                else:
+                    self.P[k] = other.P[k]
+                k += 1
+        is_mine = prior.has_speed or theirs.has_speed
+        std = prior.row.wheel_std
+        self.wheel, self.wheel_var = (0.0, std * std) if is_mine else (other.wheel, other.wheel_var)
+        self.wheel_centre = 0.0
+        for n in range(_KEPT):
+            self.scores[n] = math.nan
+        self.total = self.part = self.age_s = self.odd_s = 0.0
+
+    def copy(self, other: Trial) -> None:
+        """Take over the estimate of the same row."""
+        for i in range(_STATES):
+            self.x[i] = other.x[i]
+        for k in range(len(self.P)):
+            self.P[k] = other.P[k]
+        self.row, self.shift, self.wheel, self.wheel_var = other.row, other.shift, other.wheel, other.wheel_var
+
+    def measure(self, speed: float, variance: float) -> None:
+        """Take the speed [m/s] as measured, with its variance; keep the parameters."""
+        self.x[V], self.P[V] = speed, variance
+        for j in range(1, _STATES):
+            self.P[j] = 0.0
+
+    def predict(self, train: Train, block: Block, forces: Forces, decay: vec[float], *, accepted: bool) -> None:
+        """Predict to the end of a block by (1)."""
+        x, P, f, fP, prior, dt = self.x, self.P, self._f, self._row, _PRIORS[self.row], block.seconds
+        self._relax(prior, block, decay, accepted=accepted)
+        v, h = x[V], dt / train.inertia
+        w = train.a + v * (train.b + v * train.c)
+        pull = forces.traction + x[FORCE_LATE] * forces.traction_rate
+        slow = forces.brake - x[BRAKE_LATE] * train.timing * forces.brake_rate
+        change = h * (x[GAIN] * pull + x[BRAKE] * slow - forces.track - (1.0 + x[WIND]) * w - x[OFFSET])
+        x[V] = max(v + change, 0.0)
+        # Row v of the Jacobian.
+        f[V] = 1.0 - h * (1.0 + x[WIND]) * (train.b + 2.0 * train.c * v)
+        f[OFFSET], f[WIND], f[GAIN], f[BRAKE] = -h, -h * w, h * pull, h * slow
+        f[FORCE_LATE] = h * x[GAIN] * forces.traction_rate
+        f[BRAKE_LATE] = -h * x[BRAKE] * train.timing * forces.brake_rate
+        # P = F P F' + Q, where F is 1 but for its row f of v.
+        for i in range(_STATES):
+            fP[i] = 0.0
+        k: i64 = 0
+        for i in range(_STATES):
+            f_i, sum_i = f[i], fP[i] + f[i] * P[k]
+            k += 1
+            for j in range(i + 1, _STATES):
+                p = P[k]
+                sum_i += f[j] * p
+                fP[j] += f_i * p
+                k += 1
+            fP[i] = sum_i
+        variance = h * h * forces.variance
+        for j in range(_STATES):
+            variance += fP[j] * f[j]
+            P[j] = fP[j]
+        P[V] = variance
+
+    def _relax(self, prior: Prior, block: Block, decay: vec[float], *, accepted: bool) -> None:
+        """Let the parameters return to what is usual; a fault, once found, keeps its size."""
+        x, P, std, own, centre = self.x, self.P, prior.std, prior.own, self.centre
+        lasting, d = decay[V], self._f
+        d[V] = 1.0
+        for i in range(1, _STATES):
+            is_own = own[i] > 0.0
+            d[i] = lasting if is_own else decay[i]
+            if is_own and accepted and self.row > 0:
+                centre[i] += (1.0 - lasting) * (x[i] - centre[i])
+            x[i] = centre[i] + d[i] * (x[i] - centre[i])
+        k: i64 = 0
+        for i in range(_STATES):
+            s = std[i]
+            if own[i] > 0.0 and accepted:
+                s = min(s, _PRIORS[0].std[i])
+            elif i == WIND and block.tunnel:
+                s = _TUNNEL_WIND
+            P[k] = d[i] * d[i] * P[k] + (1.0 - d[i] * d[i]) * s * s
+            k += 1
+            for j in range(i + 1, _STATES):
+                P[k] *= d[i] * d[j]
+                k += 1
+        if block.tunnel:
+            P[_WIND_WIND] = max(P[_WIND_WIND], _TUNNEL_WIND * _TUNNEL_WIND)
+
+    def correct(self, speed: float, R: float, most: float = math.inf) -> float:
+        """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
+
+        Where it differs by more than ``most`` [m/s] wheels slip, and nothing is corrected.
+        """
+        x, P, column = self.x, self.P, self._row
+        S, nu = P[V] + R, speed - x[V]
+        score, weight = student_t(nu * nu / S, S / R)
+        if abs(nu) > most:
+            return score
+        # K = P e_v / (P_vv + R / weight);  x += K nu;  P -= K e_v' P
+        gain = 1.0 / (P[V] + R / weight)
+        for j in range(_STATES):
+            column[j] = P[j]
+        k: i64 = 0
+        for i in range(_STATES):
+            K = gain * column[i]
+            x[i] += K * nu
+            for j in range(i, _STATES):
+                P[k] -= K * column[j]
+                k += 1
+        return score
+
+    def limit(self, tunnel: bool, *, accepted: bool) -> None:
+        """Keep the parameters where healthy trains, or those with the fault, have them."""
+        prior = _PRIORS[self.row]
+        for i in range(1, _STATES):
+            if accepted and prior.own[i] > 0.0:
+                continue
+            most = _RANGE * (_TUNNEL_WIND if i == WIND and tunnel else prior.std[i])
+            self.x[i] = min(max(self.x[i], prior.mean[i] - most), prior.mean[i] + most)
+
+    def compare_distances(self, block: Block, learned: float, *, accepted: bool) -> float:
+        """Correct the wheel with the distance by position, by (2); return its log likelihood [nats]."""
+        prior, std = _PRIORS[self.row], _PRIORS[self.row].row.wheel_std
+        by_speed = prior.row.speed * block.by_speed
+        # First-order Gauss-Markov process about the centre.
+        time_s = _LASTING_S if prior.has_speed else WHEEL.time_s
+        share = block.seconds / time_s
+        if accepted and prior.has_speed:
+            self.wheel_centre += share * (self.wheel - self.wheel_centre)
+            std = min(std, WHEEL.std)
+        self.wheel += share * (self.wheel_centre - self.wheel)
+        self.wheel_var += 2.0 * share * (std * std - self.wheel_var)
+        R = position_variance(block, learned)
+        nu, H = block.by_position - by_speed / (1.0 + self.wheel), -by_speed
+        S = R + H * H * self.wheel_var
+        score, weight = student_t(nu * nu / S, S / R)
+        K = H * self.wheel_var / (H * H * self.wheel_var + R / weight)
+        self.wheel += K * nu
+        self.wheel_var -= K * H * self.wheel_var
+        if not (accepted and prior.has_speed):
+            most = _RANGE * prior.row.wheel_std
+            self.wheel = min(max(self.wheel, -most), most)
+        return score
+
+
+def position_variance(block: Block, learned: float) -> float:
+    """Return the variance of the distance by position over a block [m^2]."""
+    lag = _POSITION_LAG * block.speed * 0.1
+    drift = _DISTANCE_SHARE * block.by_speed
+    return max(learned, _MIN_POSITION_STD * _MIN_POSITION_STD) + lag * lag + drift * drift
+
+
+def _blank() -> Trial:
+    """Return a trial to be restored."""
+    return Trial(0)
+
+
+class Forces:
+    """The inputs of one block as a row corrects them, as forces [N/kN] and their rates [N/kN/s].
+
+    Attributes:
+        traction: T of (1).
+        traction_rate: Its rate.
+        brake: r B.
+        brake_rate: Its rate.
+        track: i and effects.
+        variance: Variance of the white noise of all [(N/kN)^2].
+        mismatch: Reported force less that of the brake, NaN where they are not compared.
+    """
+
+    def __init__(self) -> None:
+        self.traction = self.traction_rate = self.brake = self.brake_rate = self.track = self.variance = 0.0
+        self.mismatch = math.nan
+
+    def correct(self, prior: Prior, timing: float, at: Block, force: Block, command: Block, brake: Block) -> None:
+        """Correct force, command and the action of the brake, each from its own block; ``timing``: delay + lag [s]."""
+        row = prior.row
+        F, dF = row.force * force.force, row.force * force.force_step / force.seconds
+        scale = 0.0 if prior.ignores_command else row.command
+        B, dB = scale * command.brake, scale * command.brake_step / command.seconds
+        act, act_rate = scale * brake.brake, scale * brake.brake_step / brake.seconds
+        T, dT = F - B, dF - dB
+        is_braked = command.brake < -_BRAKES
+        self.mismatch = math.nan
+        if is_braked and command.brake_step < _RELEASING * abs(command.brake) * command.seconds:
+            std = _REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB)
+            self.mismatch = T / std
+        # No row may seem sharper because it makes an input small.
+        effort = max(max(abs(act), abs(brake.brake)), -T)
+        effort_rate = max(abs(act_rate), abs(brake.brake_step) / brake.seconds)
+        slack = _SLACK * max(1.0 - at.speed / _SLACK_SPEED, 0.0)
+        jitter, brake_jitter = _JITTER_S * dT, (2.0 * _JITTER_S + _TIMING_SHARE * timing) * effort_rate
+        share = _BRAKE_SHARE * effort
+        q = _FORCE_STD * _FORCE_STD + slack * slack + share * share + jitter * jitter + brake_jitter * brake_jitter
+        if prior.ignores_force:
+            T = dT = 0.0
+            q += _ANY_FORCE * _ANY_FORCE * (0.04 if is_braked else 1.0)
+        pull, overlap = _TRACTION_SHARE * max(T, force.force), _OVERLAP_SHARE * min(abs(T), abs(B))
+        self.traction, self.traction_rate, self.variance = T, dT, q + pull * pull + overlap * overlap
+        self.brake, self.brake_rate = brake.rate * act, brake.rate * act_rate
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the check says."""
+
+    finding: str = ''  # What is wrong, empty if all is well
+    suspicion: str = ''  # What may be wrong, empty if nothing is suspected
+    condemned: frozenset[Input] = NOTHING  # Inputs that must not be used
+    suspected: frozenset[Input] = NOTHING  # Inputs of which nothing learned may be trusted
+
+
+class InputCheck:
+    """Check the inputs sample by sample.
+
+    Attributes:
+        verdict: What it says after the last sample.
+    """
+
+    STATE: ClassVar[State] = declare(
+        several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
+        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_accepted',
+        several('_others', _blank), '_waited_s', '_is_weighed', '_driven', 'verdict',
+    )  # fmt: skip
+
+    def __init__(self, known: KnownForce) -> None:
+        brake, line = known.train_file.brake, known.train_file.line
+        self._known = known
+        self._train = Train(known)
+        self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
+        self._forces = Forces()
+        self._decay = vec[float]([0.0] * _STATES)
+        self._decay_s = 0.0
+        self._spare = [Trial(row) for row in range(len(TABLE))]
+        self._before = Trial(0)
+        self._blocks = [Block() for _ in range(_KEPT)]
+        self._filling = Block()
+        self._count = 0  # Number of full blocks
+        self._actuator = BrakeActuator(brake)
+        self._noise = SpeedNoise.declared(_SPEED_STD, robust=True)
+        self._stamp_ns, self._direction = 0, 1
+        self._speed = self._position = self._force = math.nan
+        self._brake = 0.0
+        # Time for which speed, position and force have not changed [s].
+        self._still = vec[float]([0.0, 0.0, 0.0])
+        self._position_var = _POSITION_STD * _POSITION_STD
+        self._accepted = Trial(0)
+        for i in range(1, _STATES):
+            std = _PRIORS[0].std[i]
+            self._accepted.P[_diagonal(i)] = std * std
+        self._others = list[Trial]()
+        self._waited_s = 0.0
+        self._is_weighed = False
+        self._driven = 0.0  # Distance driven [m]
+        self._slips = False  # Whether the wheels seem to slip or slide in the last block
+        self.verdict = Verdict()
+
+    def take(self, sample: Sample) -> Verdict:
+        """Take in a sample; return what is found and suspected after it."""
+        self._noise.add(sample.speed, sample.dt)
+        impulse = self._follow_brake(sample)
+        if self._add(sample, impulse):
+            self._close(sample)
+            self._judge()
+        return self.verdict
+
+    # Blocks
+
+    def _follow_brake(self, sample: Sample) -> float:
+        """Return the impulse of a nominal brake since the last sample [N/kN s]."""
+        actuator, start_ns = self._actuator, self._stamp_ns
+        self._stamp_ns = sample.stamp_ns
+        actuator.commands.follow(sample.brake_changes)
+        if not 0 < start_ns <= sample.stamp_ns:
+            return 0.0
+        changes = actuator.commands.changes
+        is_released = not changes or (len(changes) == 1 and changes[0].target_acceleration == 0.0)
+        if is_released and actuator.output > -_NEAR_ZERO:
+            actuator.output = 0.0
+            return 0.0
+        return actuator.advance(start_ns, sample.stamp_ns) * self._known.inertia
+
+    def _add(self, sample: Sample, impulse: float) -> bool:
+        """Add a sample to the block that is being filled; return whether it is full."""
+        block, dt, known = self._filling, sample.dt, self._known
+        before, position, direction = self._speed, self._position, self._direction
+        self._speed, self._position, self._direction = sample.speed, sample.position, sample.direction
+        is_known = 0.0 < dt < _GAP_S and sample.direction == direction and not (sample.emergency or sample.brake_gap)
+        if not (is_known and is_finite(sample.force_mean) and is_finite(sample.gradient_mean)
+                and is_finite(before) and is_finite(sample.brake_command)):  # fmt: skip
+            block.state = UNKNOWN
+            return True
+        extra = known.track(sample) - sample.gradient_mean
+        block.seconds += dt
+        block.by_speed += 0.5 * (before + sample.speed) * dt
+        block.by_position += sample.direction * (sample.position - position)
+        block.force += known.traction(sample.force_mean, sample) * dt
+        block.brake += impulse
+        block.gradient += sample.gradient_mean * dt
+        block.extra += extra * dt
+        return block.seconds >= _BLOCK_S
+
+    def _close(self, sample: Sample) -> None:
+        """Complete the block; its place is taken by the oldest one."""
+        block, known = self._filling, self._known
+        force, brake = known.traction(sample.force, sample), known.inertia * self._actuator.output
+        last = self._block(0)
+        if block.seconds > 0.0:
+            seconds = block.seconds
+            block.force, block.brake = block.force / seconds, block.brake / seconds
+            block.gradient, block.extra = block.gradient / seconds, block.extra / seconds
+            block.force_step = force - self._force if is_finite(self._force) else 0.0
+            block.brake_step = brake - self._brake
+            self._count_still(block, last)
+        quantum = self._noise.quantum
+        block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
+        block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + quantum * quantum / 6.0
+        block.tunnel = sample.tunnel
+        block.rate = 1.0
+        if brake < 0.0 or block.brake < 0.0:
+            block.rate = known.train_file.brake.rate_at(sample.speed) * known.brake_share(sample)
+        self._look_up(block, sample)
+        if block.state != UNKNOWN or block.seconds > 0.0:
+            block.state = self._state(block, force)
+        self._force, self._brake, self._is_weighed = force, brake, sample.weighed
+        self._count += 1
+        self._filling = self._blocks[self._count % _KEPT]
+        self._blocks[self._count % _KEPT] = block
+        _empty(self._filling)
+
+    def _state(self, block: Block, force: float) -> int:
+        """Return what can be compared in a full block."""
+        if block.seconds < _BLOCK_S or not is_finite(force):
+            return UNKNOWN
+        is_driven = is_finite(block.by_position) and abs(block.by_position) > 0.3 * _MIN_SPEED * block.seconds
+        return MOVING if block.speed >= _MIN_SPEED or is_driven else STANDING
+
+    def _count_still(self, block: Block, last: Block) -> None:
+        """Count for how long speed, position and force have not changed."""
+        still, seconds = self._still, block.seconds
+        still[0] = still[0] + seconds if self._speed == last.speed else 0.0
+        still[1] = still[1] + seconds if block.by_position == 0.0 else 0.0
+        still[2] = still[2] + seconds if block.force == last.force else 0.0
+
+    def _look_up(self, block: Block, sample: Sample) -> None:
+        """Look up the line where the block ends and, where the topic differs, in all places where that may be."""
+        line, here, direction = self._line, sample.position, sample.direction
+        block.line = block.least = block.most = math.nan
+        self._driven += max(block.by_speed, 0.0)
+        if line is None or not line.first <= here <= line.last:
+            return
+        block.line = block.least = block.most = line.gradient(here, direction)
+        block.tunnel = block.tunnel or line.tunnel(here, direction)
+        if abs(block.gradient - block.line) < _SAME_GRADIENT:
+            return
+        off = _PLACE_M + _PLACE_SHARE * self._driven
+        for k in range(1, _PLACES_TRIED + 1):
+            for share in (k / _PLACES_TRIED, -k / _PLACES_TRIED):
+                near = line.gradient(here + share * off, direction)
+                block.least, block.most = min(block.least, near), max(block.most, near)
+            if block.least <= block.gradient <= block.most:
+                return
+
+    def _block(self, back: int) -> Block:
+        """Return a block by how far it is back; 0 is the last one."""
+        return self._blocks[(self._count - back) % _KEPT]
+
+    # Scores
+
+    def _judge(self) -> None:
+        """Score the last block by the accepted row, by those that are followed, and decide."""
+        block, accepted = self._block(0), self._accepted
+        if block.seconds != self._decay_s and block.seconds > 0.0:
+            self._decay_s = block.seconds
+            self._decay[V] = math.exp(-block.seconds / _LASTING_S)
+            for i in range(1, _STATES):
+                self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
+        self._before.copy(accepted)
+        score = self._score(accepted, accepted=True)
+        for other in self._others:
+            self._score(other, accepted=False)
+        if score < _START and not self._slips:
+            self._start_others(block.seconds)
+        self._learn_position(block)
+        self._sum(block)
+        self._decide(block.seconds)
+
+    def _score(self, trial: Trial, *, accepted: bool) -> float:
+        """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
+        prior, shift, train = _PRIORS[trial.row], trial.shift, self._train
+        back = shift if prior.delays_speed else 0
+        at, before = self._block(back), self._block(back + 1)
+        force = self._block(shift if prior.delays_force else 0)
+        command = self._block(shift if prior.delays_command else 0)
+        brake = self._block(shift if prior.delays_brake else 0)
+        slope = self._block(shift if prior.delays_gradient else 0)
+        place = (self._count - back) % _KEPT
+        trial.scores[place] = math.nan
+        is_known = force.state != UNKNOWN and command.state != UNKNOWN and brake.state != UNKNOWN
+        if at.state != MOVING or before.state == UNKNOWN or not is_known or slope.state == UNKNOWN:
+            self._rest(trial, at)
+            return math.nan
+        forces, line = self._forces, at.line
+        is_lined = is_finite(line)
+        forces.correct(prior, train.timing, at, force, command, brake)
+        gradient = line if prior.ignores_gradient and is_lined else prior.row.gradient * slope.gradient
+        forces.track = gradient + slope.extra
+        was = trial.x[V]
+        effort = abs(force.force) + abs(command.brake)
+        slips = accepted and trial.odd_s < _SLIP_S and effort > _SLIPS
+        # No error of the forces changes the speed by more.
+        most = at.seconds * effort / train.inertia + 4.0 * math.sqrt(at.variance) if accepted else math.inf
+        trial.predict(train, at, forces, self._decay, accepted=accepted)
+        score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
+        if accepted:
+            is_odd = score < -0.5 * _ODD
+            self._slips = is_odd and slips
+            score = max(score, -_SLIP) if self._slips else score
+            trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
+            if is_odd and trial.odd_s > _LOST_S and abs(at.speed * prior.row.speed - trial.x[V]) > most:
+                trial.measure(at.speed * prior.row.speed, at.variance)
+        trial.limit(at.tunnel, accepted=accepted)
+        if is_finite(forces.mismatch):
+            score -= _BOTH if prior.ignores_force or prior.ignores_command else min(
+                0.5 * forces.mismatch * forces.mismatch, _BOTH)  # fmt: skip
+        if is_lined:
+            share = min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
+            is_blank = prior.ignores_gradient or prior.ignores_line
+            score -= share * (_BLANK if is_blank else _off_line(gradient, at))
+        trial.scores[place] = score
+        return score
+
+    def _score_motion(
+        self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool
+    ) -> float:
+        """Correct a row with speed and position; return the log likelihood of both [nats]."""
+        factor, has_position = prior.row.speed, is_finite(at.by_position)
+        if prior.ignores_speed:
+            score = -_FROZEN if at.is_frozen else -_BLANK
+            if prior.ignores_position:
+                return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
+            if has_position:  # the mean speed by position, half a block ago
+                R = position_variance(at, self._position_var) / (at.seconds * at.seconds)
+                score += trial.correct(at.by_position / at.seconds + 0.5 * (trial.x[V] - was), R)
+            return score
+        score = trial.correct(at.speed * factor, at.variance * factor * factor, most)
+        if not has_position:
+            return score
+        if prior.ignores_position:
+            return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
+        return score + trial.compare_distances(at, self._position_var, accepted=accepted)
+
+    def _rest(self, trial: Trial, at: Block) -> None:
+        """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
+        prior = _PRIORS[trial.row]
+        trial.measure(at.speed * prior.row.speed, at.variance * prior.row.speed * prior.row.speed)
+        if at.state == STANDING and not self._is_weighed:
+            std = max(prior.std[GAIN], _BOARDING)
+            more = _BOARDING * _BOARDING * at.seconds / _BOARDING_S
+            trial.P[_GAIN_GAIN] = min(trial.P[_GAIN_GAIN] + more, std * std)
+
+    def _start_others(self, seconds: float) -> None:
+        """Start all rows that are not followed from what the accepted one knew before the last block."""
+        others, accepted, theirs = self._others, self._accepted.row, _PRIORS[self._before.row]
+        n, place, started = len(others), 0, list[Trial]()
+        for row in range(len(TABLE)):
+            if place < n and others[place].row == row:
+                started.append(others[place])
+                place += 1
+                continue
+            prior = _PRIORS[row]
+            shift = round(prior.row.late_s / seconds)
+            if row == accepted or (prior.row.late is not None and not 0 < shift < _KEPT - 1):
+                continue
+            trial = self._spare[row]
+            trial.start(self._before, shift)
+            # Where it is another block, or another unit, the speed is as measured.
+            if prior.delays_speed or theirs.delays_speed or prior.row.speed != theirs.row.speed:
+                last = self._block((shift if prior.delays_speed else 0) + 1)
+                trial.measure(last.speed * prior.row.speed, last.variance)
+            self._score(trial, accepted=False)
+            started.append(trial)
+        self._others = started
+
+    def _learn_position(self, block: Block) -> None:
+        """Learn the noise of the distance by position from the accepted row."""
+        trial = self._accepted
+        prior = _PRIORS[trial.row]
+        if block.state != MOVING or not is_finite(block.by_position) or prior.ignores_speed or prior.ignores_position:
+            return
+        off = block.by_position - prior.row.speed * block.by_speed / (1.0 + trial.wheel)
+        square = min(off * off, self._position_var) / _CAPPED_MEAN
+        self._position_var += _LEARNED * (square - self._position_var)
+
+    # Decision
+
+    def _sum(self, block: Block) -> None:
+        """Add the last block to the sums; rows that are improbable are followed no more."""
+        accepted = self._accepted
+        theirs = _PRIORS[accepted.row]
+        later = accepted.shift if theirs.delays_speed else 0
+        is_stuck = self._is_stuck(theirs)
+        is_released = block.brake > -_BRAKES and self._brake > -_BRAKES
+        kept = list[Trial]()
+        for other in self._others:
+            prior = _PRIORS[other.row]
+            place = (self._count - max(later, other.shift if prior.delays_speed else 0)) % _KEPT
+            gain = other.scores[place] - accepted.scores[place]
+            other.age_s += block.seconds
+            if is_finite(gain) and not (is_stuck and other.row == 0):
+                other.part += gain
+            if is_released or not (prior.is_of_brake or theirs.is_of_brake):
+                other.total, other.part = other.sum, 0.0
+            if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
+                kept.append(other)
+        self._others = kept
+
+    def _is_stuck(self, prior: Prior) -> bool:
+        """Return whether the input that a row ignores has not changed for some time."""
+        still = self._still
+        return (
+            (prior.ignores_speed and still[0] > _STILL_S)
+            or (prior.ignores_position and still[1] > _STILL_S)
+            or (prior.ignores_force and still[2] > _STILL_S)
+        )
+
+    def _decide(self, seconds: float) -> None:
+        """Accept the best row if it is good enough."""
+        first, second, best, health = -math.inf, -math.inf, self._accepted, -math.inf
+        for other in self._others:
+            prior = _PRIORS[other.row]
+            score = other.sum - (_FOLLOWS_NOTHING if prior.asks_more and not self._is_stuck(prior) else 0.0)
+            if other.row == 0:
+                health = other.sum
+            if score > first:
+                first, second, best = score, first, other
+            elif score > second:
+                second = score
+        self._waited_s = self._waited_s + seconds if first > _FIND else 0.0
+        if self._accepted.row > 0 and health > _CLEAR and health > first - _LEAD:
+            for other in self._others:
+                best = other if other.row == 0 else best
+            self._accept(best)
+        elif first > _FIND and (first - second > _LEAD or self._waited_s > _LEAD_S):
+            self._accept(best)
+        else:
+            suspected = _PRIORS[best.row].row if first > _SUSPECT and best.row > 0 else TABLE[0]
+            if suspected.condemns != self.verdict.suspected or (suspected.sentence == '') != (
+                self.verdict.suspicion == ''
+            ):
+                now = self.verdict
+                self.verdict = Verdict(now.finding, _told(best, suspected), now.condemned, suspected.condemns)
+
+    def _accept(self, trial: Trial) -> None:
+        """Accept a row: all others start afresh."""
+        row = _PRIORS[trial.row].row
+        accepted = Trial(trial.row)
+        accepted.copy(trial)
+        for i in range(1, _STATES):
+            if _PRIORS[trial.row].own[i] > 0.0:
+                accepted.centre[i] = trial.x[i]
+        accepted.wheel_centre = trial.wheel if _PRIORS[trial.row].has_speed else 0.0
+        self._accepted, self._others, self._waited_s = accepted, [], 0.0
+        self.verdict = Verdict(_told(trial, row), '', row.condemns, NOTHING)
+
+
+def _told(trial: Trial, row: Row) -> str:
+    """Return the sentence of a row with the size of the fault."""
+    return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
+
+
+def _off_line(gradient: float, at: Block) -> float:
+    """Return what a gradient [per mille] costs that the line does not have here [nats]."""
+    off = max(max(gradient - at.most, at.least - gradient), 0.0)
+    if off == 0.0:
+        return 0.0
+    std = _GRADIENT_STD + _GRADIENT_SHARE * abs(at.line)
+    z2, elsewhere = off * off / (std * std), _PLACES * std / _GRADIENTS
+    return min(-math.log(((1.0 - _PLACES) * math.exp(-0.5 * z2) + elsewhere) / (1.0 - _PLACES + elsewhere)), _ODD)
+
+
+def _diagonal(i: i64) -> i64:
+    """Return the place of a variance in the upper triangle of a covariance."""
+    return i * (2 * _STATES - 1 - i) // 2 + i
+
+
+def _empty(block: Block) -> None:
+    """Empty a block, to be filled anew."""
+    block.seconds = block.by_speed = block.by_position = 0.0
+    block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
+    block.state = MOVING
