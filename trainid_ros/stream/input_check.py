@@ -83,7 +83,7 @@ _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rar
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer, and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
-_SLIP_SHARE: Final = 0.25  # s by which that time falls per second without slip: wheels do not slip for ever
+_SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
 _LOST_S: Final = 5.0  # s of odd speeds after which the accepted row takes the speed as measured
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
@@ -742,7 +742,8 @@ class InputCheck:
             return score
         if prior.ignores_position:
             return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
-        return score + trial.compare_distances(at, self._position_var, accepted=accepted)
+        # Slip shows in both alike.
+        return max(score + trial.compare_distances(at, self._position_var, accepted=accepted), -_ODD)
 
     def _rest(self, trial: Trial, at: Block) -> None:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
