@@ -93,9 +93,9 @@ class Row:
         return not self.condemns.isdisjoint(BRAKE_RATE_USES)
 
     @property
-    def is_of_brake(self) -> bool:
-        """True if only the brake shows it: it is scored by applications of the brake, not by blocks."""
-        return self.condemns <= {Input.COMMAND, Input.BRAKE} and bool(self.condemns)
+    def is_of_forces(self) -> bool:
+        """True if it is about forces: while the brake acts, it is scored by its applications, not by blocks."""
+        return bool(self.condemns) and self.condemns.isdisjoint({Input.SPEED, Input.POSITION})
 
     @property
     def has_speed(self) -> bool:
@@ -125,6 +125,7 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
     Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / _KMH),
     Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
+    Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0),
     Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
     Row('ato/speed is stuck or follows nothing', _only(Input.SPEED), ignores=_only(Input.SPEED)),
     Row('ato/speed and its position are stuck', _only(Input.SPEED, Input.POSITION),

@@ -68,8 +68,9 @@ _CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked
 _FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so more is asked for
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
 _LEAD_S: Final = 10.0  # s ... but for at most this time
+_TWICE: Final = 2.0  # delays for which a row about one must have been followed
 _GIVE_UP: Final = -3.0  # nats: a row that is this improbable starts afresh
-_APPLICATION: Final = 6.0  # nats: the most that one application of the brake counts, so that it takes three
+_APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
 _START: Final = -0.5  # nats: a block that the accepted row explains worse starts the others
 _HOPELESS_S: Final = 30.0  # s after which a row that has gained less than one nat starts afresh
 
@@ -77,6 +78,7 @@ _HOPELESS_S: Final = 30.0  # s after which a row that has gained less than one n
 
 _ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
+_NO_LINE: Final = 1.0  # nats per length of the line: the same if the line, or the gradient of the topic, is ignored
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
@@ -123,7 +125,7 @@ _BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
 _RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
-_GRADIENT_STD: Final = 0.6  # per mille: gradient of the topic against that of the line ...
+_GRADIENT_STD: Final = 0.3  # per mille: gradient of the topic against that of the line, beyond that of the map, ...
 _GRADIENT_SHARE: Final = 0.15  # ... and its share
 
 # What is usual, and how far a row may depart from it
@@ -151,7 +153,8 @@ class Block:
     seconds: float = 0.0  # Its length [s]
     state: int = UNKNOWN  # What can be compared
     speed: float = 0.0  # Speed at its end [m/s]
-    variance: float = 0.0  # Variance of that [(m/s)^2]
+    speed_step: float = 0.0  # Change of the speed over the block [m/s]
+    variance: float = 0.0  # Variance of that speed [(m/s)^2]
     by_speed: float = 0.0  # Distance by speed [m]
     by_position: float = stored(0.0, may_be_nan=True)  # Distance by position [m], NaN if unknown
     force: float = 0.0  # Mean reported force F [N/kN]
@@ -176,6 +179,7 @@ class Prior:
         mean: Usual values of the states, shape (7,); that of v is not used.
         std: Their standard deviations, shape (7,).
         own: 1 where it has its own opinion of a state, else 0, shape (7,).
+        anew: 1 where it does not start from what another row has learned, else 0, shape (7,).
     """
 
     def __init__(self, row: Row) -> None:
@@ -193,6 +197,9 @@ class Prior:
         ):
             if is_own:
                 self.own[place] = 1.0
+        self.anew = self.own[:]
+        if row.gradient != 1.0 or Input.GRADIENT in row.ignores:
+            self.anew[OFFSET] = 1.0
         self.ignores_speed = Input.SPEED in row.ignores
         self.ignores_position = Input.POSITION in row.ignores
         self.ignores_force = Input.FORCE in row.ignores
@@ -206,7 +213,7 @@ class Prior:
         self.delays_command = others and late is not Input.COMMAND
         self.delays_brake = self.delays_command or late is Input.BRAKE
         self.delays_gradient = others
-        self.is_of_brake, self.has_speed = row.is_of_brake, row.has_speed
+        self.is_of_forces, self.has_speed = row.is_of_forces, row.has_speed
         self.asks_more = self.ignores_speed or self.ignores_position or self.ignores_force or self.ignores_command
 
 
@@ -258,12 +265,13 @@ class Trial:
         total: S against the accepted row [nats], without ...
         part: ... that of the present application of the brake.
         age_s: Time since its fresh start [s].
+        rise_s: Time since S was last below one nat [s].
         odd_s: Time for which the speed has been odd [s].
     """
 
     STATE: ClassVar[State] = declare(
         'row', 'shift', 'x', definite('P'), 'centre', 'wheel', 'wheel_var', 'wheel_centre', unknown('scores'), 'total',
-        'part', 'age_s', 'odd_s',
+        'part', 'age_s', 'rise_s', 'odd_s',
     )  # fmt: skip
 
     def __init__(self, row: int) -> None:
@@ -274,7 +282,7 @@ class Trial:
         self.wheel = self.wheel_centre = 0.0
         self.wheel_var = WHEEL.std * WHEEL.std
         self.scores = vec[float]([math.nan] * _KEPT)
-        self.total = self.part = self.age_s = self.odd_s = 0.0
+        self.total = self.part = self.age_s = self.rise_s = self.odd_s = 0.0
         self._f = vec[float]([0.0] * _STATES)
         self._row = vec[float]([0.0] * _STATES)
 
@@ -289,11 +297,11 @@ class Trial:
         self.shift = shift
         k: i64 = 0
         for i in range(_STATES):
-            is_mine = prior.own[i] + theirs.own[i] > 0.0
+            is_mine = prior.anew[i] + theirs.anew[i] > 0.0
             self.x[i] = prior.mean[i] if is_mine else other.x[i]
             self.centre[i] = prior.mean[i]
             for j in range(i, _STATES):
-                if is_mine or prior.own[j] + theirs.own[j] > 0.0:
+                if is_mine or prior.anew[j] + theirs.anew[j] > 0.0:
                     self.P[k] = prior.std[i] * prior.std[i] if i == j else 0.0
                 else:
                     self.P[k] = other.P[k]
@@ -304,7 +312,7 @@ class Trial:
         self.wheel_centre = 0.0
         for n in range(_KEPT):
             self.scores[n] = math.nan
-        self.total = self.part = self.age_s = self.odd_s = 0.0
+        self.total = self.part = self.age_s = self.rise_s = self.odd_s = 0.0
 
     def copy(self, other: Trial) -> None:
         """Take over the estimate of the same row."""
@@ -439,7 +447,7 @@ class Trial:
 
 def position_variance(block: Block, learned: float) -> float:
     """Return the variance of the distance by position over a block [m^2]."""
-    lag = _POSITION_LAG * block.speed * 0.1
+    lag = _POSITION_LAG * block.speed_step
     drift = _DISTANCE_SHARE * block.by_speed
     return max(learned, _MIN_POSITION_STD * _MIN_POSITION_STD) + lag * lag + drift * drift
 
@@ -514,7 +522,7 @@ class InputCheck:
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_accepted',
-        several('_others', _blank), '_waited_s', '_is_weighed', '_driven', 'verdict',
+        several('_others', _blank), '_waited_s', '_is_weighed', '_driven', '_off', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -522,6 +530,7 @@ class InputCheck:
         self._known = known
         self._train = Train(known)
         self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
+        self._map_std = line.gradient_std
         self._forces = Forces()
         self._decay = vec[float]([0.0] * _STATES)
         self._decay_s = 0.0
@@ -546,6 +555,7 @@ class InputCheck:
         self._waited_s = 0.0
         self._is_weighed = False
         self._driven = 0.0  # Distance driven [m]
+        self._off = 0.0  # Distance by position less that by speed of the last block [m]
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
         self.verdict = Verdict()
 
@@ -608,6 +618,7 @@ class InputCheck:
             self._count_still(block, last)
         quantum = self._noise.quantum
         block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
+        block.speed_step = sample.speed - last.speed
         block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + quantum * quantum / 6.0
         block.tunnel = sample.tunnel
         block.rate = 1.0
@@ -720,7 +731,7 @@ class InputCheck:
         if is_lined:
             share = min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
             is_blank = prior.ignores_gradient or prior.ignores_line
-            score -= share * (_BLANK if is_blank else _off_line(gradient, at))
+            score -= share * (_NO_LINE if is_blank else _off_line(gradient, at, self._map_std))
         trial.scores[place] = score
         return score
 
@@ -783,8 +794,10 @@ class InputCheck:
         prior = _PRIORS[trial.row]
         if block.state != MOVING or not is_finite(block.by_position) or prior.ignores_speed or prior.ignores_position:
             return
+        # From one block to the next, where an error of the scale is the same.
         off = block.by_position - prior.row.speed * block.by_speed / (1.0 + trial.wheel)
-        square = min(off * off, self._position_var) / _CAPPED_MEAN
+        change, self._off = off - self._off, off
+        square = min(0.5 * change * change, self._position_var) / _CAPPED_MEAN
         self._position_var += _LEARNED * (square - self._position_var)
 
     # Decision
@@ -804,8 +817,9 @@ class InputCheck:
             other.age_s += block.seconds
             if is_finite(gain) and not (is_stuck and other.row == 0):
                 other.part += gain
-            if is_released or not (prior.is_of_brake or theirs.is_of_brake):
+            if is_released or not (prior.is_of_forces or theirs.is_of_forces):
                 other.total, other.part = other.sum, 0.0
+            other.rise_s = other.rise_s + block.seconds if other.sum > 1.0 else 0.0
             if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
         self._others = kept
@@ -827,6 +841,8 @@ class InputCheck:
             score = other.sum - (_FOLLOWS_NOTHING if prior.asks_more and not self._is_stuck(prior) else 0.0)
             if other.row == 0:
                 health = other.sum
+            if other.rise_s < _TWICE * prior.row.late_s:  # an onset looks like a delay until it has passed
+                score = min(score, _SUSPECT)
             if score > first:
                 first, second, best = score, first, other
             elif score > second:
@@ -864,12 +880,12 @@ def _told(trial: Trial, row: Row) -> str:
     return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
 
 
-def _off_line(gradient: float, at: Block) -> float:
+def _off_line(gradient: float, at: Block, map_std: float) -> float:
     """Return what a gradient [per mille] costs that the line does not have here [nats]."""
     off = max(max(gradient - at.most, at.least - gradient), 0.0)
     if off == 0.0:
         return 0.0
-    std = _GRADIENT_STD + _GRADIENT_SHARE * abs(at.line)
+    std = _GRADIENT_STD + map_std + _GRADIENT_SHARE * abs(at.line)
     z2, elsewhere = off * off / (std * std), _PLACES * std / _GRADIENTS
     return min(-math.log(((1.0 - _PLACES) * math.exp(-0.5 * z2) + elsewhere) / (1.0 - _PLACES + elsewhere)), _ODD)
 
