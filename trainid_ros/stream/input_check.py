@@ -72,7 +72,9 @@ _TWICE: Final = 2.0  # delays for which a row about one must have been followed
 _GIVE_UP: Final = -3.0  # nats: a row that is this improbable starts afresh
 _APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
 _START: Final = -0.5  # nats: a block that the accepted row explains worse starts the others
-_HOPELESS_S: Final = 30.0  # s after which a row that has gained less than one nat starts afresh
+_START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
+_START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
+_HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one nat starts afresh
 
 # Scores
 
@@ -164,6 +166,7 @@ class Block:
     rate: float = 1.0  # Brake rate of the train file [1]
     gradient: float = 0.0  # Mean gradient of the topic [per mille]
     line: float = math.nan  # Gradient of the line at its end [per mille], NaN if unknown
+    miss: float = math.nan  # Speed at its end less what the accepted row gives from its start [m/s]
     least: float = math.nan  # Least gradient of the line nearby [per mille]
     most: float = math.nan  # Greatest one
     extra: float = 0.0  # Resistance of the effects of the train file [N/kN]
@@ -336,8 +339,7 @@ class Trial:
         w = train.a + v * (train.b + v * train.c)
         pull = forces.traction + x[FORCE_LATE] * forces.traction_rate
         slow = forces.brake - x[BRAKE_LATE] * train.timing * forces.brake_rate
-        change = h * (x[GAIN] * pull + x[BRAKE] * slow - forces.track - (1.0 + x[WIND]) * w - x[OFFSET])
-        x[V] = max(v + change, 0.0)
+        x[V] = max(v + h * forces.balance(train, x), 0.0)
         # Row v of the Jacobian.
         f[V] = 1.0 - h * (1.0 + x[WIND]) * (train.b + 2.0 * train.c * v)
         f[OFFSET], f[WIND], f[GAIN], f[BRAKE] = -h, -h * w, h * pull, h * slow
@@ -467,12 +469,23 @@ class Forces:
         brake_rate: Its rate.
         track: i and effects.
         variance: Variance of the white noise of all [(N/kN)^2].
+        effort: |F| + |B| as they came.
+        gradient: i [per mille].
         mismatch: Reported force less that of the brake, NaN where they are not compared.
     """
 
     def __init__(self) -> None:
         self.traction = self.traction_rate = self.brake = self.brake_rate = self.track = self.variance = 0.0
+        self.effort = self.gradient = 0.0
         self.mismatch = math.nan
+
+    def balance(self, train: Train, x: vec[float]) -> float:
+        """Return the right side of (1) for a state of shape (7,) [N/kN]."""
+        v = x[V]
+        w = train.a + v * (train.b + v * train.c)
+        pull = self.traction + x[FORCE_LATE] * self.traction_rate
+        slow = self.brake - x[BRAKE_LATE] * train.timing * self.brake_rate
+        return x[GAIN] * pull + x[BRAKE] * slow - self.track - (1.0 + x[WIND]) * w - x[OFFSET]
 
     def correct(self, prior: Prior, timing: float, at: Block, force: Block, command: Block, brake: Block) -> None:
         """Correct force, command and the action of the brake, each from its own block; ``timing``: delay + lag [s]."""
@@ -487,6 +500,7 @@ class Forces:
         if is_braked and command.brake_step < _RELEASING * abs(command.brake) * command.seconds:
             std = _REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB)
             self.mismatch = T / std
+        self.effort = abs(force.force) + abs(command.brake)
         # No row may seem sharper because it makes an input small.
         effort = max(max(abs(act), abs(brake.brake)), -T)
         effort_rate = max(abs(act_rate), abs(brake.brake_step) / brake.seconds)
@@ -555,6 +569,8 @@ class InputCheck:
         self._waited_s = 0.0
         self._is_weighed = False
         self._driven = 0.0  # Distance driven [m]
+        self._scratch = vec[float]([0.0] * _STATES)
+        self._mismatch = self._distance_score = 0.0
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
         self.verdict = Verdict()
@@ -685,33 +701,72 @@ class InputCheck:
         for other in self._others:
             self._score(other, accepted=False)
         if score < _START and not self._slips:
-            self._start_others(block.seconds)
+            self._start_others(block.seconds, score)
         self._learn_position(block)
         self._sum(block)
         self._decide(block.seconds)
 
-    def _score(self, trial: Trial, *, accepted: bool) -> float:
-        """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
-        prior, shift, train = _PRIORS[trial.row], trial.shift, self._train
-        back = shift if prior.delays_speed else 0
-        at, before = self._block(back), self._block(back + 1)
+    def _correct(self, prior: Prior, shift: int) -> Block | None:
+        """Correct the inputs as a row says; return the block of its speed, None if they cannot be compared."""
+        at = self._block(shift if prior.delays_speed else 0)
+        before = self._block(shift + 1 if prior.delays_speed else 1)
         force = self._block(shift if prior.delays_force else 0)
         command = self._block(shift if prior.delays_command else 0)
         brake = self._block(shift if prior.delays_brake else 0)
         slope = self._block(shift if prior.delays_gradient else 0)
-        place = (self._count - back) % _KEPT
-        trial.scores[place] = math.nan
         is_known = force.state != UNKNOWN and command.state != UNKNOWN and brake.state != UNKNOWN
         if at.state != MOVING or before.state == UNKNOWN or not is_known or slope.state == UNKNOWN:
-            self._rest(trial, at)
+            return None
+        forces = self._forces
+        forces.correct(prior, self._train.timing, at, force, command, brake)
+        forces.gradient = at.line if prior.ignores_gradient and is_finite(at.line) else (
+            prior.row.gradient * slope.gradient)  # fmt: skip
+        forces.track = forces.gradient + slope.extra
+        return at
+
+    def _miss(self, prior: Prior, known: vec[float], at: Block, before: Block) -> float:
+        """Return how far the speed is from what corrected inputs and known parameters, shape (7,), give [m/s]."""
+        x = self._scratch
+        for i in range(1, _STATES):
+            x[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
+        x[V] = prior.row.speed * before.speed
+        return prior.row.speed * at.speed - x[V] - at.seconds / self._train.inertia * self._forces.balance(self._train, x)
+
+    def _promises(self, prior: Prior, shift: int, score: float) -> bool:
+        """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
+        if prior.has_speed or prior.ignores_position:
+            return self._distance_score < _START or score < -0.5 * _ODD
+        if prior.ignores_speed or prior.ignores_force:
+            return score < -0.5 * _ODD
+        if self._accepted.row > 0:
+            return True
+        at = self._correct(prior, shift)
+        if at is None:
+            return False
+        if self._mismatch > _START_MISMATCH or prior.ignores_line or prior.own[OFFSET] > 0.0:
+            return True
+        if is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > 0.0 and prior.anew[OFFSET] > 0.0:
+            return True
+        last = self._block(shift + 1 if prior.delays_speed else 1)
+        miss = self._miss(prior, self._before.x, at, last)
+        return miss * miss < at.miss * at.miss - _START_SHARE * at.variance
+
+    def _score(self, trial: Trial, *, accepted: bool) -> float:
+        """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
+        prior, shift, train, forces = _PRIORS[trial.row], trial.shift, self._train, self._forces
+        back = shift if prior.delays_speed else 0
+        place = (self._count - back) % _KEPT
+        trial.scores[place] = math.nan
+        at = self._correct(prior, shift)
+        if at is None:
+            self._rest(trial, self._block(back))
             return math.nan
-        forces, line = self._forces, at.line
-        is_lined = is_finite(line)
-        forces.correct(prior, train.timing, at, force, command, brake)
-        gradient = line if prior.ignores_gradient and is_lined else prior.row.gradient * slope.gradient
-        forces.track = gradient + slope.extra
+        is_lined, gradient = is_finite(at.line), forces.gradient
+        if accepted:
+            at.miss = self._miss(prior, trial.x, at, self._block(back + 1))
+            self._mismatch = abs(forces.mismatch) if is_finite(forces.mismatch) else 0.0
         was = trial.x[V]
-        effort = abs(force.force) + abs(command.brake)
+        effort = forces.effort
         slips = accepted and trial.odd_s < _SLIP_S and effort > _SLIPS
         # No error of the forces changes the speed by more.
         most = at.seconds * effort / train.inertia + 4.0 * math.sqrt(at.variance) if accepted else math.inf
@@ -754,7 +809,9 @@ class InputCheck:
         if prior.ignores_position:
             return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
         # Slip shows in both alike.
-        return max(score + trial.compare_distances(at, self._position_var, accepted=accepted), -_ODD)
+        distance_score = trial.compare_distances(at, self._position_var, accepted=accepted)
+        self._distance_score = distance_score if accepted else self._distance_score
+        return max(score + distance_score, -_ODD)
 
     def _rest(self, trial: Trial, at: Block) -> None:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
@@ -765,7 +822,7 @@ class InputCheck:
             more = _BOARDING * _BOARDING * at.seconds / _BOARDING_S
             trial.P[_GAIN_GAIN] = min(trial.P[_GAIN_GAIN] + more, std * std)
 
-    def _start_others(self, seconds: float) -> None:
+    def _start_others(self, seconds: float, score: float) -> None:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
         others, accepted, theirs = self._others, self._accepted.row, _PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
@@ -777,6 +834,8 @@ class InputCheck:
             prior = _PRIORS[row]
             shift = round(prior.row.late_s / seconds)
             if row == accepted or (prior.row.late is not None and not 0 < shift < _KEPT - 1):
+                continue
+            if not self._promises(prior, shift, score):
                 continue
             trial = self._spare[row]
             trial.start(self._before, shift)
