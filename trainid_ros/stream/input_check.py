@@ -69,9 +69,9 @@ _FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
 _LEAD_S: Final = 10.0  # s ... but for at most this time
 _TWICE: Final = 2.0  # delays for which a row about one must have been followed
-_GIVE_UP: Final = -3.0  # nats: a row that is this improbable starts afresh
+_GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
 _APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
-_START: Final = -0.5  # nats: a block that the accepted row explains worse starts the others
+_START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
 _START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
 _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one nat starts afresh
@@ -743,10 +743,12 @@ class InputCheck:
         at = self._correct(prior, shift)
         if at is None:
             return False
-        if self._mismatch > _START_MISMATCH or prior.ignores_line or prior.own[OFFSET] > 0.0:
+        if self._mismatch > _START_MISMATCH and not (prior.ignores_line or prior.anew[OFFSET] > 0.0):
             return True
-        if is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > 0.0 and prior.anew[OFFSET] > 0.0:
-            return True
+        if prior.ignores_line or prior.anew[OFFSET] > 0.0:
+            is_off = is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > -_START
+            if is_off or prior.ignores_line or prior.own[OFFSET] > 0.0:
+                return is_off and prior.own[OFFSET] == 0.0 or (prior.own[OFFSET] > 0.0 and score < 2.0 * _START)
         last = self._block(shift + 1 if prior.delays_speed else 1)
         miss = self._miss(prior, self._before.x, at, last)
         return miss * miss < at.miss * at.miss - _START_SHARE * at.variance
