@@ -55,9 +55,9 @@ BRAKE_LATE: Final = 6
 USUAL: Final = (
     Usual(0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
     Usual(0.0, 0.4, 120.0),  # Share of it that is added [1]: head wind of 10 m/s, errors of the train file
-    Usual(1.0, 0.07, 600.0),  # Traction over reported force [1]: mass and force are each 5 % off
+    Usual(1.0, 0.07, 3000.0),  # Traction over reported force [1]: mass and force are each 5 % off
     Usual(1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
-    Usual(0.1, 0.12, 600.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
+    Usual(0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
     Usual(0.0, 0.25, 300.0),  # Share of dead time and lag by which the brake acts later than stated [1]
 )
 """What is usual, in the order of the places from ``OFFSET`` on."""

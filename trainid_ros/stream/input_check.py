@@ -89,6 +89,7 @@ _SLIP_S: Final = 2.5  # s: ... it has not lasted longer, and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
 _SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
 _LOST_S: Final = 5.0  # s of odd speeds after which the accepted row takes the speed as measured
+_LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
 _PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
@@ -218,6 +219,7 @@ class Prior:
         self.delays_gradient = others
         self.is_of_forces, self.has_speed = row.is_of_forces, row.has_speed
         self.asks_more = self.ignores_speed or self.ignores_position or self.ignores_force or self.ignores_command
+        self.asks_more = self.asks_more or self.ignores_line
 
 
 _PRIORS: Final = [Prior(row) for row in TABLE]
@@ -828,6 +830,9 @@ class InputCheck:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
         others, accepted, theirs = self._others, self._accepted.row, _PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
+        last = self._block(1)
+        off = self._before.x[V] - theirs.row.speed * last.speed
+        is_lost = theirs.delays_speed or off * off > _LOST * _LOST * last.variance
         for row in range(len(TABLE)):
             if place < n and others[place].row == row:
                 started.append(others[place])
@@ -841,8 +846,8 @@ class InputCheck:
                 continue
             trial = self._spare[row]
             trial.start(self._before, shift)
-            # Where it is another block, or another unit, the speed is as measured.
-            if prior.delays_speed or theirs.delays_speed or prior.row.speed != theirs.row.speed:
+            # Where it is another block, or another unit, or the accepted row has lost it, the speed is as measured.
+            if is_lost or prior.delays_speed or prior.row.speed != theirs.row.speed:
                 last = self._block((shift if prior.delays_speed else 0) + 1)
                 trial.measure(last.speed * prior.row.speed, last.variance)
             self._score(trial, accepted=False)
