@@ -245,9 +245,7 @@ _NOTE: Final = (
 )
 
 
-def healthy_table(
-    title: str, names: Sequence[str], outcomes: Sequence[Sequence[tuple[Outcome, Outcome]]]
-) -> Table:
+def healthy_table(title: str, names: Sequence[str], outcomes: Sequence[Sequence[tuple[Outcome, Outcome]]]) -> Table:
     """Return the table of drives without faults."""
     rows = []
     for name, some in zip(names, outcomes, strict=True):

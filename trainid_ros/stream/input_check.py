@@ -68,7 +68,7 @@ _CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked
 _FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so more is asked for
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
 _LEAD_S: Final = 10.0  # s ... but for at most this time
-_TWICE: Final = 2.0  # delays for which a row about one must have been followed
+_DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
 _APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
 _START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
@@ -112,6 +112,7 @@ _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 _SPEED_STD: Final = 0.02  # m/s: least noise of a speed
 _FORCE_STD: Final = 0.6  # N/kN, white: ripple of the resistance within a block
 _SLACK: Final = 4.0  # N/kN: jerks of couplers and of the friction brake of a train that hardly moves ...
+_SLACK_SHARE: Final = 0.3  # share of the brake: the same, where electric brakes hand over to friction ...
 _SLACK_SPEED: Final = 4.0  # m/s: ... slower than this
 _TRACTION_SHARE: Final = 0.03  # share of the traction, white: ripple within a block
 _BRAKE_SHARE: Final = 0.10  # the same of the brake
@@ -123,7 +124,6 @@ _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is l
 _MIN_POSITION_STD: Final = 0.1  # m: least such noise
 _POSITION_LAG: Final = 0.1  # s by which position and speed are apart
 _DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
-_LEAP: Final = 50.0  # m: a position that is this far off is another place of the line
 _BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
@@ -174,6 +174,11 @@ class Block:
     tunnel: bool = False  # Whether it ends in a tunnel
     is_frozen: bool = False  # Whether the speed is exactly that of the block before
 
+    @property
+    def is_known(self) -> bool:
+        """True if inputs can be compared."""
+        return self.state != UNKNOWN
+
 
 class Prior:
     """A row of the table as numbers: what its filter assumes.
@@ -218,29 +223,11 @@ class Prior:
         self.delays_brake = self.delays_command or late is Input.BRAKE
         self.delays_gradient = others
         self.is_of_forces, self.has_speed = row.is_of_forces, row.has_speed
-        self.asks_more = self.ignores_speed or self.ignores_position or self.ignores_force or self.ignores_command
-        self.asks_more = self.asks_more or self.ignores_line
+        self.asks_more = bool(row.ignores) and not self.ignores_gradient
+        self.is_of_line = self.ignores_line or self.ignores_gradient or row.gradient != 1.0
 
 
 _PRIORS: Final = [Prior(row) for row in TABLE]
-
-
-class Train:
-    """What the filters must know of the train.
-
-    Attributes:
-        inertia: m of (1) [N/kN per m/s^2].
-        a: Coefficients of its resistance [N/kN, v in m/s].
-        b: ...
-        c: ...
-        timing: Dead time and lag of its brake [s].
-    """
-
-    def __init__(self, known: KnownForce) -> None:
-        resistance, brake = known.train_file.resistance, known.train_file.brake
-        self.inertia = known.inertia
-        self.a, self.b, self.c = resistance.a, resistance.b, resistance.c
-        self.timing = brake.delay + brake.time_constant
 
 
 def student_t(z2: float, spread: float) -> tuple[float, float]:
@@ -320,12 +307,9 @@ class Trial:
         self.total = self.part = self.age_s = self.rise_s = self.odd_s = 0.0
 
     def copy(self, other: Trial) -> None:
-        """Take over the estimate of the same row."""
-        for i in range(_STATES):
-            self.x[i] = other.x[i]
-        for k in range(len(self.P)):
-            self.P[k] = other.P[k]
-        self.row, self.shift, self.wheel, self.wheel_var = other.row, other.shift, other.wheel, other.wheel_var
+        """Take over the estimate of another one."""
+        self.row, self.shift, self.x, self.P = other.row, other.shift, other.x[:], other.P[:]
+        self.wheel, self.wheel_var = other.wheel, other.wheel_var
 
     def measure(self, speed: float, variance: float) -> None:
         """Take the speed [m/s] as measured, with its variance; keep the parameters."""
@@ -333,20 +317,18 @@ class Trial:
         for j in range(1, _STATES):
             self.P[j] = 0.0
 
-    def predict(self, train: Train, block: Block, forces: Forces, decay: vec[float], *, accepted: bool) -> None:
+    def predict(self, forces: Forces, block: Block, decay: vec[float], *, accepted: bool) -> None:
         """Predict to the end of a block by (1)."""
-        x, P, f, fP, prior, dt = self.x, self.P, self._f, self._row, _PRIORS[self.row], block.seconds
-        self._relax(prior, block, decay, accepted=accepted)
-        v, h = x[V], dt / train.inertia
-        w = train.a + v * (train.b + v * train.c)
-        pull = forces.traction + x[FORCE_LATE] * forces.traction_rate
-        slow = forces.brake - x[BRAKE_LATE] * train.timing * forces.brake_rate
-        x[V] = max(v + h * forces.balance(train, x), 0.0)
+        x, P, f, fP = self.x, self.P, self._f, self._row
+        self._relax(_PRIORS[self.row], block, decay, accepted=accepted)
+        v, h, rate = x[V], block.seconds / forces.inertia, forces.timing * forces.brake_rate
+        x[V] = max(v + h * forces.balance(x), 0.0)
         # Row v of the Jacobian.
-        f[V] = 1.0 - h * (1.0 + x[WIND]) * (train.b + 2.0 * train.c * v)
-        f[OFFSET], f[WIND], f[GAIN], f[BRAKE] = -h, -h * w, h * pull, h * slow
-        f[FORCE_LATE] = h * x[GAIN] * forces.traction_rate
-        f[BRAKE_LATE] = -h * x[BRAKE] * train.timing * forces.brake_rate
+        f[V] = 1.0 - h * (1.0 + x[WIND]) * forces.slope(v)
+        f[OFFSET], f[WIND] = -h, -h * forces.resistance(v)
+        f[GAIN] = h * (forces.traction + x[FORCE_LATE] * forces.traction_rate)
+        f[BRAKE] = h * (forces.brake - x[BRAKE_LATE] * rate)
+        f[FORCE_LATE], f[BRAKE_LATE] = h * x[GAIN] * forces.traction_rate, -h * x[BRAKE] * rate
         # P = F P F' + Q, where F is 1 but for its row f of v.
         for i in range(_STATES):
             fP[i] = 0.0
@@ -355,9 +337,8 @@ class Trial:
             f_i, sum_i = f[i], fP[i] + f[i] * P[k]
             k += 1
             for j in range(i + 1, _STATES):
-                p = P[k]
-                sum_i += f[j] * p
-                fP[j] += f_i * p
+                sum_i += f[j] * P[k]
+                fP[j] += f_i * P[k]
                 k += 1
             fP[i] = sum_i
         variance = h * h * forces.variance
@@ -462,35 +443,44 @@ def _blank() -> Trial:
 
 
 class Forces:
-    """The inputs of one block as a row corrects them, as forces [N/kN] and their rates [N/kN/s].
+    """The train, and the inputs of one block as a row corrects them: forces [N/kN] and their rates [N/kN/s].
 
     Attributes:
-        traction: T of (1).
-        traction_rate: Its rate.
-        brake: r B.
-        brake_rate: Its rate.
-        track: i and effects.
+        inertia: m of (1) [N/kN per m/s^2].
+        timing: Dead time and lag of the brake [s].
+        traction: T of (1), and its rate.
+        brake: r B, and its rate.
+        gradient: i [per mille].
+        extra: Resistance of the effects of the train file.
         variance: Variance of the white noise of all [(N/kN)^2].
         effort: |F| + |B| as they came.
-        gradient: i [per mille].
-        mismatch: Reported force less that of the brake, NaN where they are not compared.
+        mismatch: Reported force less that of the brake in standard deviations, 0 where they are not compared.
     """
 
-    def __init__(self) -> None:
-        self.traction = self.traction_rate = self.brake = self.brake_rate = self.track = self.variance = 0.0
-        self.effort = self.gradient = 0.0
-        self.mismatch = math.nan
+    def __init__(self, known: KnownForce) -> None:
+        resistance, brake = known.train_file.resistance, known.train_file.brake
+        self.inertia, self.timing = known.inertia, brake.delay + brake.time_constant
+        self._a, self._b, self._c = resistance.a, resistance.b, resistance.c
+        self.traction = self.traction_rate = self.brake = self.brake_rate = self.gradient = self.extra = 0.0
+        self.variance = self.effort = self.mismatch = 0.0
 
-    def balance(self, train: Train, x: vec[float]) -> float:
+    def resistance(self, v: float) -> float:
+        """Return a + b v + c v^2 [N/kN]."""
+        return self._a + v * (self._b + v * self._c)
+
+    def slope(self, v: float) -> float:
+        """Return its derivative [N/kN per m/s]."""
+        return self._b + 2.0 * v * self._c
+
+    def balance(self, x: vec[float]) -> float:
         """Return the right side of (1) for a state of shape (7,) [N/kN]."""
-        v = x[V]
-        w = train.a + v * (train.b + v * train.c)
         pull = self.traction + x[FORCE_LATE] * self.traction_rate
-        slow = self.brake - x[BRAKE_LATE] * train.timing * self.brake_rate
-        return x[GAIN] * pull + x[BRAKE] * slow - self.track - (1.0 + x[WIND]) * w - x[OFFSET]
+        slow = self.brake - x[BRAKE_LATE] * self.timing * self.brake_rate
+        track = self.gradient + self.extra + (1.0 + x[WIND]) * self.resistance(x[V]) + x[OFFSET]
+        return x[GAIN] * pull + x[BRAKE] * slow - track
 
-    def correct(self, prior: Prior, timing: float, at: Block, force: Block, command: Block, brake: Block) -> None:
-        """Correct force, command and the action of the brake, each from its own block; ``timing``: delay + lag [s]."""
+    def correct(self, prior: Prior, at: Block, force: Block, command: Block, brake: Block) -> None:
+        """Correct force, command and action of the brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
         F, dF = row.force * force.force, row.force * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command
@@ -498,23 +488,22 @@ class Forces:
         act, act_rate = scale * brake.brake, scale * brake.brake_step / brake.seconds
         T, dT = F - B, dF - dB
         is_braked = command.brake < -_BRAKES
-        self.mismatch = math.nan
+        self.mismatch = 0.0
         if is_braked and command.brake_step < _RELEASING * abs(command.brake) * command.seconds:
-            std = _REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB)
-            self.mismatch = T / std
+            self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))
         self.effort = abs(force.force) + abs(command.brake)
         # No row may seem sharper because it makes an input small.
-        effort = max(max(abs(act), abs(brake.brake)), -T)
+        effort = max(max(abs(act), abs(brake.brake)), -T)  # noqa: PLW3301 - of two numbers it is compiled
         effort_rate = max(abs(act_rate), abs(brake.brake_step) / brake.seconds)
-        slack = _SLACK * max(1.0 - at.speed / _SLACK_SPEED, 0.0)
-        jitter, brake_jitter = _JITTER_S * dT, (2.0 * _JITTER_S + _TIMING_SHARE * timing) * effort_rate
-        share = _BRAKE_SHARE * effort
-        q = _FORCE_STD * _FORCE_STD + slack * slack + share * share + jitter * jitter + brake_jitter * brake_jitter
+        slow = max(1.0 - at.speed / _SLACK_SPEED, 0.0)
+        pull, overlap = _TRACTION_SHARE * max(T, force.force), _OVERLAP_SHARE * min(abs(T), abs(B))
+        slack, share = _SLACK * slow, (_BRAKE_SHARE + _SLACK_SHARE * slow) * effort
+        jitter, brake_jitter = _JITTER_S * dT, (2.0 * _JITTER_S + _TIMING_SHARE * self.timing) * effort_rate
+        q = _FORCE_STD * _FORCE_STD + slack * slack + share * share + overlap * overlap + brake_jitter * brake_jitter
         if prior.ignores_force:
             T = dT = 0.0
             q += _ANY_FORCE * _ANY_FORCE * (0.04 if is_braked else 1.0)
-        pull, overlap = _TRACTION_SHARE * max(T, force.force), _OVERLAP_SHARE * min(abs(T), abs(B))
-        self.traction, self.traction_rate, self.variance = T, dT, q + pull * pull + overlap * overlap
+        self.traction, self.traction_rate, self.variance = T, dT, q + pull * pull + jitter * jitter
         self.brake, self.brake_rate = brake.rate * act, brake.rate * act_rate
 
 
@@ -538,16 +527,15 @@ class InputCheck:
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_accepted',
-        several('_others', _blank), '_waited_s', '_is_weighed', '_driven', '_off', 'verdict',
+        several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_driven', '_off', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
         brake, line = known.train_file.brake, known.train_file.line
         self._known = known
-        self._train = Train(known)
         self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
         self._map_std = line.gradient_std
-        self._forces = Forces()
+        self._forces = Forces(known)
         self._decay = vec[float]([0.0] * _STATES)
         self._decay_s = 0.0
         self._spare = [Trial(row) for row in range(len(TABLE))]
@@ -568,7 +556,7 @@ class InputCheck:
             std = _PRIORS[0].std[i]
             self._accepted.P[_diagonal(i)] = std * std
         self._others = list[Trial]()
-        self._waited_s = 0.0
+        self._waited_s = self._usual_s = 0.0
         self._is_weighed = False
         self._driven = 0.0  # Distance driven [m]
         self._scratch = vec[float]([0.0] * _STATES)
@@ -610,16 +598,14 @@ class InputCheck:
         is_known = 0.0 < dt < _GAP_S and sample.direction == direction and not (sample.emergency or sample.brake_gap)
         if not (is_known and is_finite(sample.force_mean) and is_finite(sample.gradient_mean)
                 and is_finite(before) and is_finite(sample.brake_command)):  # fmt: skip
-            block.state = UNKNOWN
             return True
-        extra = known.track(sample) - sample.gradient_mean
         block.seconds += dt
         block.by_speed += 0.5 * (before + sample.speed) * dt
         block.by_position += sample.direction * (sample.position - position)
         block.force += known.traction(sample.force_mean, sample) * dt
         block.brake += impulse
         block.gradient += sample.gradient_mean * dt
-        block.extra += extra * dt
+        block.extra += (known.track(sample) - sample.gradient_mean) * dt
         return block.seconds >= _BLOCK_S
 
     def _close(self, sample: Sample) -> None:
@@ -643,8 +629,7 @@ class InputCheck:
         if brake < 0.0 or block.brake < 0.0:
             block.rate = known.train_file.brake.rate_at(sample.speed) * known.brake_share(sample)
         self._look_up(block, sample)
-        if block.state != UNKNOWN or block.seconds > 0.0:
-            block.state = self._state(block, force)
+        block.state = self._state(block, force)
         self._force, self._brake, self._is_weighed = force, brake, sample.weighed
         self._count += 1
         self._filling = self._blocks[self._count % _KEPT]
@@ -673,7 +658,9 @@ class InputCheck:
         if line is None or not line.first <= here <= line.last:
             return
         block.line = block.least = block.most = line.gradient(here, direction)
-        block.tunnel = block.tunnel or line.tunnel(here, direction)
+        # From where the front enters to where half of the train has left.
+        front = here + 0.5 * direction * line.length
+        block.tunnel = block.tunnel or line.tunnel(here, direction) or line.tunnel(front, direction)
         if abs(block.gradient - block.line) < _SAME_GRADIENT:
             return
         off = _PLACE_M + _PLACE_SHARE * self._driven
@@ -699,6 +686,8 @@ class InputCheck:
             for i in range(1, _STATES):
                 self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
         self._before.copy(accepted)
+        self._mismatch = self._distance_score = 0.0
+        self._slips = False
         score = self._score(accepted, accepted=True)
         for other in self._others:
             self._score(other, accepted=False)
@@ -716,87 +705,84 @@ class InputCheck:
         command = self._block(shift if prior.delays_command else 0)
         brake = self._block(shift if prior.delays_brake else 0)
         slope = self._block(shift if prior.delays_gradient else 0)
-        is_known = force.state != UNKNOWN and command.state != UNKNOWN and brake.state != UNKNOWN
-        if at.state != MOVING or before.state == UNKNOWN or not is_known or slope.state == UNKNOWN:
+        if at.state != MOVING or not (before.is_known and slope.is_known):
+            return None
+        if not (force.is_known and command.is_known and brake.is_known):
             return None
         forces = self._forces
-        forces.correct(prior, self._train.timing, at, force, command, brake)
-        forces.gradient = at.line if prior.ignores_gradient and is_finite(at.line) else (
-            prior.row.gradient * slope.gradient)  # fmt: skip
-        forces.track = forces.gradient + slope.extra
+        forces.correct(prior, at, force, command, brake)
+        is_taken = prior.ignores_gradient and is_finite(at.line)
+        forces.gradient, forces.extra = at.line if is_taken else prior.row.gradient * slope.gradient, slope.extra
         return at
 
     def _miss(self, prior: Prior, known: vec[float], at: Block, before: Block) -> float:
         """Return how far the speed is from what corrected inputs and known parameters, shape (7,), give [m/s]."""
-        x = self._scratch
+        x, factor = self._scratch, prior.row.speed
         for i in range(1, _STATES):
             x[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
-        x[V] = prior.row.speed * before.speed
-        return prior.row.speed * at.speed - x[V] - at.seconds / self._train.inertia * self._forces.balance(self._train, x)
+        x[V] = factor * before.speed
+        return factor * at.speed - x[V] - at.seconds / self._forces.inertia * self._forces.balance(x)
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
+        is_odd = score < -0.5 * _ODD
         if prior.has_speed or prior.ignores_position:
-            return self._distance_score < _START or score < -0.5 * _ODD
+            return self._distance_score < _START or is_odd
         if prior.ignores_speed or prior.ignores_force:
-            return score < -0.5 * _ODD
+            return is_odd
         if self._accepted.row > 0:
             return True
+        if prior.own[OFFSET] > 0.0:
+            return score < 2.0 * _START
         at = self._correct(prior, shift)
         if at is None:
             return False
-        if self._mismatch > _START_MISMATCH and not (prior.ignores_line or prior.anew[OFFSET] > 0.0):
-            return True
-        if prior.ignores_line or prior.anew[OFFSET] > 0.0:
-            is_off = is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > -_START
-            if is_off or prior.ignores_line or prior.own[OFFSET] > 0.0:
-                return is_off and prior.own[OFFSET] == 0.0 or (prior.own[OFFSET] > 0.0 and score < 2.0 * _START)
-        last = self._block(shift + 1 if prior.delays_speed else 1)
-        miss = self._miss(prior, self._before.x, at, last)
-        return miss * miss < at.miss * at.miss - _START_SHARE * at.variance
+        if prior.is_of_line:
+            return is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > -_START
+        miss = self._miss(prior, self._before.x, at, self._block(shift + 1 if prior.delays_speed else 1))
+        return self._mismatch > _START_MISMATCH or miss * miss < at.miss * at.miss - _START_SHARE * at.variance
 
     def _score(self, trial: Trial, *, accepted: bool) -> float:
         """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
-        prior, shift, train, forces = _PRIORS[trial.row], trial.shift, self._train, self._forces
-        back = shift if prior.delays_speed else 0
+        prior, forces = _PRIORS[trial.row], self._forces
+        back = trial.shift if prior.delays_speed else 0
         place = (self._count - back) % _KEPT
         trial.scores[place] = math.nan
-        at = self._correct(prior, shift)
+        at = self._correct(prior, trial.shift)
         if at is None:
             self._rest(trial, self._block(back))
             return math.nan
-        is_lined, gradient = is_finite(at.line), forces.gradient
+        was, gradient, mismatch = trial.x[V], forces.gradient, forces.mismatch
+        # No error of the forces changes the speed by more: only wheels that slip do.
+        most = math.inf
         if accepted:
-            at.miss = self._miss(prior, trial.x, at, self._block(back + 1))
-            self._mismatch = abs(forces.mismatch) if is_finite(forces.mismatch) else 0.0
-        was = trial.x[V]
-        effort = forces.effort
-        slips = accepted and trial.odd_s < _SLIP_S and effort > _SLIPS
-        # No error of the forces changes the speed by more.
-        most = at.seconds * effort / train.inertia + 4.0 * math.sqrt(at.variance) if accepted else math.inf
-        trial.predict(train, at, forces, self._decay, accepted=accepted)
+            at.miss, self._mismatch = self._miss(prior, trial.x, at, self._block(back + 1)), abs(mismatch)
+            most = at.seconds * forces.effort / forces.inertia + 4.0 * math.sqrt(at.variance)
+        trial.predict(forces, at, self._decay, accepted=accepted)
         score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
         if accepted:
-            is_odd = score < -0.5 * _ODD
-            self._slips = is_odd and slips
-            score = max(score, -_SLIP) if self._slips else score
-            trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
-            if is_odd and trial.odd_s > _LOST_S and abs(at.speed * prior.row.speed - trial.x[V]) > most:
-                trial.measure(at.speed * prior.row.speed, at.variance)
+            score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
-        if is_finite(forces.mismatch):
-            score -= _BOTH if prior.ignores_force or prior.ignores_command else min(
-                0.5 * forces.mismatch * forces.mismatch, _BOTH)  # fmt: skip
-        if is_lined:
-            share = min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
-            is_blank = prior.ignores_gradient or prior.ignores_line
-            score -= share * (_NO_LINE if is_blank else _off_line(gradient, at, self._map_std))
+        if mismatch != 0.0:
+            is_blank = prior.ignores_force or prior.ignores_command
+            score -= _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
+        if is_finite(at.line):
+            cost = _NO_LINE if prior.ignores_gradient or prior.ignores_line else _off_line(gradient, at, self._map_std)
+            score -= cost * min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
         trial.scores[place] = score
         return score
 
-    def _score_motion(
-        self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool
-    ) -> float:
+    def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
+        """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
+        is_odd = score < -0.5 * _ODD
+        self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
+        trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
+        speed = at.speed * _PRIORS[trial.row].row.speed
+        if is_odd and trial.odd_s > _LOST_S and abs(speed - trial.x[V]) > most:
+            trial.measure(speed, at.variance)
+        return max(score, -_SLIP) if self._slips else score
+
+    def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool) -> float:
         """Correct a row with speed and position; return the log likelihood of both [nats]."""
         factor, has_position = prior.row.speed, is_finite(at.by_position)
         if prior.ignores_speed:
@@ -900,45 +886,52 @@ class InputCheck:
         )
 
     def _decide(self, seconds: float) -> None:
-        """Accept the best row if it is good enough."""
+        """Accept the best row if it is good enough; health is more probable, so less is asked for."""
         first, second, best, health = -math.inf, -math.inf, self._accepted, -math.inf
         for other in self._others:
-            prior = _PRIORS[other.row]
-            score = other.sum - (_FOLLOWS_NOTHING if prior.asks_more and not self._is_stuck(prior) else 0.0)
-            if other.row == 0:
-                health = other.sum
-            if other.rise_s < _TWICE * prior.row.late_s:  # an onset looks like a delay until it has passed
+            prior, score = _PRIORS[other.row], other.sum
+            health = score if other.row == 0 else health
+            if prior.asks_more and not self._is_stuck(prior):
+                score -= _FOLLOWS_NOTHING
+            if other.rise_s < _DELAYS * prior.row.late_s:
                 score = min(score, _SUSPECT)
             if score > first:
                 first, second, best = score, first, other
             elif score > second:
                 second = score
         self._waited_s = self._waited_s + seconds if first > _FIND else 0.0
-        if self._accepted.row > 0 and health > _CLEAR and health > first - _LEAD:
-            for other in self._others:
-                best = other if other.row == 0 else best
-            self._accept(best)
+        self._usual_s = self._usual_s + seconds if self._is_usual() else 0.0
+        if self._usual_s > _LEAD_S:
+            self._spare[0].start(self._accepted, 0)
+            self._accept(self._spare[0])
+        elif health > _CLEAR and health > first - _LEAD:
+            self._accept(self._others[0])
         elif first > _FIND and (first - second > _LEAD or self._waited_s > _LEAD_S):
             self._accept(best)
         else:
-            suspected = _PRIORS[best.row].row if first > _SUSPECT and best.row > 0 else TABLE[0]
-            if suspected.condemns != self.verdict.suspected or (suspected.sentence == '') != (
-                self.verdict.suspicion == ''
-            ):
-                now = self.verdict
-                self.verdict = Verdict(now.finding, _told(best, suspected), now.condemned, suspected.condemns)
+            row, now = TABLE[best.row if first > _SUSPECT else 0], self.verdict
+            if row.condemns != now.suspected:
+                self.verdict = Verdict(now.finding, _told(best, row), now.condemned, row.condemns)
+
+    def _is_usual(self) -> bool:
+        """Return whether the size of the fault of the accepted row is one that healthy trains have."""
+        trial, prior = self._accepted, _PRIORS[self._accepted.row]
+        if prior.own[OFFSET] > 0.0:
+            return abs(trial.x[OFFSET]) < _PRIORS[0].std[OFFSET]
+        if prior.row.unusual:
+            return abs(prior.row.force * trial.x[GAIN] - 1.0) < _PRIORS[0].std[GAIN]
+        return prior.row.wheel_std != WHEEL.std and abs(trial.wheel) < WHEEL.std
 
     def _accept(self, trial: Trial) -> None:
-        """Accept a row: all others start afresh."""
-        row = _PRIORS[trial.row].row
-        accepted = Trial(trial.row)
+        """Accept a row, which keeps the size of its fault: all others start afresh."""
+        prior, accepted = _PRIORS[trial.row], Trial(trial.row)
         accepted.copy(trial)
         for i in range(1, _STATES):
-            if _PRIORS[trial.row].own[i] > 0.0:
+            if prior.own[i] > 0.0:
                 accepted.centre[i] = trial.x[i]
-        accepted.wheel_centre = trial.wheel if _PRIORS[trial.row].has_speed else 0.0
-        self._accepted, self._others, self._waited_s = accepted, [], 0.0
-        self.verdict = Verdict(_told(trial, row), '', row.condemns, NOTHING)
+        accepted.wheel_centre = trial.wheel if prior.has_speed else 0.0
+        self._accepted, self._others, self._waited_s, self._usual_s = accepted, [], 0.0, 0.0
+        self.verdict = Verdict(_told(trial, prior.row), '', prior.row.condemns, NOTHING)
 
 
 def _told(trial: Trial, row: Row) -> str:
@@ -948,8 +941,8 @@ def _told(trial: Trial, row: Row) -> str:
 
 def _off_line(gradient: float, at: Block, map_std: float) -> float:
     """Return what a gradient [per mille] costs that the line does not have here [nats]."""
-    off = max(max(gradient - at.most, at.least - gradient), 0.0)
-    if off == 0.0:
+    off = max(gradient - at.most, at.least - gradient)
+    if off <= 0.0:
         return 0.0
     std = _GRADIENT_STD + map_std + _GRADIENT_SHARE * abs(at.line)
     z2, elsewhere = off * off / (std * std), _PLACES * std / _GRADIENTS
@@ -965,4 +958,3 @@ def _empty(block: Block) -> None:
     """Empty a block, to be filled anew."""
     block.seconds = block.by_speed = block.by_position = 0.0
     block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
-    block.state = MOVING
