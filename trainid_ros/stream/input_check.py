@@ -757,7 +757,7 @@ class InputCheck:
         most = math.inf
         if accepted:
             at.miss, self._mismatch = self._miss(prior, trial.x, at, self._block(back + 1)), abs(mismatch)
-            most = at.seconds * forces.effort / forces.inertia + 4.0 * math.sqrt(at.variance)
+            most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + 4.0 * math.sqrt(at.variance)
         trial.predict(forces, at, self._decay, accepted=accepted)
         score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
         if accepted:
