@@ -53,8 +53,8 @@ _EXTRA: Final = (
 )
 _OF_MATRIX: Final = (
     'speed in km/h', 'speed in mph', 'speed half', 'speed 3 % high', 'speed 5 % high', 'speed frozen', 'speed +1 s',
-    'speed position 5 % high', 'speed position double', 'speed position frozen', 'force in kN', 'force in lbf', 'force sign',
-    'force 20 % high', 'force frozen', 'force +0.5 s', 'force +1 s', 'force clock -1 s', 'gradient sign',
+    'speed position 5 % high', 'speed position double', 'speed position frozen', 'force in kN', 'force in lbf',
+    'force sign', 'force 20 % high', 'force frozen', 'force +0.5 s', 'force +1 s', 'force clock -1 s', 'gradient sign',
     'gradient in per cent', 'gradient 2 per mille high', 'gradient frozen', 'command half', 'command in g',
     'command frozen',
 )  # fmt: skip

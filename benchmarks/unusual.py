@@ -65,8 +65,10 @@ class _HalfDynamicBraking(_DynamicBraking):
     def advance(self, way: Way, leg: int, effort: float, command: float) -> None:
         self.count += command > 0.0 and self.was == 0.0
         self.was = command
-        kind = super() if self.count % 2 else super(_DynamicBraking, self)
-        kind.advance(way, leg, effort, command)
+        if self.count % 2:
+            super().advance(way, leg, effort, command)
+        else:
+            Motion.advance(self, way, leg, effort, command)
 
 
 class _Wind(Motion):
@@ -150,10 +152,8 @@ def _balises(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
     """The position is 2 % off from balise to balise, which stand every 700 m."""
     sent = list[Row]()
     for row in rows:
-        if row[0] == SPEED:
-            balise = 700.0 * math.floor(row[3] / 700.0)
-            row = (*row[:3], balise + 1.02 * (row[3] - balise), row[4])
-        sent.append(row)
+        balise = 700.0 * math.floor(row[3] / 700.0) if row[0] == SPEED else 0.0
+        sent.append((*row[:3], balise + 1.02 * (row[3] - balise), row[4]) if row[0] == SPEED else row)
     return sent
 
 
@@ -173,8 +173,7 @@ def _slipping(share: float, most: float) -> Rows:
                     if abs(force) > 10.0 and row[2] > 1.0 and rng.uniform() < share * 0.2 / 1.3 / 0.5:
                         left_s = float(rng.uniform(0.6, 2.0))
                         size = math.copysign(most * float(rng.uniform(0.15, 1.0)), force)
-                row = (*row[:2], max(row[2] + size, 0.0), *row[3:])
-            sent.append(row)
+            sent.append((*row[:2], max(row[2] + size, 0.0), *row[3:]) if row[0] == SPEED else row)
         return sent
 
     return change
@@ -185,9 +184,8 @@ def _sliding(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
     for row in rows:
         if row[0] == FORCE:
             braked = row[2] < 0.0
-        if row[0] == SPEED and braked:
-            row = (*row[:2], row[2] * (1.0 - slides((row[1] - start_ns) * 1e-9)), *row[3:])
-        sent.append(row)
+        slide = slides((row[1] - start_ns) * 1e-9) if row[0] == SPEED and braked else 0.0
+        sent.append((*row[:2], row[2] * (1.0 - slide), *row[3:]) if slide > 0.0 else row)
     return sent
 
 

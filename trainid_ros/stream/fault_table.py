@@ -22,13 +22,14 @@ class Input(Enum):
     POSITION = 'the position in ato/speed'
     FORCE = 'ato/force'
     COMMAND = 'ato/brake_command'
+    MASS = 'ato/mass'
     GRADIENT = 'ato/gradient'
     LINE = 'line.gradient of the train file'
     BRAKE = 'brake.delay of the train file'
 
 
 NOTHING: Final[frozenset[Input]] = frozenset()
-RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.GRADIENT})
+RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.MASS, Input.GRADIENT})
 """Inputs of resistance and speed model: while one of them is condemned, neither learns."""
 BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKE})
 """Inputs of the brake rate. No estimator depends on position or line."""
@@ -93,9 +94,9 @@ class Row:
         return not self.condemns.isdisjoint(BRAKE_RATE_USES)
 
     @property
-    def is_of_forces(self) -> bool:
-        """True if it is about forces: while the brake acts, it is scored by its applications, not by blocks."""
-        return bool(self.condemns) and self.condemns.isdisjoint({Input.SPEED, Input.POSITION})
+    def is_of_times(self) -> bool:
+        """True if it is about times: while the brake acts, it is scored by its applications, not by blocks."""
+        return self.late is not None
 
     @property
     def has_speed(self) -> bool:
@@ -120,6 +121,7 @@ def _only(*inputs: Input) -> frozenset[Input]:
 
 
 _FOLLOWS: Final = 'the train follows {gain:.2g} times it'
+_WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows {gain:.2g} times the force'
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
@@ -134,6 +136,8 @@ TABLE: Final[tuple[Row, ...]] = (
         ignores=_only(Input.SPEED, Input.POSITION),
     ),
     Row('the position in ato/speed follows nothing', _only(Input.POSITION), ignores=_only(Input.POSITION)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0),

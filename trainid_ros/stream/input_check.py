@@ -41,7 +41,6 @@ from trainid_ros.stream.fault_table import (
     BRAKE_LATE,
     FORCE_LATE,
     GAIN,
-    NOTHING,
     OFFSET,
     TABLE,
     USUAL,
@@ -68,6 +67,7 @@ _CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked
 _FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so more is asked for
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
 _LEAD_S: Final = 10.0  # s ... but for at most this time
+_TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that which comes first in the table is right
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
 _APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
@@ -219,10 +219,9 @@ class Prior:
         late, others = row.late, row.late is not None and not row.early and row.late is not Input.BRAKE
         self.delays_speed = others and late is not Input.SPEED
         self.delays_force = (others and late is not Input.FORCE) or row.early
-        self.delays_command = others and late is not Input.COMMAND
-        self.delays_brake = self.delays_command or late is Input.BRAKE
+        self.delays_command = (others and late is not Input.COMMAND) or late is Input.BRAKE
         self.delays_gradient = others
-        self.is_of_forces, self.has_speed = row.is_of_forces, row.has_speed
+        self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
         self.asks_more = bool(row.ignores) and not self.ignores_gradient
         self.is_of_line = self.ignores_line or self.ignores_gradient or row.gradient != 1.0
 
@@ -479,13 +478,12 @@ class Forces:
         track = self.gradient + self.extra + (1.0 + x[WIND]) * self.resistance(x[V]) + x[OFFSET]
         return x[GAIN] * pull + x[BRAKE] * slow - track
 
-    def correct(self, prior: Prior, at: Block, force: Block, command: Block, brake: Block) -> None:
-        """Correct force, command and action of the brake, each from its own block; ``at`` is that of the speed."""
+    def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
+        """Correct force and brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
         F, dF = row.force * force.force, row.force * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
-        act, act_rate = scale * brake.brake, scale * brake.brake_step / brake.seconds
         T, dT = F - B, dF - dB
         is_braked = command.brake < -_BRAKES
         self.mismatch = 0.0
@@ -493,8 +491,8 @@ class Forces:
             self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))
         self.effort = abs(force.force) + abs(command.brake)
         # No row may seem sharper because it makes an input small.
-        effort = max(max(abs(act), abs(brake.brake)), -T)  # noqa: PLW3301 - of two numbers it is compiled
-        effort_rate = max(abs(act_rate), abs(brake.brake_step) / brake.seconds)
+        effort = max(max(abs(B), abs(command.brake)), -T)  # noqa: PLW3301 - of two numbers it is compiled
+        effort_rate = max(abs(dB), abs(command.brake_step) / command.seconds)
         slow = max(1.0 - at.speed / _SLACK_SPEED, 0.0)
         pull, overlap = _TRACTION_SHARE * max(T, force.force), _OVERLAP_SHARE * min(abs(T), abs(B))
         slack, share = _SLACK * slow, (_BRAKE_SHARE + _SLACK_SHARE * slow) * effort
@@ -504,7 +502,7 @@ class Forces:
             T = dT = 0.0
             q += _ANY_FORCE * _ANY_FORCE * (0.04 if is_braked else 1.0)
         self.traction, self.traction_rate, self.variance = T, dT, q + pull * pull + jitter * jitter
-        self.brake, self.brake_rate = brake.rate * act, brake.rate * act_rate
+        self.brake, self.brake_rate = command.rate * B, command.rate * dB
 
 
 @dataclass(frozen=True, slots=True)
@@ -513,8 +511,18 @@ class Verdict:
 
     finding: str = ''  # What is wrong, empty if all is well
     suspicion: str = ''  # What may be wrong, empty if nothing is suspected
-    condemned: frozenset[Input] = NOTHING  # Inputs that must not be used
-    suspected: frozenset[Input] = NOTHING  # Inputs of which nothing learned may be trusted
+    row: int = 0  # Row of the finding
+    suspect: int = 0  # Row of the suspicion
+
+    @property
+    def condemned(self) -> frozenset[Input]:
+        """Inputs that must not be used."""
+        return TABLE[self.row].condemns
+
+    @property
+    def suspected(self) -> frozenset[Input]:
+        """Inputs of which nothing learned may be trusted."""
+        return TABLE[self.suspect].condemns
 
 
 class InputCheck:
@@ -560,7 +568,7 @@ class InputCheck:
         self._is_weighed = False
         self._driven = 0.0  # Distance driven [m]
         self._scratch = vec[float]([0.0] * _STATES)
-        self._mismatch = self._distance_score = 0.0
+        self._mismatch = self._distance_score = self._line_score = 0.0
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
         self.verdict = Verdict()
@@ -686,7 +694,7 @@ class InputCheck:
             for i in range(1, _STATES):
                 self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
         self._before.copy(accepted)
-        self._mismatch = self._distance_score = 0.0
+        self._mismatch = self._distance_score = self._line_score = 0.0
         self._slips = False
         score = self._score(accepted, accepted=True)
         for other in self._others:
@@ -703,14 +711,11 @@ class InputCheck:
         before = self._block(shift + 1 if prior.delays_speed else 1)
         force = self._block(shift if prior.delays_force else 0)
         command = self._block(shift if prior.delays_command else 0)
-        brake = self._block(shift if prior.delays_brake else 0)
         slope = self._block(shift if prior.delays_gradient else 0)
-        if at.state != MOVING or not (before.is_known and slope.is_known):
-            return None
-        if not (force.is_known and command.is_known and brake.is_known):
+        if at.state != MOVING or not (before.is_known and slope.is_known and force.is_known and command.is_known):
             return None
         forces = self._forces
-        forces.correct(prior, at, force, command, brake)
+        forces.correct(prior, at, force, command)
         is_taken = prior.ignores_gradient and is_finite(at.line)
         forces.gradient, forces.extra = at.line if is_taken else prior.row.gradient * slope.gradient, slope.extra
         return at
@@ -725,20 +730,18 @@ class InputCheck:
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
-        is_odd = score < -0.5 * _ODD
-        if prior.has_speed or prior.ignores_position:
-            return self._distance_score < _START or is_odd
-        if prior.ignores_speed or prior.ignores_force:
-            return is_odd
+        if prior.has_speed or prior.row.ignores:
+            is_line_off = prior.is_of_line and self._line_score < _START
+            is_distance_off = (prior.has_speed or prior.ignores_position) and self._distance_score < _START
+            is_braked_off = prior.ignores_command and self._mismatch > _START_MISMATCH
+            return is_line_off or is_distance_off or is_braked_off or (score < -0.5 * _ODD and not prior.is_of_line)
         if self._accepted.row > 0:
             return True
         if prior.own[OFFSET] > 0.0:
             return score < 2.0 * _START
         at = self._correct(prior, shift)
-        if at is None:
-            return False
-        if prior.is_of_line:
-            return is_finite(at.line) and _off_line(self._block(0).gradient, at, self._map_std) > -_START
+        if at is None or prior.is_of_line:
+            return at is not None and self._line_score < _START
         miss = self._miss(prior, self._before.x, at, self._block(shift + 1 if prior.delays_speed else 1))
         return self._mismatch > _START_MISMATCH or miss * miss < at.miss * at.miss - _START_SHARE * at.variance
 
@@ -768,6 +771,7 @@ class InputCheck:
             score -= _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
             cost = _NO_LINE if prior.ignores_gradient or prior.ignores_line else _off_line(gradient, at, self._map_std)
+            self._line_score = -cost if accepted else self._line_score
             score -= cost * min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
         trial.scores[place] = score
         return score
@@ -869,7 +873,7 @@ class InputCheck:
             other.age_s += block.seconds
             if is_finite(gain) and not (is_stuck and other.row == 0):
                 other.part += gain
-            if is_released or not (prior.is_of_forces or theirs.is_of_forces):
+            if is_released or not (prior.is_of_times or theirs.is_of_times):
                 other.total, other.part = other.sum, 0.0
             other.rise_s = other.rise_s + block.seconds if other.sum > 1.0 else 0.0
             if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
@@ -889,12 +893,8 @@ class InputCheck:
         """Accept the best row if it is good enough; health is more probable, so less is asked for."""
         first, second, best, health = -math.inf, -math.inf, self._accepted, -math.inf
         for other in self._others:
-            prior, score = _PRIORS[other.row], other.sum
-            health = score if other.row == 0 else health
-            if prior.asks_more and not self._is_stuck(prior):
-                score -= _FOLLOWS_NOTHING
-            if other.rise_s < _DELAYS * prior.row.late_s:
-                score = min(score, _SUSPECT)
+            score = self._evidence(other)
+            health = other.sum if other.row == 0 else health
             if score > first:
                 first, second, best = score, first, other
             elif score > second:
@@ -906,12 +906,29 @@ class InputCheck:
             self._accept(self._spare[0])
         elif health > _CLEAR and health > first - _LEAD:
             self._accept(self._others[0])
-        elif first > _FIND and (first - second > _LEAD or self._waited_s > _LEAD_S):
+        elif first > _FIND and first - second > _LEAD:
             self._accept(best)
+        elif self._waited_s > _LEAD_S:
+            self._accept(self._likeliest(first))
         else:
-            row, now = TABLE[best.row if first > _SUSPECT else 0], self.verdict
-            if row.condemns != now.suspected:
-                self.verdict = Verdict(now.finding, _told(best, row), now.condemned, row.condemns)
+            row, now = best.row if first > _SUSPECT else 0, self.verdict
+            if TABLE[row].condemns != now.suspected:
+                self.verdict = Verdict(now.finding, _told(best, row), now.row, row)
+
+    def _evidence(self, trial: Trial) -> float:
+        """Return S of a row less what is asked of it beforehand [nats]."""
+        prior, score = _PRIORS[trial.row], trial.sum
+        if prior.asks_more and not self._is_stuck(prior):
+            score -= _FOLLOWS_NOTHING
+        return min(score, _SUSPECT) if trial.rise_s < _DELAYS * prior.row.late_s else score
+
+    def _likeliest(self, first: float) -> Trial:
+        """Return the first row of the table that explains the inputs as well as the best one, of evidence ``first``."""
+        best = self._others[0]
+        for other in self._others:
+            if self._evidence(other) > first - _TIE:
+                return other
+        return best
 
     def _is_usual(self) -> bool:
         """Return whether the size of the fault of the accepted row is one that healthy trains have."""
@@ -931,11 +948,12 @@ class InputCheck:
                 accepted.centre[i] = trial.x[i]
         accepted.wheel_centre = trial.wheel if prior.has_speed else 0.0
         self._accepted, self._others, self._waited_s, self._usual_s = accepted, [], 0.0, 0.0
-        self.verdict = Verdict(_told(trial, prior.row), '', prior.row.condemns, NOTHING)
+        self.verdict = Verdict(_told(trial, trial.row), '', trial.row, 0)
 
 
-def _told(trial: Trial, row: Row) -> str:
-    """Return the sentence of a row with the size of the fault."""
+def _told(trial: Trial, place: int) -> str:
+    """Return the sentence of a row with the size of the fault by a trial."""
+    row = TABLE[place]
     return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
 
 

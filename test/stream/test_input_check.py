@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One check of all inputs: its filter against matrices, its state, and one drive for each row of the table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.state import encode, restore
+from trainid_ros.stream.fault_table import BRAKE, GAIN, OFFSET, TABLE, USUAL, Input, Row
+from trainid_ros.stream.input_check import Block, Forces, InputCheck, Prior, Trial, Verdict, student_t
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Sample, coasting_sample
+from trainid_ros.train.forces import BrakeCommandChange, G
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+
+Array = NDArray[np.float64]
+
+START: Final = 1_700_000_000_000_000_000
+MASS, GAMMA, LENGTH = 200e3, 0.08, 100.0
+# Gradients of the line [per mille], every 400 m.
+GRADIENTS: Final = tuple((400.0 * k, 7.0 * math.sin(2.4 * k) - 0.5) for k in range(60))
+FILE: Final = TrainFile(
+    Train(MASS, GAMMA, LENGTH), Davis(1.5, 0.03, 0.004), Brake(1.0, 0.4, 0.6), Line(gradient=GRADIENTS)
+)
+DT: Final = 0.2
+
+
+@dataclass
+class Drive:
+    """What really happened, and what is reported of it, at 5 Hz."""
+
+    speed: Array
+    position: Array
+    force: Array  # [N/kN]
+    gradient: Array
+    command: Array
+    pulled: Array = field(default_factory=lambda: np.zeros(0))  # What acted in traction [N/kN]
+
+
+def driven(seconds: float, *, traction: float = 1.0, offset: float = 0.0, delay: float = 0.6) -> Drive:
+    """Return a drive of traction, cruising, coasting and braking; traction acts so many times as reported."""
+    n, sub = round(seconds / DT), 8
+    rng = np.random.default_rng(28)
+    inertia = 1000.0 * (1.0 + GAMMA) / G
+    profile = LineProfile(FILE.line, LENGTH)
+    v, x, force, lagged = 0.5, 500.0, 0.0, 0.0
+    commands = [0.0] * (round(delay / DT * sub) + 1)
+    rows = []
+    phase, since = 'pull', 0.0
+    for _ in range(n):
+        since += DT
+        if phase == 'pull' and v > 18.0:
+            phase, since = 'hold', 0.0
+        elif phase == 'hold' and since > 12.0:
+            phase, since = 'coast', 0.0
+        elif phase == 'coast' and since > 10.0:
+            phase, since = 'brake', 0.0
+        elif phase == 'brake' and v < 4.0:
+            phase, since = 'pull', 0.0
+        command = {'brake': -0.9 if since < 6.0 else -0.5}.get(phase, 0.0)
+        effort = {'pull': min(70.0, 700.0 / max(v, 1.0)), 'hold': max(20.0 * (18.0 - v) + 4.0, 0.0)}.get(phase, 0.0)
+        effort = effort if lagged > -0.05 else 0.0
+        slope = profile.gradient(x, 1)
+        for _ in range(sub):
+            h = DT / sub
+            force += (effort - force) * h / 0.4
+            commands.append(command)
+            lagged += (commands[-len(commands[: round(delay / DT * sub) + 1])] - lagged) * (1.0 - math.exp(-h / 0.4))
+            w = 1.5 + v * (0.03 + v * 0.004)
+            v = max(v + h * ((traction * force - slope - w - offset) / inertia + lagged), 0.0)
+            x += h * v
+        rows.append((v + 0.02 * rng.normal(), x, force + lagged * inertia + 0.2 * rng.normal(), slope, command, force))
+    return Drive(*np.array(rows).T)
+
+
+def shifted(values: Array, seconds: float) -> Array:
+    """Return values that come later by a time [s]."""
+    k = round(seconds / DT)
+    return np.concatenate((np.full(k, values[0]), values[:-k])) if k > 0 else np.concatenate(
+        (values[-k:], np.full(-k, values[-1]))
+    )  # fmt: skip
+
+
+def samples_of(drive: Drive) -> Iterator[Sample]:
+    """Yield the samples of a drive."""
+    newton, before = MASS * G / 1000.0, math.nan
+    for k in range(len(drive.speed)):
+        stamp = START + k * NS_PER_S // 5
+        sample = coasting_sample(stamp, DT if k else math.nan, max(float(drive.speed[k]), 0.0))
+        command = float(drive.command[k])
+        last = max(k - 1, 0)
+        yield replace(
+            sample,
+            position=float(drive.position[k]),
+            force=float(drive.force[k]) * newton,
+            force_mean=0.5 * float(drive.force[k] + drive.force[last]) * newton,
+            gradient=float(drive.gradient[k]),
+            gradient_mean=0.5 * float(drive.gradient[k] + drive.gradient[last]),
+            brake_command=command,
+            brake_changes=() if command == before else (BrakeCommandChange(stamp - NS_PER_S // 5, command),),
+            mass=MASS,
+        )
+        before = command
+
+
+# A command that comes late is like a brake that acts late.
+_ALIKE: Final = frozenset({Input.COMMAND, Input.BRAKE})
+
+
+def faulty(row: Row) -> Drive:
+    """Return a drive with just the fault of a row."""
+    gain = next((mean for place, mean, _ in row.unusual if place == GAIN), 1.0) if row.force == 1.0 else 1.0
+    offset = 10.0 if any(place == OFFSET for place, _, _ in row.unusual) else 0.0
+    # What the brake alone shows takes several applications.
+    seconds = 1800.0 if row.late in _ALIKE else 900.0
+    drive = driven(seconds, traction=gain, offset=offset, delay=0.6 + (row.late_s if row.late is Input.BRAKE else 0.0))
+    drive.force = drive.force / row.force
+    drive.gradient = drive.gradient / row.gradient
+    drive.command = drive.command / row.command
+    drive.speed = drive.speed / row.speed * (1.06 if row.wheel_std > 0.01 else 1.0)
+    # The usual force is a little late.
+    later = -row.late_s if row.early else row.late_s + 0.2
+    if row.late is Input.FORCE:
+        drive.force = shifted(drive.force, later)
+    elif row.late is Input.SPEED:
+        drive.speed, drive.position = shifted(drive.speed, later), shifted(drive.position, later)
+    elif row.late is Input.COMMAND:
+        drive.command = shifted(drive.command, later)
+    half = len(drive.speed) // 3
+    if Input.SPEED in row.ignores:
+        drive.speed[half:] = drive.speed[half]
+    if Input.POSITION in row.ignores:
+        drive.position[half:] = drive.position[half]
+    if Input.FORCE in row.ignores:
+        drive.force[half:] = drive.force[half]
+    if Input.COMMAND in row.ignores:
+        drive.command[half:] = 0.0
+    if Input.GRADIENT in row.ignores:
+        drive.gradient = -3.0 + 0.0 * drive.gradient
+    return drive
+
+
+@cache
+def verdicts(place: int) -> tuple[Verdict, ...]:
+    """Return all verdicts on the drive with the fault of a row."""
+    check = InputCheck(KnownForce(FILE))
+    return tuple({check.take(sample): None for sample in samples_of(faulty(TABLE[place]))})
+
+
+def test_a_healthy_drive_has_no_finding_and_no_suspicion() -> None:
+    assert verdicts(0) == (Verdict(),)
+
+
+_NOT_FOUND: Final = {Input.LINE}
+
+
+@pytest.mark.parametrize(
+    'place', [k for k, row in enumerate(TABLE) if k and not row.condemns & _NOT_FOUND], ids=lambda k: TABLE[k].sentence
+)
+def test_each_row_is_found_on_a_drive_with_just_that_fault(place: int) -> None:
+    row = TABLE[place]
+    if row.ignores == frozenset({Input.COMMAND}):
+        pytest.skip('a command stuck at zero looks like dynamic braking')
+    found = [verdict for verdict in verdicts(place) if verdict.finding]
+    assert found, row.sentence
+    condemned = frozenset[Input]().union(*(verdict.condemned for verdict in found))
+    assert condemned & (row.condemns | (_ALIKE if row.condemns & _ALIKE else frozenset[Input]())), found
+
+
+def test_a_line_that_does_not_fit_holds_nobody() -> None:
+    """The gradients of the line are 6 per mille off; the topic is right."""
+    wrong = replace(FILE, line=Line(gradient=tuple((x, i + 6.0) for x, i in GRADIENTS)))
+    check = InputCheck(KnownForce(wrong))
+    found = {check.take(sample) for sample in samples_of(driven(900.0))}
+    assert {verdict.condemned for verdict in found} <= {frozenset(), frozenset({Input.LINE})}
+
+
+def test_a_state_in_the_middle_continues_as_if_nothing_had_happened() -> None:
+    """Also while rows are followed, and while a fault is found."""
+    drive = faulty(next(row for row in TABLE if row.sentence == 'ato/force is in lbf'))
+    whole, moments = InputCheck(KnownForce(FILE)), (77, 400, 1501)
+    continued: list[InputCheck] = []
+    for k, sample in enumerate(samples_of(drive)):
+        whole.take(sample)
+        for other in continued:
+            other.take(sample)
+        if k in moments:
+            continued.append(InputCheck(KnownForce(FILE)))
+            restore(continued[-1], encode(whole))
+    assert whole.verdict.finding
+    for other in continued:
+        assert encode(other) == encode(whole)
+        assert other.verdict == whole.verdict
+
+
+def test_a_state_that_does_not_fit_changes_nothing() -> None:
+    check = InputCheck(KnownForce(FILE))
+    before = encode(check)
+    with pytest.raises(InputError, match='InputCheck'):
+        restore(check, before.replace('"_driven"', '"_ridden"'))
+    assert encode(check) == before
+
+
+def test_unknown_inputs_are_no_fault() -> None:
+    check = InputCheck(KnownForce(FILE))
+    for k, sample in enumerate(samples_of(driven(120.0))):
+        name = ('position', 'force_mean', 'gradient_mean', 'brake_command', 'dt', 'force')[k // 50 % 6]
+        setattr(sample, name, math.nan)
+        assert check.take(sample) == Verdict()
+    restore(InputCheck(KnownForce(FILE)), encode(check))
+
+
+def reference(trial: Trial, forces: Forces, block: Block) -> tuple[Array, Array]:
+    """Return the predicted mean and covariance of a healthy row by matrices."""
+    x, P = np.array(list(trial.x)), full(list(trial.P))
+    d = np.array([1.0, *(math.exp(-block.seconds / usual.time_s) for usual in USUAL)])
+    mean, std = np.array([0.0, *(u.mean for u in USUAL)]), np.array([0.0, *(u.std for u in USUAL)])
+    x[1:] = mean[1:] + d[1:] * (x[1:] - mean[1:])
+    P = np.diag(d) @ P @ np.diag(d) + np.diag((1.0 - d * d) * std * std)
+
+    def after(state: Array) -> float:
+        v, offset, wind, gain, brake, force_late, brake_late = state
+        w = 1.5 + 0.03 * v + 0.004 * v * v
+        pull = forces.traction + force_late * forces.traction_rate
+        slow = forces.brake - brake_late * (0.6 + 0.4) * forces.brake_rate
+        total = gain * pull + brake * slow - forces.gradient - forces.extra - (1.0 + wind) * w - offset
+        return float(v + block.seconds * G / (1000.0 * (1.0 + GAMMA)) * total)
+
+    F, step = np.eye(7), 1e-4
+    F[0] = [(after(x + step * row) - after(x - step * row)) / (2.0 * step) for row in np.eye(7)]
+    x[0] = after(x)
+    h = block.seconds * G / (1000.0 * (1.0 + GAMMA))
+    return x, F @ P @ F.T + np.diag([h * h * forces.variance, 0, 0, 0, 0, 0, 0])
+
+
+def full(upper: list[float]) -> Array:
+    """Return a symmetric matrix of shape (7, 7) from its upper triangle."""
+    P = np.zeros((7, 7))
+    P[np.triu_indices(7)] = upper
+    return P + np.triu(P, 1).T
+
+
+def test_one_step_of_the_filter_by_matrices() -> None:
+    rng, trial = np.random.default_rng(3), Trial(0)
+    root = rng.normal(size=(7, 7)) * 0.05
+    fill(trial.x, [12.0, 0.7, 0.1, 1.05, 0.9, 0.15, -0.1])
+    fill(trial.P, (root @ root.T)[np.triu_indices(7)].tolist())
+    block = Block(seconds=0.6, speed=12.3, speed_step=0.3, force=55.0, force_step=12.0, brake=-9.0, brake_step=-5.0)
+    forces = Forces(KnownForce(FILE))
+    forces.correct(Prior(TABLE[0]), block, block, block)
+    forces.gradient, forces.extra = 4.0, 0.5
+    x, P = reference(trial, forces, block)
+    decay = trial.x[:]
+    fill(decay, [1.0, *(math.exp(-block.seconds / usual.time_s) for usual in USUAL)])
+    trial.predict(forces, block, decay, accepted=False)
+    np.testing.assert_allclose(list(trial.x), x, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(full(list(trial.P)), P, rtol=1e-5, atol=1e-8)
+    # Student's t with 4 degrees of freedom, whose weight inflates the variance of the measurement.
+    R, nu = 0.01, 12.35 - x[0]
+    S = P[0, 0] + R
+    score = -2.5 * math.log(1.0 + nu * nu / S / 4.0) - 0.5 * math.log(S / R)
+    weight = min(5.0 / (4.0 + nu * nu / S), 1.0)
+    K = P[:, 0] / (P[0, 0] + R / weight)
+    assert trial.correct(12.35, R) == pytest.approx(score, rel=1e-5)
+    np.testing.assert_allclose(list(trial.x), x + K * nu, rtol=1e-5)
+    np.testing.assert_allclose(full(list(trial.P)), P - np.outer(K, P[0]), rtol=1e-4, atol=1e-8)
+
+
+def fill(vector: Any, values: list[float]) -> None:
+    """Set the numbers of a vector."""
+    for k, value in enumerate(values):
+        vector[k] = value
+
+
+def test_forces_by_hand() -> None:
+    """A brake of 30 N/kN and a reported force of -20 N/kN: the driver pulls 10 N/kN against it."""
+    forces = Forces(KnownForce(FILE))
+    block = Block(seconds=0.5, speed=10.0, force=-20.0, force_step=2.0, brake=-30.0, brake_step=-1.0, rate=0.9)
+    forces.correct(Prior(TABLE[0]), block, block, block)
+    assert forces.traction == pytest.approx(10.0)
+    assert forces.traction_rate == pytest.approx((2.0 + 1.0) / 0.5)
+    assert forces.brake == pytest.approx(0.9 * -30.0)
+    assert forces.mismatch == pytest.approx(10.0 / (3.0 + 0.25 * 30.0 + 0.5 * 2.0))
+    in_g = Prior(next(row for row in TABLE if row.sentence == 'ato/brake_command is in g'))
+    forces.correct(in_g, block, block, block)
+    assert forces.traction == pytest.approx(-20.0 + G * 30.0)
+
+
+def test_students_t() -> None:
+    assert student_t(0.0, 1.0) == (0.0, 1.0)
+    score, weight = student_t(1e6, 1.0)
+    assert score == -4.0
+    assert weight == pytest.approx(5e-6, rel=1e-3)
+
+
+def test_a_row_keeps_its_own_opinion() -> None:
+    """The row of a force that is too small does not take over the gain that was learned without it."""
+    small = next(k for k, row in enumerate(TABLE) if row.force == 2.0)
+    healthy, trial = Trial(0), Trial(small)
+    fill(healthy.x, [10.0, 1.0, 0.1, 1.1, 0.8, 0.2, 0.1])
+    trial.start(healthy, 0)
+    assert trial.x[GAIN] == 1.0
+    assert trial.x[BRAKE] == 0.8
