@@ -52,6 +52,8 @@ MODULES: Final = (
     'stream/alignment',
     'stream/balance_checks',
     'stream/brake_checks',
+    'stream/fault_table',
+    'stream/input_check',
     'stream/known_force',
     'stream/message_check',
     'stream/plausibility',

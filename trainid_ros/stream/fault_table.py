@@ -161,7 +161,7 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('ato/brake_command is too large by 3', _only(Input.COMMAND), command=0.3),
     Row('ato/brake_command is stuck or follows nothing', _only(Input.COMMAND), ignores=_only(Input.COMMAND)),
     *_late(Input.COMMAND, 'ato/brake_command is late', _LATE_S[1:]),
-    *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[1:]),
+    *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[2:]),
     Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0),
     Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0),
     Row('ato/gradient does not fit the line', _only(Input.GRADIENT), ignores=_only(Input.GRADIENT)),
