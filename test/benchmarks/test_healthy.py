@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import healthy
 from benchmarks.healthy import Case, Moment, faulty_rows, new_moments, old_moments, outcome_of, rows_of, samples_of
+from benchmarks.unusual import UNUSUAL
 from trainid_ros.stream.samples import coasting_sample
 
 S_NS = 10**9
@@ -42,7 +43,7 @@ def test_both_checks_find_a_gross_fault(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('place', range(len(healthy.UNUSUAL)), ids=lambda k: healthy.UNUSUAL[k].name)
+@pytest.mark.parametrize('place', range(len(UNUSUAL)), ids=lambda k: UNUSUAL[k].name)
 def test_each_unusual_drive_can_be_made(place: int) -> None:
-    train_file, rows = rows_of(healthy.UNUSUAL[place].world, 5000, place, 120.0)
+    train_file, rows = rows_of(UNUSUAL[place].world, 5000, place, 120.0)
     assert samples_of(train_file, rows)
