@@ -64,13 +64,12 @@ _GAIN_GAIN: Final = 18  # that of the gain
 _SUSPECT: Final = 6.0  # nats: exp(-6) = 1/400
 _FIND: Final = 14.0  # nats: 1e-6 for each fresh start, of which there are some 1e4 a day
 _CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked for
-_FOLLOWS_NOTHING: Final = 10.0  # nats: "follows nothing" explains any input, so more is asked for
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
 _LEAD_S: Final = 10.0  # s ... but for at most this time
 _TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that which comes first in the table is right
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
-_APPLICATION: Final = 8.0  # nats: the most that one application of the brake counts, so that it takes two
+_APPLICATION: Final = 5.0  # nats: the most that one application of the brake counts: none is suspected by one
 _START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
 _START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
@@ -101,10 +100,9 @@ _BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
 _GAP_S: Final = 1.6  # s: samples further apart are no neighbours
 _MIN_SPEED: Final = 1.0  # m/s: slower trains stand, or stop with a jerk
 _KEPT: Final = 8  # blocks kept: the longest delay, and the one before
-_PLACE_M: Final = 30.0  # m: error of the place on the line ...
-_PLACE_SHARE: Final = 0.006  # ... and its share of the distance driven, by worn wheels
-_PLACES_TRIED: Final = 8  # places in which the line is looked up on either side
-_SAME_GRADIENT: Final = 0.5  # per mille: a smaller error is not looked into
+_PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
+_MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
+_PLACE_SHARE: Final = 0.006  # ... and by which share of the distance it grows, by worn wheels
 _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise
@@ -128,8 +126,7 @@ _BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
 _RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
-_GRADIENT_STD: Final = 0.3  # per mille: gradient of the topic against that of the line, beyond that of the map, ...
-_GRADIENT_SHARE: Final = 0.15  # ... and its share
+_GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line
 
 # What is usual, and how far a row may depart from it
 
@@ -138,7 +135,8 @@ _LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
 _TUNNEL_WIND: Final = 1.0  # std of the wind in a tunnel, as a share of the resistance [1]
 _BOARDING: Final = 0.05  # share of the mass by which it may change at a stop, if it is not weighed ...
 _BOARDING_S: Final = 30.0  # s ... in this time
-_LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: a memory of 100 blocks
+_LEARNED: Final = 0.01  # weight of a new square in the learned noise of position and gradient: 100 blocks ...
+_FIRST: Final = 10.0  # blocks ... of which its first value counts for so many
 _CAPPED_MEAN: Final = 0.51606  # E min(z^2, 1) of a standard normal z: Huber's proposal 2
 
 MOVING: Final = 0
@@ -167,6 +165,7 @@ class Block:
     rate: float = 1.0  # Brake rate of the train file [1]
     gradient: float = 0.0  # Mean gradient of the topic [per mille]
     line: float = math.nan  # Gradient of the line at its end [per mille], NaN if unknown
+    steepness: float = 0.0  # Change of that gradient with the position [per mille/m]
     miss: float = math.nan  # Speed at its end less what the accepted row gives from its start [m/s]
     least: float = math.nan  # Least gradient of the line nearby [per mille]
     most: float = math.nan  # Greatest one
@@ -222,7 +221,6 @@ class Prior:
         self.delays_command = (others and late is not Input.COMMAND) or late is Input.BRAKE
         self.delays_gradient = others
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
-        self.asks_more = bool(row.ignores) and not self.ignores_gradient
         self.is_of_line = self.ignores_line or self.ignores_gradient or row.gradient != 1.0
 
 
@@ -534,15 +532,17 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
-        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_accepted',
-        several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_driven', '_off', 'verdict',
+        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared', '_accepted',
+        several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std', '_gradient_var', '_off',
+        'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
         brake, line = known.train_file.brake, known.train_file.line
         self._known = known
         self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
-        self._map_std = line.gradient_std
+        # Error of the gradient of the topic [per mille^2].
+        self._gradient_var = (_GRADIENT_STD + line.gradient_std) * (_GRADIENT_STD + line.gradient_std)
         self._forces = Forces(known)
         self._decay = vec[float]([0.0] * _STATES)
         self._decay_s = 0.0
@@ -556,9 +556,10 @@ class InputCheck:
         self._stamp_ns, self._direction = 0, 1
         self._speed = self._position = self._force = math.nan
         self._brake = 0.0
-        # Time for which speed, position and force have not changed [s].
-        self._still = vec[float]([0.0, 0.0, 0.0])
+        # Time for which speed, position, force and command have not changed [s].
+        self._still = vec[float]([0.0, 0.0, 0.0, 0.0])
         self._position_var = _POSITION_STD * _POSITION_STD
+        self._compared = 0  # Number of distances from which it was learned
         self._accepted = Trial(0)
         for i in range(1, _STATES):
             std = _PRIORS[0].std[i]
@@ -566,7 +567,7 @@ class InputCheck:
         self._others = list[Trial]()
         self._waited_s = self._usual_s = 0.0
         self._is_weighed = False
-        self._driven = 0.0  # Distance driven [m]
+        self._place, self._place_std = 0.0, _PLACE_M  # Place on the line less the position, and its error [m]
         self._scratch = vec[float]([0.0] * _STATES)
         self._mismatch = self._distance_score = self._line_score = 0.0
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
@@ -589,6 +590,7 @@ class InputCheck:
         actuator, start_ns = self._actuator, self._stamp_ns
         self._stamp_ns = sample.stamp_ns
         actuator.commands.follow(sample.brake_changes)
+        self._still[3] = 0.0 if sample.brake_changes or not sample.dt > 0.0 else self._still[3] + sample.dt
         if not 0 < start_ns <= sample.stamp_ns:
             return 0.0
         changes = actuator.commands.changes
@@ -631,7 +633,9 @@ class InputCheck:
         quantum = self._noise.quantum
         block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
         block.speed_step = sample.speed - last.speed
-        block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + quantum * quantum / 6.0
+        # Blocks between two steps of a speed share the error of its rounding.
+        rounding = self._noise.rounding * min(sample.dt / block.seconds, 1.0) if block.seconds > 0.0 else 0.0
+        block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + max(rounding, quantum * quantum / 6.0)
         block.tunnel = sample.tunnel
         block.rate = 1.0
         if brake < 0.0 or block.brake < 0.0:
@@ -659,25 +663,22 @@ class InputCheck:
         still[2] = still[2] + seconds if block.force == last.force else 0.0
 
     def _look_up(self, block: Block, sample: Sample) -> None:
-        """Look up the line where the block ends and, where the topic differs, in all places where that may be."""
-        line, here, direction = self._line, sample.position, sample.direction
+        """Look up the line in the middle of the block, and on either side of it where that may be."""
+        line, direction, std = self._line, sample.direction, self._place_std
+        here = sample.position - 0.5 * direction * block.by_speed + self._place
         block.line = block.least = block.most = math.nan
-        self._driven += max(block.by_speed, 0.0)
-        if line is None or not line.first <= here <= line.last:
+        if line is None or not line.first <= here <= line.last or not block.by_speed > 0.0:
             return
-        block.line = block.least = block.most = line.gradient(here, direction)
         # From where the front enters to where half of the train has left.
         front = here + 0.5 * direction * line.length
         block.tunnel = block.tunnel or line.tunnel(here, direction) or line.tunnel(front, direction)
-        if abs(block.gradient - block.line) < _SAME_GRADIENT:
-            return
-        off = _PLACE_M + _PLACE_SHARE * self._driven
-        for k in range(1, _PLACES_TRIED + 1):
-            for share in (k / _PLACES_TRIED, -k / _PLACES_TRIED):
-                near = line.gradient(here + share * off, direction)
-                block.least, block.most = min(block.least, near), max(block.most, near)
-            if block.least <= block.gradient <= block.most:
-                return
+        block.line = line.gradient(here, direction)
+        before, after = line.gradient(here - std, direction), line.gradient(here + std, direction)
+        block.least, block.most = min(before, after, block.line), max(before, after, block.line)
+        if not block.least <= block.gradient <= block.most:
+            before2, after2 = line.gradient(here - 2.0 * std, direction), line.gradient(here + 2.0 * std, direction)
+            block.least, block.most = min(before2, after2, block.least), max(before2, after2, block.most)
+        block.steepness = 0.5 * (after - before) / std
 
     def _block(self, back: int) -> Block:
         """Return a block by how far it is back; 0 is the last one."""
@@ -702,6 +703,7 @@ class InputCheck:
         if score < _START and not self._slips:
             self._start_others(block.seconds, score)
         self._learn_position(block)
+        self._learn_place(block)
         self._sum(block)
         self._decide(block.seconds)
 
@@ -767,10 +769,15 @@ class InputCheck:
             score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
         if mismatch != 0.0:
+            is_stuck = prior.ignores_command and self._still[3] > _STILL_S
             is_blank = prior.ignores_force or prior.ignores_command
-            score -= _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
+            score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
-            cost = _NO_LINE if prior.ignores_gradient or prior.ignores_line else _off_line(gradient, at, self._map_std)
+            cost = (
+                _NO_LINE
+                if prior.ignores_gradient or prior.ignores_line
+                else _off_line(gradient, at, self._gradient_var)
+            )
             self._line_score = -cost if accepted else self._line_score
             score -= cost * min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
         trial.scores[place] = score
@@ -784,7 +791,13 @@ class InputCheck:
         speed = at.speed * _PRIORS[trial.row].row.speed
         if is_odd and trial.odd_s > _LOST_S and abs(speed - trial.x[V]) > most:
             trial.measure(speed, at.variance)
-        return max(score, -_SLIP) if self._slips else score
+        if not self._slips:
+            return score
+        # Wheels that slip say nothing about forces.
+        v, variance = trial.x[V], trial.P[V]
+        trial.copy(self._before)
+        trial.measure(v, variance)
+        return max(score, -_SLIP)
 
     def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool) -> float:
         """Correct a row with speed and position; return the log likelihood of both [nats]."""
@@ -854,7 +867,25 @@ class InputCheck:
         off = block.by_position - prior.row.speed * block.by_speed / (1.0 + trial.wheel)
         change, self._off = off - self._off, off
         square = min(0.5 * change * change, self._position_var) / _CAPPED_MEAN
-        self._position_var += _LEARNED * (square - self._position_var)
+        self._compared += 1
+        self._position_var += max(_LEARNED, 1.0 / (_FIRST + self._compared)) * (square - self._position_var)
+
+    def _learn_place(self, block: Block) -> None:
+        """Learn the place on the line, and the error of the gradient, from the gradient of the topic."""
+        if not is_finite(block.line) or _PRIORS[self._accepted.row].is_of_line:
+            return
+        off = max(block.gradient - block.most, block.least - block.gradient, 0.0)
+        square = off * off / self._gradient_var
+        if square < _NU:
+            # One error of the gradient for each length in which errors of a map repeat themselves.
+            H, P = block.steepness, self._place_std * self._place_std
+            R = self._gradient_var * max(_GRADIENT_M / block.by_speed, 1.0)
+            K = H * P / (H * H * P + R)
+            self._place += K * (block.gradient - block.line)
+            self._place_std = max(math.sqrt((1.0 - K * H) * P), _MIN_PLACE_M)
+        self._place_std += _PLACE_SHARE * block.by_speed
+        change = min(square, 1.0) / _CAPPED_MEAN - 1.0
+        self._gradient_var = max((1.0 + _LEARNED * change) * self._gradient_var, _GRADIENT_STD * _GRADIENT_STD)
 
     # Decision
 
@@ -887,6 +918,7 @@ class InputCheck:
             (prior.ignores_speed and still[0] > _STILL_S)
             or (prior.ignores_position and still[1] > _STILL_S)
             or (prior.ignores_force and still[2] > _STILL_S)
+            or (prior.ignores_command and still[3] > _STILL_S)
         )
 
     def _decide(self, seconds: float) -> None:
@@ -918,8 +950,8 @@ class InputCheck:
     def _evidence(self, trial: Trial) -> float:
         """Return S of a row less what is asked of it beforehand [nats]."""
         prior, score = _PRIORS[trial.row], trial.sum
-        if prior.asks_more and not self._is_stuck(prior):
-            score -= _FOLLOWS_NOTHING
+        if not self._is_stuck(prior):
+            score -= prior.row.asks
         return min(score, _SUSPECT) if trial.rise_s < _DELAYS * prior.row.late_s else score
 
     def _likeliest(self, first: float) -> Trial:
@@ -957,14 +989,15 @@ def _told(trial: Trial, place: int) -> str:
     return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
 
 
-def _off_line(gradient: float, at: Block, map_std: float) -> float:
+def _off_line(gradient: float, at: Block, variance: float) -> float:
     """Return what a gradient [per mille] costs that the line does not have here [nats]."""
     off = max(gradient - at.most, at.least - gradient)
     if off <= 0.0:
         return 0.0
-    std = _GRADIENT_STD + map_std + _GRADIENT_SHARE * abs(at.line)
-    z2, elsewhere = off * off / (std * std), _PLACES * std / _GRADIENTS
-    return min(-math.log(((1.0 - _PLACES) * math.exp(-0.5 * z2) + elsewhere) / (1.0 - _PLACES + elsewhere)), _ODD)
+    elsewhere = _PLACES * math.sqrt(variance) / _GRADIENTS
+    return -math.log(
+        ((1.0 - _PLACES) * math.exp(-0.5 * off * off / variance) + elsewhere) / (1.0 - _PLACES + elsewhere)
+    )
 
 
 def _diagonal(i: i64) -> i64:
