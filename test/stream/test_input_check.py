@@ -186,6 +186,27 @@ def test_a_line_that_does_not_fit_holds_nobody() -> None:
     assert {verdict.condemned for verdict in found} <= {frozenset(), frozenset({Input.LINE})}
 
 
+def test_a_position_that_is_off_is_no_fault_and_a_small_error_of_the_gradient_is_found() -> None:
+    """The gradient of the topic shows the place on the line, 25 m from the position; then it is 2.5 per mille high."""
+    drive = driven(900.0)
+    drive.position += 25.0
+    half = len(drive.gradient) // 2
+    drive.gradient[half:] += 2.5
+    check = InputCheck(KnownForce(FILE))
+    said = [check.take(sample) for sample in samples_of(drive)]
+    assert {verdict.finding for verdict in said[:half]} == {''}
+    assert any(Input.GRADIENT in verdict.condemned for verdict in said[half : half + 500])
+
+
+def test_a_driver_who_pulls_against_a_new_command_is_no_late_brake() -> None:
+    """Also by a row that has no brake yet, traction beside the command that was given costs something."""
+    late = next(k for k, row in enumerate(TABLE) if row.late is Input.BRAKE)
+    forces, known = Forces(KnownForce(FILE)), Prior(TABLE[late])
+    now, before = Block(seconds=0.5, speed=10.0, force=5.0, brake=-30.0), Block(seconds=0.5, speed=10.0, force=35.0)
+    forces.correct(known, now, now, before)
+    assert forces.mismatch == pytest.approx(5.0 / (3.0 + 0.25 * 5.0))
+
+
 def test_a_state_in_the_middle_continues_as_if_nothing_had_happened() -> None:
     """Also while rows are followed, and while a fault is found."""
     drive = faulty(next(row for row in TABLE if row.sentence == 'ato/force is in lbf'))

@@ -55,7 +55,7 @@ BRAKE_LATE: Final = 6
 
 USUAL: Final = (
     Usual(0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
-    Usual(0.0, 0.4, 120.0),  # Share of it that is added [1]: head wind of 10 m/s, errors of the train file
+    Usual(0.0, 0.5, 60.0),  # Share of it that is added [1]: head wind of 10 m/s, tunnels, errors of the train file
     Usual(1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
     Usual(1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
     Usual(0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
@@ -105,8 +105,8 @@ class Row:
         return self.speed != 1.0 or self.wheel_std != WHEEL.std
 
 
-_FOLLOWS_NOTHING: Final = 10.0  # nats: explains any input
-_OFF: Final = 6.0  # nats: also explains weather, tunnels and what the train file does not state
+_FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
+_OFF: Final = 3.0  # nats: also explains weather, tunnels and what the train file does not state
 # Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
 _KMH: Final = 3.6

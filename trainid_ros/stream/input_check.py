@@ -81,13 +81,13 @@ _ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, 
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
 _NO_LINE: Final = 1.0  # nats per length of the line: the same if the line, or the gradient of the topic, is ignored
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
-_STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
+_STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck ...
+_HELD_S: Final = 20.0  # s: ... but a brake command, which drivers hold
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
-_SLIP_S: Final = 2.5  # s: ... it has not lasted longer, and ...
+_SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then the speed is taken as measured), and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
 _SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
-_LOST_S: Final = 5.0  # s of odd speeds after which the accepted row takes the speed as measured
 _LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
@@ -483,9 +483,10 @@ class Forces:
         scale = 0.0 if prior.ignores_command else row.command
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
         T, dT = F - B, dF - dB
-        is_braked = command.brake < -_BRAKES
+        # A driver who pulls after a command pulls also if the brake acts later.
+        is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -_BRAKES
         self.mismatch = 0.0
-        if is_braked and command.brake_step < _RELEASING * abs(command.brake) * command.seconds:
+        if is_braked and command.brake_step <= _RELEASING * abs(command.brake) * command.seconds:
             self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))
         self.effort = abs(force.force) + abs(command.brake)
         # No row may seem sharper because it makes an input small.
@@ -532,9 +533,9 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
-        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared', '_accepted',
-        several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std', '_gradient_var', '_off',
-        'verdict',
+        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared',
+        '_accepted', several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std',
+        '_gradient_var', '_off', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -561,9 +562,10 @@ class InputCheck:
         self._position_var = _POSITION_STD * _POSITION_STD
         self._compared = 0  # Number of distances from which it was learned
         self._accepted = Trial(0)
-        for i in range(1, _STATES):
-            std = _PRIORS[0].std[i]
-            self._accepted.P[_diagonal(i)] = std * std
+        k = 0
+        for i in range(_STATES):
+            self._accepted.P[k] = _PRIORS[0].std[i] * _PRIORS[0].std[i]
+            k += _STATES - i
         self._others = list[Trial]()
         self._waited_s = self._usual_s = 0.0
         self._is_weighed = False
@@ -646,7 +648,9 @@ class InputCheck:
         self._count += 1
         self._filling = self._blocks[self._count % _KEPT]
         self._blocks[self._count % _KEPT] = block
-        _empty(self._filling)
+        block = self._filling
+        block.seconds = block.by_speed = block.by_position = 0.0
+        block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
 
     def _state(self, block: Block, force: float) -> int:
         """Return what can be compared in a full block."""
@@ -769,7 +773,7 @@ class InputCheck:
             score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
         if mismatch != 0.0:
-            is_stuck = prior.ignores_command and self._still[3] > _STILL_S
+            is_stuck = prior.ignores_command and self._still[3] > _HELD_S
             is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
@@ -789,7 +793,7 @@ class InputCheck:
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         speed = at.speed * _PRIORS[trial.row].row.speed
-        if is_odd and trial.odd_s > _LOST_S and abs(speed - trial.x[V]) > most:
+        if is_odd and trial.odd_s > _SLIP_S and abs(speed - trial.x[V]) > most:
             trial.measure(speed, at.variance)
         if not self._slips:
             return score
@@ -918,7 +922,7 @@ class InputCheck:
             (prior.ignores_speed and still[0] > _STILL_S)
             or (prior.ignores_position and still[1] > _STILL_S)
             or (prior.ignores_force and still[2] > _STILL_S)
-            or (prior.ignores_command and still[3] > _STILL_S)
+            or (prior.ignores_command and still[3] > _HELD_S)
         )
 
     def _decide(self, seconds: float) -> None:
@@ -941,7 +945,8 @@ class InputCheck:
         elif first > _FIND and first - second > _LEAD:
             self._accept(best)
         elif self._waited_s > _LEAD_S:
-            self._accept(self._likeliest(first))
+            # The first row of the table that explains the inputs as well as the best one.
+            self._accept(next(other for other in self._others if self._evidence(other) > first - _TIE))
         else:
             row, now = best.row if first > _SUSPECT else 0, self.verdict
             if TABLE[row].condemns != now.suspected:
@@ -953,14 +958,6 @@ class InputCheck:
         if not self._is_stuck(prior):
             score -= prior.row.asks
         return min(score, _SUSPECT) if trial.rise_s < _DELAYS * prior.row.late_s else score
-
-    def _likeliest(self, first: float) -> Trial:
-        """Return the first row of the table that explains the inputs as well as the best one, of evidence ``first``."""
-        best = self._others[0]
-        for other in self._others:
-            if self._evidence(other) > first - _TIE:
-                return other
-        return best
 
     def _is_usual(self) -> bool:
         """Return whether the size of the fault of the accepted row is one that healthy trains have."""
@@ -998,14 +995,3 @@ def _off_line(gradient: float, at: Block, variance: float) -> float:
     return -math.log(
         ((1.0 - _PLACES) * math.exp(-0.5 * off * off / variance) + elsewhere) / (1.0 - _PLACES + elsewhere)
     )
-
-
-def _diagonal(i: i64) -> i64:
-    """Return the place of a variance in the upper triangle of a covariance."""
-    return i * (2 * _STATES - 1 - i) // 2 + i
-
-
-def _empty(block: Block) -> None:
-    """Empty a block, to be filled anew."""
-    block.seconds = block.by_speed = block.by_position = 0.0
-    block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
