@@ -106,7 +106,7 @@ class Row:
 
 
 _FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
-_OFF: Final = 3.0  # nats: also explains weather, tunnels and what the train file does not state
+_RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that no file states, or a speed that is late
 # Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
 _KMH: Final = 3.6
@@ -115,7 +115,8 @@ _LBF: Final = 4.448222  # [N]
 
 
 def _late(what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False) -> tuple[Row, ...]:
-    return tuple(Row(f'{sentence} by about {s:.1f} s', frozenset({what}), late=what, late_s=s, early=early)
+    asks = _RARE if early else 0.0
+    return tuple(Row(f'{sentence} by about {s:.1f} s', _only(what), late=what, late_s=s, early=early, asks=asks)
                  for s in delays)  # fmt: skip
 
 
@@ -152,12 +153,12 @@ TABLE: Final[tuple[Row, ...]] = (
         'ato/force or ato/gradient is off by {offset:+.0f} N/kN',
         _only(Input.FORCE, Input.GRADIENT),
         unusual=((OFFSET, 0.0, 12.0),),
-        asks=_OFF,
+        asks=_RARE,
     ),
     _nothing('ato/force is stuck or follows nothing', Input.FORCE),
     *_late(Input.FORCE, 'ato/force is late', _LATE_S),
-    *_late(Input.FORCE, 'ato/force is early', _LATE_S[1:3], early=True),
     *_late(Input.SPEED, 'ato/speed is late', _LATE_S),
+    *_late(Input.FORCE, 'ato/force is early', _LATE_S[1:3], early=True),
     Row('ato/brake_command is in g', _only(Input.COMMAND), command=G),
     Row('ato/brake_command is too small by 2', _only(Input.COMMAND), command=2.0),
     Row('ato/brake_command is too small by 4', _only(Input.COMMAND), command=4.0),
