@@ -229,7 +229,7 @@ def test_a_state_that_does_not_fit_changes_nothing() -> None:
     check = InputCheck(KnownForce(FILE))
     before = encode(check)
     with pytest.raises(InputError, match='InputCheck'):
-        restore(check, before.replace('"_driven"', '"_ridden"'))
+        restore(check, before.replace('"_place"', '"_spot"'))
     assert encode(check) == before
 
 
