@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two publishers and a controller that toggles; a mass in tonnes; spikes, and short cuts of traction."""
+"""A stuck speed; two publishers and a controller that toggles; a mass in tonnes; spikes, and short cuts of traction."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, MassCheck, ReleaseCheck, SpikeCheck
+from trainid_ros.stream.known_force import SpeedNoise
+from trainid_ros.stream.message_check import (
+    CommandCheck,
+    ExcursionCheck,
+    MassCheck,
+    ReleaseCheck,
+    RepeatCheck,
+    SpikeCheck,
+)
 from trainid_ros.train.forces import BrakeCommandChange
 
 if TYPE_CHECKING:
@@ -17,6 +26,39 @@ if TYPE_CHECKING:
 PERIOD_S = 0.2
 WIDTH_S = 0.2
 STD = 4.0
+
+
+def stuck(speeds: Sequence[float]) -> list[bool]:
+    """Return after which of some speeds [m/s] the sensor counts as stuck."""
+    check, noise, found = RepeatCheck(), SpeedNoise.declared(0.025), []
+    for speed in speeds:
+        check.add(speed, noise)
+        noise.add(speed, PERIOD_S)
+        found.append(check.is_stuck)
+    return found
+
+
+def cruise(std: float, quantum: float, count: int = 200) -> list[float]:
+    """Return speeds of a cruise at 12 m/s with noise and steps of the speed [m/s]."""
+    speeds = 12.0 + std * np.random.default_rng(1).standard_normal(count)
+    return [float(round(v / quantum) * quantum) for v in speeds]
+
+
+@pytest.mark.parametrize(('quantum', 'most'), [(1e-6, 5), (0.01, 9)])
+def test_a_noisy_speed_that_repeats_is_stuck_until_it_changes(quantum: float, most: int) -> None:
+    found = stuck([*cruise(0.03, quantum), *[12.0] * 40, 11.9])
+    assert most - 3 <= found.index(True) - 200 <= most + 6
+    assert found[200 + most + 6 : 240] == [True] * (34 - most)
+    assert not found[-1]
+
+
+@pytest.mark.parametrize(('std', 'quantum'), [(0.03, 0.1), (0.0, 0.05), (0.1, 0.2), (0.02, 1.0 / 3.6)])
+def test_a_speed_in_coarse_steps_may_repeat(std: float, quantum: float) -> None:
+    assert not any(stuck([*cruise(std, quantum, 1000), *[12.0] * 100]))
+
+
+def test_a_train_at_rest_is_not_stuck() -> None:
+    assert not any(stuck([*cruise(0.03, 1e-6), *[0.0] * 500]))
 
 
 def toggled(changes_per_s: float, seconds: float = 20.0) -> CommandCheck:
@@ -42,10 +84,8 @@ def test_a_mass_in_tonnes_or_of_another_train_is_named_until_it_fits() -> None:
     check = MassCheck()
     check.add(185.0, 200e3)
     assert check.finding == 'ato/mass is 185, the train file says 200000 kg: it looks like tonnes'
-    assert check.ratio < check.limit
     check.add(1.5e6, 200e3)
     assert check.finding == 'ato/mass is 1.5e+06, the train file says 200000 kg'
-    assert check.ratio > check.limit
     check.add(185e3, 200e3)
     assert check.finding == ''
 
@@ -73,7 +113,7 @@ def test_a_stepped_command_does_not_alternate() -> None:
 
 def reported(height: float, specific_impulse: float, count: int = 8) -> SpikeCheck:
     """Return the check after reports that stand out, to a share of which the speed answers [1]."""
-    check = SpikeCheck()
+    check = SpikeCheck(topic='ato/force')
     for k in range(10 * count):
         excess = height if k % 10 == 5 else 0.0
         # A report stands for half of the intervals before and after it.
@@ -85,12 +125,12 @@ def reported(height: float, specific_impulse: float, count: int = 8) -> SpikeChe
 def test_a_cut_of_traction_is_answered_by_the_speed_and_a_spike_towards_zero_is_not() -> None:
     assert reported(-40.0, specific_impulse=0.0).finding == 'ato/force has spikes'
     assert reported(-40.0, specific_impulse=1.0).finding == ''
-    assert not reported(-40.0, specific_impulse=1.0).is_suspected
+    assert not reported(-40.0, specific_impulse=1.0).suspicion
 
 
 @pytest.mark.parametrize('height', [30.0, -100.0])
 def test_reports_beyond_their_neighbours_are_spikes_whatever_the_speed_does(height: float) -> None:
-    assert reported(height, specific_impulse=math.nan, count=2).is_suspected
+    assert reported(height, specific_impulse=math.nan, count=2).suspicion
     assert reported(height, specific_impulse=math.nan, count=6).finding == 'ato/force has spikes'
 
 
@@ -100,30 +140,30 @@ def test_spikes_towards_zero_that_the_noise_of_the_speed_hides_or_while_a_brake_
 
 
 def test_pulses_of_traction_rise_and_fall_in_more_than_one_report() -> None:
-    check = SpikeCheck()
+    check = SpikeCheck(topic='ato/force')
     for k in range(80):
         force = (0.0, 48.0, 80.0, 50.0)[k % 8] if k % 8 < 4 else 0.0
         check.add(force, force, math.nan, STD, PERIOD_S)
     assert check.finding == ''
-    assert not check.is_suspected
+    assert not check.suspicion
 
 
 def test_a_spike_is_counted_once() -> None:
-    check = SpikeCheck()
+    check = SpikeCheck(topic='ato/force')
     for force in (40.0, 40.0, 40.0, 40.0, 100.0, 40.0, 40.0, 40.0, 40.0):
         check.add(force, 40.0, 8.0, STD, PERIOD_S)
     assert 0.9 < check.spikes <= 1.0
 
 
 def test_reports_that_toggle_every_second_time_are_not_compared_with_each_other() -> None:
-    check = SpikeCheck()
+    check = SpikeCheck(topic='ato/force')
     for k in range(20):
         check.add(40.0 + 60.0 * (k % 2), 70.0, math.nan, STD, PERIOD_S)
     assert check.spikes < 7.0
 
 
 def test_a_missing_force_is_no_spike() -> None:
-    check = SpikeCheck()
+    check = SpikeCheck(topic='ato/force')
     for k in range(100):
         check.add(math.nan if k % 10 == 0 else 40.0, 40.0, 8.0, STD, PERIOD_S)
     assert check.finding == ''
@@ -151,7 +191,7 @@ def followed(
 def test_values_that_leave_their_level_for_a_moment_are_spikes(width: int) -> None:
     spike = [2.0] * 15 + [32.0] * width
     assert not followed(spike * 2 + [2.0]).finding
-    assert followed(spike * 2 + [2.0]).is_suspected
+    assert followed(spike * 2 + [2.0]).suspicion
     assert followed(spike * 4 + [2.0]).finding == 'ato/gradient has spikes'
 
 
@@ -190,7 +230,7 @@ FOLLOWED_S = 1.6
 
 def dropped(follows: float, width: int = 1, drops: int = 4, force: float = -60.0) -> ReleaseCheck:
     """Return the check after a command that is released for some samples, and a force that follows it to a share."""
-    check = ReleaseCheck()
+    check = ReleaseCheck(topic='ato/brake_command')
     for _ in range(drops):
         for k in range(20):
             released = 10 <= k < 10 + width
@@ -202,7 +242,7 @@ def dropped(follows: float, width: int = 1, drops: int = 4, force: float = -60.0
 
 def test_commands_that_drop_to_released_are_spikes_where_the_force_does_not_follow() -> None:
     assert dropped(0.0, drops=1).spikes > 0.9
-    assert dropped(0.0, drops=2).is_suspected
+    assert dropped(0.0, drops=2).suspicion
     assert dropped(0.0).finding == 'ato/brake_command has spikes'
 
 
@@ -212,7 +252,7 @@ def test_drops_that_the_force_follows_or_that_it_says_nothing_about_are_no_spike
 
 
 def test_a_release_for_good_is_no_spike() -> None:
-    check = ReleaseCheck()
+    check = ReleaseCheck(topic='ato/brake_command')
     for k in range(400):
         check.add(-0.6 if k % 40 < 20 else 0.0, -60.0 if k % 40 < 20 else 0.0, FOLLOWED_S, PERIOD_S)
         assert check.spikes == 0.0
@@ -228,7 +268,7 @@ def test_drops_that_the_force_follows_count_against_those_before() -> None:
 
 
 def test_a_command_that_has_not_held_until_the_brake_followed_it_has_no_drops() -> None:
-    check = ReleaseCheck()
+    check = ReleaseCheck(topic='ato/brake_command')
     for k in range(120):
         check.add(0.0 if k % 6 == 5 else -0.6, -60.0, FOLLOWED_S, PERIOD_S)
     assert check.spikes == 0.0

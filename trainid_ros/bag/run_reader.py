@@ -15,8 +15,8 @@ from trainid_ros.explain.dataset import RunCollector
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
+from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 
@@ -134,7 +134,7 @@ def _read(
 ) -> _Reading:
     bag, path = item
     # The train file itself may be wrong, so it must not decide which samples are used.
-    monitor, collector = PlausibilityMonitor(KnownForce(train_file)), RunCollector(train_file, bag)
+    faults, collector = InputFaults(KnownForce(train_file)), RunCollector(train_file, bag)
     samples = contradictory = 0
     with BagReader(path, *how) as reader:
         config = StreamConfig(train_file, reader.mapping.alignment(AlignmentConfig()), rejects_faults=False)
@@ -143,16 +143,16 @@ def _read(
         for _, event in reader.events(stream, advance):
             if isinstance(event, Sample):
                 collector.add(event)
-                monitor.follow(event)
+                faults.take(event)
                 samples += 1
-                contradictory += monitor.finding != ''
+                contradictory += faults.finding != ''
             elif isinstance(event, TimeJump):
                 collector.start_over()
         warnings = reader.warnings[known:]
     if contradictory > _MAX_CONTRADICTORY * samples:
         share = contradictory / samples
-        warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {monitor.last_finding}')
-    if timing := monitor.brake_delay.warning:  # no effect makes a brake act sooner
-        warnings.append(f'{path}: {timing}')
+        warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {faults.last_finding}')
+    if warning := faults.brake_warning:
+        warnings.append(f'{path}: {warning}')
     collector.end_run()
     return _Reading(tuple(collector.runs), collector.origin_ns, tuple(warnings))

@@ -7,6 +7,7 @@ computed elsewhere. Pipelines that take in the same records share the streams th
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -17,16 +18,22 @@ from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record, Row
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
-from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several, stored
 from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.input_faults import Trust
 from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
+from trainid_ros.train.forces import BrakeCommandChange
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
 _SNAPSHOT_S: Final = 120.0
-# Time in motion within which a changed input is suspected [s]: a newer snapshot may hold what was wrong.
+# Time in motion within which a fault is suspected [s]: a newer snapshot may hold what was wrong.
 _SUSPECTED_S: Final = 20.0
+# Time in motion for which a passing suspicion makes an estimator go back [s]: after a longer one it has learned more.
+_PASSING_S: Final = 60.0
+# Age of a command that a brake has followed whatever its dead time and lag, which are seconds [ns].
+_FOLLOWED_NS: Final = 60 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +88,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     STATE: ClassVar[State] = declare(
         'estimator', 'stream', '_snapshots', '_consistency', '_status', 'used', 'samples', 'resets',
         several('rejections', Reason), '_rejected', several('last_rejection', Rejection), '_speed', '_sample_ns',
-        '_contradicted', '_changed',
+        '_is_found', '_suspected_s', '_has_gap', several('_skipped', BrakeCommandChange),
     )  # fmt: skip
 
     def __init__(self, estimator: Estimator[EstimateT], stream: SampleStream, config: PipelineConfig) -> None:
@@ -111,7 +118,11 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._consistency = ConsistencyMonitor()
         prior = self._snapshot()
         self._snapshots = Snapshots(prior, prior)
-        self._contradicted = self._changed = False
+        self._is_found = False  # Whether inputs of this estimator are known to be wrong
+        self._suspected_s = 0.0  # Time in motion for which they have been suspected to be [s]
+        # Whether the next sample follows a gap for the estimator, and the brake commands that it has missed since then.
+        self._has_gap = False
+        self._skipped = list[BrakeCommandChange]()
         self._status = Status.UNINITIALIZED
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
         self._estimate: EstimateT | None = None
@@ -138,6 +149,12 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self._status
 
     @property
+    def trust(self) -> Trust:
+        """What is wrong with the inputs that the estimator uses."""
+        faults = self.stream.faults
+        return faults.brake_rate if self._is_brake_rate else faults.resistance
+
+    @property
     def consistency(self) -> Consistency:
         """Whether errors are as large as the estimates state; over recent samples used."""
         return self._consistency.current()
@@ -147,18 +164,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Why the estimate is CONVERGING although its standard deviation is small enough; empty otherwise."""
         if self._status is not Status.CONVERGING or not self.estimator.converged:
             return ''
-        stream, check = self.stream, self.stream.brake_delay
-        is_brake_unsure = self._is_brake_rate and not check.is_trusted
-        reasons = (
-            (self._consistency.refuted, 'errors exceed the stated uncertainty by far'),
-            (stream.finding != '', 'inputs contradict each other'),
-            (stream.has_changed, 'a change is suspected'),
-            (not stream.is_trusted, 'the inputs have not yet confirmed each other'),
-            (is_brake_unsure and check.warning != '', 'the brake contradicts the train file'),
-            (is_brake_unsure and check.has_braked, 'the present braking contradicts the train file'),
-            (is_brake_unsure, 'no braking has confirmed brake.delay and brake.rate yet'),
-        )
-        return next((text for holds, text in reasons if holds), '')
+        return 'errors exceed the stated uncertainty by far' if self._consistency.refuted else self.trust.doubt
 
     @property
     def newest_ns(self) -> int:
@@ -267,10 +273,12 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def _step(self, sample: Sample) -> None:
         self._estimate = None
-        rejection = sample.rejection
+        rejection = sample.brake_rejection if self._is_brake_rate else sample.rejection
         self._keep_snapshots(sample)
         if rejection is None:
-            rejection = self.estimator.step(sample)
+            rejection = self.estimator.step(self._resumed(sample) if self._has_gap else sample)
+        else:
+            self._skip(sample)
         self.samples += 1
         self._speed = sample.speed
         self._sample_ns = sample.stamp_ns
@@ -283,27 +291,51 @@ class EstimatorPipeline(Generic[EstimateT]):
         innovation, variance = self.estimator.innovation
         self._consistency.add(innovation, variance, used=rejection is None)
 
+    def _skip(self, sample: Sample) -> None:
+        """Keep the changes of the brake command in a rejected sample, as long as the last of them may still act."""
+        self._has_gap = True
+        self._skipped.extend(sample.brake_changes)
+        since_ns = sample.stamp_ns - _FOLLOWED_NS
+        while len(self._skipped) > 1 and self._skipped[1].stamp_ns <= since_ns:
+            del self._skipped[0]
+
+    def _resumed(self, sample: Sample) -> Sample:
+        """Return a sample that follows a gap, with all changes of the brake command since then.
+
+        The command in force is stated again: an estimator that went back has missed those before.
+        """
+        changes = (*self._skipped, *sample.brake_changes)
+        if is_finite(sample.brake_command):
+            changes = (*changes, BrakeCommandChange(sample.stamp_ns, sample.brake_command))
+        self._has_gap, self._skipped = False, []
+        return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
+
     def _keep_snapshots(self, sample: Sample) -> None:
-        """Go back to an earlier state once a contradiction of the inputs lasts, or a change has passed again."""
-        stream, snapshots = self.stream, self._snapshots
-        contradicted, changed = stream.is_fault_confirmed, stream.has_changed
-        if sample.dt > 0.0 and sample.speed > 0.0:
-            snapshots.moved_s += sample.dt
-        if changed and not self._changed and snapshots.moved_s < _SUSPECTED_S:
-            snapshots.newest = snapshots.before  # the newest may hold what was wrong already
-        if contradicted and not self._contradicted:
-            snapshots.newest = snapshots.before
-            self._go_back()
-        elif self._changed and not changed and stream.was_false_alarm and not stream.finding:
-            self._go_back()
-        elif not contradicted and snapshots.moved_s >= _SNAPSHOT_S and stream.is_trusted:
-            snapshots.add(self._snapshot())
-        self._contradicted, self._changed = contradicted, changed
+        """Go back to an earlier state once a fault of the inputs is found, or a suspicion has passed."""
+        trust, snapshots = self.trust, self._snapshots
+        moved_s = sample.dt if sample.dt > 0.0 and sample.speed > 0.0 else 0.0
+        snapshots.moved_s += moved_s
+        if trust.is_fault_confirmed:
+            if not self._is_found:
+                snapshots.newest = snapshots.before
+                self._go_back()
+        elif trust.suspicion:
+            if self._suspected_s == 0.0 and snapshots.moved_s < _SUSPECTED_S:
+                snapshots.newest = snapshots.before  # the newest may hold what was wrong already
+            self._suspected_s += moved_s
+        elif not trust.finding:
+            if 0.0 < self._suspected_s < _PASSING_S:
+                self._go_back()
+            elif trust.is_full and snapshots.moved_s >= _SNAPSHOT_S:
+                snapshots.add(self._snapshot())
+            self._suspected_s = 0.0
+        self._is_found = trust.is_fault_confirmed
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(self.estimator.save(), encode(self._consistency))
 
     def _go_back(self) -> None:
+        self._has_gap, self._suspected_s = True, 0.0
         self.estimator.restore(self._snapshots.newest.estimator)
         restore(self._consistency, self._snapshots.newest.consistency)
 
@@ -312,9 +344,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             return Status.FAULT
         if self.stream.behind_ns > self.stale_ns and self.stream.is_input_missing(self.stale_ns):
             return Status.STALE
-        if not (self.estimator.converged and self.stream.is_trusted) or self._consistency.refuted:
-            return Status.CONVERGING
-        if self._is_brake_rate and not self.stream.brake_delay.is_trusted:
+        if not (self.estimator.converged and self.trust.is_full) or self._consistency.refuted:
             return Status.CONVERGING
         return Status.VALID if rejection is None else Status.HOLDING
 

@@ -178,7 +178,7 @@ def _find(text: str) -> tuple[str, str]:
 
 def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
     """Return a sentence for the dead time or else the rate over speed, if it is wrong; none for other estimates."""
-    warning = pipeline.stream.brake_delay.warning if isinstance(pipeline.estimator, BrakeRateEstimator) else ''
+    warning = pipeline.stream.faults.brake_warning if isinstance(pipeline.estimator, BrakeRateEstimator) else ''
     return (warning,) if warning else ()
 
 

@@ -455,7 +455,7 @@ class Forces:
     """
 
     def __init__(self, known: KnownForce) -> None:
-        resistance, brake = known.train_file.resistance, known.train_file.brake
+        resistance, brake = known.train_file.resistance, known.brake
         self.inertia, self.timing = known.inertia, brake.delay + brake.time_constant
         self._a, self._b, self._c = resistance.a, resistance.b, resistance.c
         self.traction = self.traction_rate = self.brake = self.brake_rate = self.gradient = self.extra = 0.0
@@ -539,7 +539,7 @@ class InputCheck:
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
-        brake, line = known.train_file.brake, known.train_file.line
+        brake, line = known.brake, known.train_file.line
         self._known = known
         self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
         # Error of the gradient of the topic [per mille^2].
@@ -584,6 +584,20 @@ class InputCheck:
             self._close(sample)
             self._judge()
         return self.verdict
+
+    @property
+    def noise(self) -> SpeedNoise:
+        """Noise of the speed."""
+        return self._noise
+
+    @property
+    def count(self) -> int:
+        """Number of full blocks."""
+        return self._count
+
+    def block(self, back: int) -> Block:
+        """Return one of the last eight blocks by how far it is back; 0 is the last one."""
+        return self._block(back)
 
     # Blocks
 

@@ -16,7 +16,7 @@ differences may not have revealed it yet.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 from trainid_ros.interface.results import Reason, Rejection
@@ -141,9 +141,10 @@ class KnownForce:
         self.train_file = train_file
         self.inertia = specific_inertia(1.0, train_file.train.rotary_mass)
         """1000 (1 + gamma) / g0: specific force [N/kN] per acceleration [m/s^2]."""
-        brake = train_file.brake
         extra_delay = effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
-        self.settling = brake.delay + extra_delay + _SETTLING * brake.time_constant
+        self.brake = replace(train_file.brake, delay=train_file.brake.delay + extra_delay)
+        """Brake with the dead time that the effects of the train file add."""
+        self.settling = self.brake.delay + _SETTLING * self.brake.time_constant
         """Time after the release of the brake until it is certainly off [s]."""
         self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)

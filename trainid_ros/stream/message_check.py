@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that no healthy source sends: a brake command of two publishers, a mass of another train, spikes."""
+"""Messages that no healthy source sends: a stuck speed, a mass of another train, two publishers, spikes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,60 @@ from typing import Final
 
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import stored
+from trainid_ros.stream.known_force import SpeedNoise
+from trainid_ros.stream.samples import STANDING
 from trainid_ros.train.forces import BrakeCommandChange
+
+# Density of the difference of two equal measurements at zero, times sigma: 1 / (2 sqrt(pi)), rounded.
+_DENSITY: Final = 0.2821
+# Probability of a repeat above which coarse steps hide the noise, so that repeats say nothing [1].
+_MAX_REPEAT_PROBABILITY: Final = 0.4
+# Probability of chance repeats below which the sensor is stuck [1]: once in 6 years at 5 Hz.
+_MIN_PROBABILITY: Final = 1e-9
+# Smallest number of repeats that is judged.
+_MIN_REPEATS: Final = 5
+# Number of changes of the speed that show its noise first.
+_MIN_CHANGES: Final = 100
+
+
+@dataclass(slots=True)
+class RepeatCheck:
+    """A speed that stays the same to the last bit for longer than noisy measurements do.
+
+    Two of them with noise sigma, in steps of q, are equal with probability q / (2 sqrt(pi) sigma). The balance of
+    forces shows a stuck speed too, but some seconds later.
+    """
+
+    speed: float = math.nan  # Last measured speed [m/s], NaN before the first
+    repeats: int = 0  # Number of times that it has come again
+    most: int = 0  # Limit for a noisy speed, as known when it changed last; 0 if repeats say nothing
+    changes: int = 0  # Number of changes in motion, up to those that show the noise
+
+    @property
+    def is_stuck(self) -> bool:
+        """True while the last speed has come again too often."""
+        return 0 < self.most < self.repeats
+
+    def add(self, speed: float, noise: SpeedNoise) -> None:
+        """Add a speed [m/s]; ``noise`` is that until then."""
+        if speed == self.speed and speed >= STANDING:
+            self.repeats += 1
+            return
+        if speed >= STANDING:
+            self.changes = min(self.changes + 1, _MIN_CHANGES)
+            self.most = max_repeats(noise) if self.changes == _MIN_CHANGES else 0
+        self.speed, self.repeats = speed, 0
+
+
+def max_repeats(noise: SpeedNoise) -> int:
+    """Return how often in a row a noisy speed may come again, 0 if any number is possible."""
+    repeated = max(_DENSITY * noise.quantum / noise.std, 1.0 - noise.changed)
+    if repeated >= _MAX_REPEAT_PROBABILITY or not noise.is_seen:
+        return 0
+    if repeated == 0.0:
+        return _MIN_REPEATS
+    return max(_MIN_REPEATS, math.ceil(math.log(_MIN_PROBABILITY) / math.log(repeated)))
+
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
 # times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.
@@ -23,18 +76,24 @@ _QUIET: Final = 2.0
 
 
 @dataclass(slots=True)
-class CommandCheck:
-    """Brake command, and whether it alternates."""
+class MessageCheck:
+    """What is wrong with the messages of one input."""
 
     finding: str = ''  # What is wrong, empty if nothing is
+
+    @property
+    def suspicion(self) -> str:
+        """What may be wrong, empty if nothing is suspected."""
+        return ''
+
+
+@dataclass(slots=True)
+class CommandCheck(MessageCheck):
+    """Brake command, and whether it alternates."""
+
     command: float = 0.0  # Last brake command [m/s^2, <= 0]
     direction: float = 0.0  # Sign of its last large change
     reversals: float = 0.0  # Number of large changes to and fro, with forgetting
-
-    @property
-    def limit(self) -> float:
-        """Largest number of reversals of one publisher, with forgetting."""
-        return _REVERSALS
 
     def add(self, changes: tuple[BrakeCommandChange, ...], dt: float) -> None:
         """Add the changes of the brake command in the time since the last sample [s]."""
@@ -58,24 +117,16 @@ _TONNE: Final = 1000.0
 
 
 @dataclass(slots=True)
-class MassCheck:
+class MassCheck(MessageCheck):
     """Weighed mass against that of the train file."""
-
-    finding: str = ''  # What is wrong, empty if nothing is
-    ratio: float = 1.0  # Weighed mass over that of the train file [1]
-
-    @property
-    def limit(self) -> float:
-        """The nearer limit of the ratio [1]."""
-        return _MAX_MASS if self.ratio > 1.0 else 1.0 / _MAX_MASS
 
     def add(self, mass: float, stated: float) -> None:
         """Compare the weighed mass, NaN if there is none, with that of the train file [kg]."""
-        self.ratio = mass / stated if is_finite(mass) else 1.0
-        if 1.0 / _MAX_MASS <= self.ratio <= _MAX_MASS:
+        ratio = mass / stated if is_finite(mass) else 1.0
+        if 1.0 / _MAX_MASS <= ratio <= _MAX_MASS:
             self.finding = ''
             return
-        in_tonnes = 1.0 / _MAX_MASS < self.ratio * _TONNE < _MAX_MASS
+        in_tonnes = 1.0 / _MAX_MASS < ratio * _TONNE < _MAX_MASS
         unit = ': it looks like tonnes' if in_tonnes else ''
         self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
@@ -93,30 +144,25 @@ _SAME: Final = 0.3
 
 
 @dataclass(slots=True)
-class SpikeCount:
+class SpikeCount(MessageCheck):
     """Number of spikes, with forgetting."""
 
-    finding: str = ''  # What is wrong, empty if nothing is
+    topic: str = ''  # Topic of the values
     spikes: float = 0.0  # Number of spikes
 
     @property
-    def limit(self) -> float:
-        """Largest number of spikes, with forgetting."""
-        return _SPIKES
-
-    @property
-    def is_suspected(self) -> bool:
-        """True while more spikes are to be expected."""
-        return self.spikes > _SUSPECTED
+    def suspicion(self) -> str:
+        """What may be wrong while more spikes are to be expected."""
+        return f'{self.topic} has spikes' if self.spikes > _SUSPECTED else ''
 
     def forget(self, dt: float) -> None:
         """Forget spikes over a time [s]."""
         self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
 
-    def judge(self, topic: str, *, certain: bool = True) -> None:
+    def judge(self, *, certain: bool = True) -> None:
         """Begin a finding where there are too many spikes, if that is certain, or end it where there are few."""
         if self.spikes > _SPIKES and certain:
-            self.finding = f'{topic} has spikes'
+            self.finding = f'{self.topic} has spikes'
         elif self.spikes < _NO_SPIKES:
             self.finding = ''
 
@@ -125,7 +171,6 @@ class SpikeCount:
 class ExcursionCheck(SpikeCount):
     """Values that leave their level for a moment and return to it, too fast for what they measure."""
 
-    topic: str = ''  # Topic of the values
     height: float = 0.0  # Smallest height of a spike, in the unit of the values
     longest_s: float = 0.0  # Longest time of a spike [s]
     calm_s: float = 0.0  # Time for which the level must have held before [s]: what alternates has no spikes
@@ -144,7 +189,7 @@ class ExcursionCheck(SpikeCount):
             self.held_s += dt
         if not math.isnan(value):
             self._follow(value)
-        self.judge(self.topic)
+        self.judge()
 
     def _follow(self, value: float) -> None:
         distance = abs(value - self.level)
@@ -205,7 +250,7 @@ class ReleaseCheck(SpikeCount):
             dt: Time since the last sample [s].
         """
         self.forget(dt)
-        self.judge('ato/brake_command')
+        self.judge()
         same = abs(command - self.level) <= _EQUAL * abs(self.level)
         braked = self.level < _BRAKING and self.force < _EFFORT
         if self.since_s == 0.0 and command == 0.0 and braked and self.held_s > followed_s:
@@ -271,9 +316,9 @@ class SpikeCheck(SpikeCount):
     evidence: float = 0.0  # Log-likelihood of spikes against cuts of traction, with forgetting
 
     @property
-    def is_suspected(self) -> bool:
-        """True while more spikes are to be expected."""
-        return self.spikes > _SUSPECTED and self.evidence > 0.0
+    def suspicion(self) -> str:
+        """What may be wrong while more spikes are to be expected."""
+        return f'{self.topic} has spikes' if self.spikes > _SUSPECTED and self.evidence > 0.0 else ''
 
     def add(self, force: float, mean: float, specific_impulse: float, std: float, dt: float) -> None:
         """Add a sample.
@@ -296,7 +341,7 @@ class SpikeCheck(SpikeCount):
         self.area_before, self.area = self.area, area
         self.specific_impulse_before, self.specific_impulse = self.specific_impulse, specific_impulse
         self.dt_before, self.dt = self.dt, dt
-        self.judge('ato/force', certain=self.evidence > _EVIDENCE)
+        self.judge(certain=self.evidence > _EVIDENCE)
 
     def _find(self, force: float, area: float, specific_impulse: float, std: float, dt: float) -> None:
         """Look for a spike in the two samples before this one."""

@@ -2,12 +2,8 @@
 """The stream of samples: everything between the records of a train and the estimators, none of which it depends on.
 
 Records are corrected for sensor errors that the train file states, aligned to the stamps of the speed, given the
-history of the drive where effects depend on it, and checked for a stuck speed sensor and for contradictions.
-Estimators with the same train file and settings can share one stream.
-
-A stuck speed stays the same to the last bit although traction or brake must change it, or for longer than noisy
-measurements do: two of them with noise sigma, in steps of q, are equal with probability q / (2 sqrt(pi) sigma).
-Estimators would otherwise learn a brake without effect, or a resistance as large as the traction.
+history of the drive where effects depend on it, and checked against each other. Estimators with the same train file and
+settings can share one stream.
 """
 
 from __future__ import annotations
@@ -19,16 +15,15 @@ from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED, Record
-from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.interface.state import State, declare, encode, restore, several, unknown
+from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.scalars import seconds
+from trainid_ros.interface.state import State, declare, encode, restore, unknown
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
-from trainid_ros.stream.brake_checks import BrakeDelayCheck
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
-from trainid_ros.stream.plausibility import PlausibilityMonitor
-from trainid_ros.stream.samples import STANDING, Motion, Sample
+from trainid_ros.stream.input_faults import InputFaults
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
-from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, CommandHistory, davis
+from trainid_ros.train.forces import BrakeActuator, CommandHistory
 from trainid_ros.train.train_file import TrainFile
 
 if TYPE_CHECKING:
@@ -121,90 +116,12 @@ class DriveHistory:
         return self.motion
 
 
-# Largest change of speed by the forces that a healthy sensor may not show [m/s]: more than any quantum, and more than
-# the train file's error of the resistance adds up to while cruising.
-_MAX_MISSING: Final = 0.5
-# Density of the difference of two equal measurements at zero, times sigma: 1 / (2 sqrt(pi)), rounded.
-_EQUAL: Final = 0.2821
-# Probability of a repeat above which coarse steps hide the noise, so that repeats say nothing [1].
-_MAX_REPEAT_PROBABILITY: Final = 0.4
-# Time constants after the dead time until a brake has followed a command to 1 - exp(-2) = 86 %.
-_FOLLOWED: Final = 2.0
-# Probability of chance repeats below which the sensor is stuck [1]: once in 6 years at 5 Hz.
-_MIN_PROBABILITY: Final = 1e-9
-# Smallest number of repeats that is judged.
-_MIN_REPEATS: Final = 5
-# Number of changes of the speed that show its noise first.
-_MIN_CHANGES: Final = 100
-
-
-class StuckSpeed:
-    """Detects a stuck speed sensor, sample by sample."""
-
-    STATE: ClassVar[State] = declare(unknown('_speed'), '_missing', '_repeats', '_max_repeats', '_changes', '_braked_s')
-
-    def __init__(self, known: KnownForce) -> None:
-        self._known = known
-        brake = known.train_file.brake
-        self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
-        self._speed = math.nan  # Last measured speed [m/s], NaN before the first
-        self._missing = 0.0  # Expected change of speed since the measured speed last changed [m/s]
-        self._repeats = 0  # Number of times that the last speed has come again
-        self._max_repeats = 0  # Limit for a noisy speed, as known when it changed last; 0 if repeats say nothing
-        self._changes = 0  # Number of changes in motion, up to those that show the noise
-        self._braked_s = 0.0  # Time for which the brake has been applied [s]
-
-    def reject(self, sample: Sample, noise: SpeedNoise) -> Rejection | None:
-        """Return why the speed of a sample is rejected, or None if it is accepted; ``noise`` is that until then."""
-        self._braked_s = self._braked_s + sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 else 0.0
-        if sample.speed != self._speed or sample.speed < STANDING or math.isnan(sample.dt):
-            if sample.speed >= STANDING and sample.speed != self._speed:
-                self._changes = min(self._changes + 1, _MIN_CHANGES)
-                self._max_repeats = max_repeats(noise) if self._changes == _MIN_CHANGES else 0
-            self._speed, self._missing, self._repeats = sample.speed, 0.0, 0
-            return None
-        self._repeats += 1
-        expected = self._acceleration(sample) * sample.dt
-        if is_finite(expected):
-            self._missing += expected
-        if abs(self._missing) > _MAX_MISSING:
-            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, self._missing, _MAX_MISSING)
-        if 0 < self._max_repeats < self._repeats:
-            return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, float(self._repeats), float(self._max_repeats))
-        return None
-
-    def _acceleration(self, sample: Sample) -> float:
-        """Return the acceleration expected from the brake command, or from traction less resistance [m/s^2].
-
-        It is NaN while the brake need not have followed the command yet.
-        """
-        if sample.brake_command < 0.0:
-            return sample.brake_command if self._braked_s > self._followed_s else math.nan
-        known = self._known
-        resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
-        return (known.traction(max(sample.force_mean, 0.0), sample) - resistance) / known.inertia
-
-
-def max_repeats(noise: SpeedNoise) -> int:
-    """Return how often in a row a noisy speed may come again, 0 if any number is possible."""
-    repeated = max(_EQUAL * noise.quantum / noise.std, 1.0 - noise.changed)
-    if repeated >= _MAX_REPEAT_PROBABILITY or not noise.is_seen:
-        return 0
-    return (
-        max(_MIN_REPEATS, math.ceil(math.log(_MIN_PROBABILITY) / math.log(repeated)))
-        if repeated > 0.0
-        else _MIN_REPEATS
-    )
-
-
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
 MAX_STEP_S: Final = 3600.0
 """Largest step back of a clock being set [s]. A larger step back starts a new drive, unless it undoes a recent step
 forward.
 """
-# Age of a command that a brake has followed whatever its dead time and lag, which are seconds [ns].
-_FOLLOWED_NS: Final = 60 * NS_PER_S
 
 
 class TimeJumpPolicy(Enum):
@@ -233,18 +150,10 @@ class SampleStream:
     Attributes:
         config: What shapes it.
         is_new: True until the first record.
-        finding: What contradicts what in the inputs, empty if nothing does.
-        is_fault_confirmed: True once a finding has lasted for some motion: what was learned just before may be wrong.
-        has_changed: True while forces, commands or distances are inconsistent with recent history.
-        was_false_alarm: True if the last such change was a false alarm.
-        is_trusted: True if an estimate from these inputs may be valid: they agree, or cannot be compared.
+        faults: What is wrong with the inputs.
     """
 
-    STATE: ClassVar[State] = declare(
-        '_aligner', '_history', '_correction', '_stuck', '_plausibility', '_is_skipping',
-        several('_skipped', BrakeCommandChange), '_first_ns', 'behind_ns', 'finding', 'is_fault_confirmed',
-        'has_changed', 'was_false_alarm', 'is_trusted',
-    )  # fmt: skip
+    STATE: ClassVar[State] = declare('_aligner', '_history', '_correction', 'faults', '_first_ns', 'behind_ns')
 
     def __init__(self, config: StreamConfig) -> None:
         """Prepare; InputError, naming the field, if a setting is out of range."""
@@ -269,24 +178,10 @@ class SampleStream:
         self._start_over()
 
     def _start_over(self) -> None:
-        self._stuck = StuckSpeed(self._known)
-        self._plausibility = PlausibilityMonitor(self._known)
-        # Whether the last sample was rejected, and the brake commands of all such samples since the last accepted one.
-        self._is_skipping = False
-        self._skipped: list[BrakeCommandChange] = []
+        self.faults = InputFaults(self._known)
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self.behind_ns = 0
-        self._conclude()
-
-    def _conclude(self) -> None:
-        """Keep what the checks of the inputs say after a sample, for all who ask."""
-        checks = self._plausibility
-        self.finding = checks.finding
-        self.is_fault_confirmed = checks.is_fault_confirmed
-        self.has_changed = checks.has_changed
-        self.was_false_alarm = checks.was_false_alarm
-        self.is_trusted = checks.is_trusted
 
     def equals(self, other: SampleStream) -> bool:
         """Return whether both have taken in nothing yet and would make the same samples of the same records."""
@@ -306,14 +201,14 @@ class SampleStream:
         return stream
 
     @property
-    def brake_delay(self) -> BrakeDelayCheck:
-        """Check of the dead time of the brake: where it is wrong, no brake rate is valid."""
-        return self._plausibility.brake_delay
+    def finding(self) -> str:
+        """What contradicts what in the inputs, empty if nothing does."""
+        return self.faults.finding
 
     @property
     def last_finding(self) -> str:
         """The last contradiction found, empty if there never was one."""
-        return self._plausibility.last_finding
+        return self.faults.last_finding
 
     @property
     def newest_ns(self) -> int:
@@ -332,7 +227,8 @@ class SampleStream:
     def push(self, record: Record) -> list[StreamEvent]:
         """Take in one record; return the samples it completes, why records were rejected, and jumps of the stamps.
 
-        A sample whose ``rejection`` is set has a speed that must not be used.
+        A sample whose ``rejection`` is set must not be used for a resistance or a speed model, one whose
+        ``brake_rejection`` is set not for a brake rate.
         """
         return self.push_row(*record.row())
 
@@ -366,36 +262,8 @@ class SampleStream:
         if self._has_effects:
             sample.motion = self._history.follow(sample)
             sample.extra = self._known.extra(sample)
-        if not self._rejects_faults:
-            return
-        changed = self.has_changed
-        stuck, contradiction = self._stuck.reject(sample, self._plausibility.noise), self._plausibility.follow(sample)
-        sample.rejection = contradiction if stuck is None else stuck
-        self._conclude()
-        if sample.rejection is not None:
-            self._skip(sample)
-        # Estimators go back after a false alarm, so for them the sample follows a gap.
-        elif self._is_skipping or (changed and not self.has_changed and self.was_false_alarm):
-            self._resume(sample)
-
-    def _skip(self, sample: Sample) -> None:
-        """Keep the changes of the brake command in a rejected sample, as long as the last of them may still act."""
-        self._is_skipping = True
-        self._skipped.extend(sample.brake_changes)
-        since_ns = sample.stamp_ns - _FOLLOWED_NS
-        while len(self._skipped) > 1 and self._skipped[1].stamp_ns <= since_ns:
-            del self._skipped[0]
-
-    def _resume(self, sample: Sample) -> None:
-        """Merge the changes of the rejected samples, if any, into the next one, which then follows a gap.
-
-        The command in force is stated again: an estimator that went back has missed those since then.
-        """
-        changes = (*self._skipped, *sample.brake_changes)
-        if is_finite(sample.brake_command):
-            changes = (*changes, BrakeCommandChange(sample.stamp_ns, sample.brake_command))
-        self._is_skipping, self._skipped = False, []
-        sample.dt, sample.brake_changes, sample.brake_gap = math.nan, changes, True
+        if self._rejects_faults:
+            self.faults.take(sample)
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""

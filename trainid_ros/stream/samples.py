@@ -55,8 +55,9 @@ class Sample:
     curvature_mean: float = math.nan  # Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known
     force_interval: float = 0.0  # Time between the two reports of the force around the stamp [s], 0 if not known
     stood_since_weighing: bool = False  # True if the train has come to a stop since the mass was weighed
-    # Why it cannot be used (a stuck speed, inputs that contradict each other), None if it can
+    # Why resistance and speed model cannot use it (a stuck speed, inputs that contradict each other), None if they can
     rejection: Rejection | None = None
+    brake_rejection: Rejection | None = None  # The same for the brake rate
     # Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated
     extra: float = field(default=math.nan, init=False, repr=False, compare=False)
 
@@ -84,6 +85,7 @@ class Sample:
         force_interval: float = 0.0,
         stood_since_weighing: bool = False,
         rejection: Rejection | None = None,
+        brake_rejection: Rejection | None = None,
     ) -> None:
         self.stamp_ns = stamp_ns
         self.dt = dt
@@ -106,6 +108,7 @@ class Sample:
         self.force_interval = force_interval
         self.stood_since_weighing = stood_since_weighing
         self.rejection = rejection
+        self.brake_rejection = brake_rejection
         self.extra = math.nan
 
     @property
