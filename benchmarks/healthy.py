@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The checks of the inputs beside each other on the same samples: on healthy drives, unusual ones, and with faults.
-
-Old: the tests of :class:`PlausibilityMonitor`; new: the one check of :class:`InputCheck`. Neither rejects a sample.
-"""
+"""The check of the inputs on healthy drives, unusual ones, and with faults; no sample is rejected."""
 
 from __future__ import annotations
 
@@ -22,7 +19,6 @@ from trainid_ros.interface.records import NS_PER_S, Row
 from trainid_ros.stream.fault_table import BRAKE_RATE_USES, RESISTANCE_USES
 from trainid_ros.stream.input_check import InputCheck
 from trainid_ros.stream.known_force import KnownForce
-from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
@@ -67,7 +63,7 @@ _NAMES: Final = {
 
 
 class Moment(NamedTuple):
-    """What a check says after a sample."""
+    """What the check says after a sample."""
 
     finding: str
     is_suspected: bool
@@ -88,7 +84,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What one check said on a drive.
+    """What the check said on a drive.
 
     Attributes:
         findings: Texts of the findings, one for each time that one began.
@@ -122,18 +118,8 @@ def samples_of(train_file: TrainFile, rows: Sequence[Row]) -> list[Sample]:
     return [event for row in rows for event in stream.push_row(*row) if isinstance(event, Sample)]
 
 
-def old_moments(train_file: TrainFile, samples: Sequence[Sample]) -> list[Moment]:
-    """Return what the present tests say after each sample."""
-    monitor, moments = PlausibilityMonitor(KnownForce(train_file)), []
-    for sample in samples:
-        monitor.follow(sample)
-        finding, is_suspected = monitor.finding, monitor.state.is_suspected
-        moments.append(Moment(finding, is_suspected and not finding, finding != ''))
-    return moments
-
-
-def new_moments(train_file: TrainFile, samples: Sequence[Sample]) -> list[Moment]:
-    """Return what the one check says after each sample."""
+def moments_of(train_file: TrainFile, samples: Sequence[Sample]) -> list[Moment]:
+    """Return what the check says after each sample."""
     check, moments = InputCheck(KnownForce(train_file)), []
     for sample in samples:
         verdict = check.take(sample)
@@ -144,7 +130,7 @@ def new_moments(train_file: TrainFile, samples: Sequence[Sample]) -> list[Moment
 
 
 def outcome_of(moments: Sequence[Moment], samples: Sequence[Sample], case: Case) -> Outcome:
-    """Summarise what a check said."""
+    """Summarise what the check said."""
     findings, suspicions, before, start_ns = list[str](), Counter[str](), '', samples[0].stamp_ns
     begin_s, end_s = (0.0, math.inf) if case.from_start else (_BEGIN_S, _END_S)
     moved = found = suspected = held = right = 0.0
@@ -203,15 +189,14 @@ def faulty_rows(rows: Sequence[Row], fault: Fault, *, from_start: bool) -> list[
     return injected(rows, (fault,), start_ns, end_ns)
 
 
-def run(case: Case) -> tuple[Outcome, Outcome]:
-    """Return what both checks say on a drive."""
+def run(case: Case) -> Outcome:
+    """Return what the check says on a drive."""
     is_faulty = case.fault != NOTHING.name
     train_file, rows = rows_of(case.world, case.seed, case.place, FAULTY_S if is_faulty else HEALTHY_S)
     if is_faulty:
         rows = faulty_rows(rows, FAULTS[case.fault], from_start=case.from_start)
     samples = samples_of(train_file, rows)
-    old, new = (check(train_file, samples) for check in (old_moments, new_moments))
-    return outcome_of(old, samples, case), outcome_of(new, samples, case)
+    return outcome_of(moments_of(train_file, samples), samples, case)
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
@@ -236,8 +221,7 @@ def measure(seeds: int) -> tuple[Table, ...]:
 
 
 _HEALTHY_HEADER: Final = (
-    '', 'hours', *(f'{which}: {what}' for which in ('old', 'new') for what in (
-        'findings', 'drives with one', 'found, %', 'suspected, %')), 'new: resistance held, %', 'what is found',
+    '', 'hours', 'findings', 'drives with one', 'found, %', 'suspected, %', 'resistance held, %', 'what is found',
 )  # fmt: skip
 _NOTE: Final = (
     'Shares of the time in motion. Suspected: of something that an estimator uses, without a finding. Found in s of '
@@ -245,22 +229,18 @@ _NOTE: Final = (
 )
 
 
-def healthy_table(title: str, names: Sequence[str], outcomes: Sequence[Sequence[tuple[Outcome, Outcome]]]) -> Table:
+def healthy_table(title: str, names: Sequence[str], outcomes: Sequence[Sequence[Outcome]]) -> Table:
     """Return the table of drives without faults."""
     rows = []
-    for name, some in zip(names, outcomes, strict=True):
-        cells, texts = [], Counter[str]()
-        for which in range(2):
-            ones = [pair[which] for pair in some]
-            moved = sum(one.moved_s for one in ones)
-            cells += [
-                str(sum(len(one.findings) for one in ones)), str(sum(bool(one.findings) for one in ones)),
-                *(f'{100 * sum(getattr(one, what) * one.moved_s for one in ones) / moved:.1f}'
-                  for what in ('found', 'suspected')),
-            ]  # fmt: skip
-        texts.update(text for pair in some for text in pair[1].findings)
-        held = 100 * sum(pair[1].held * pair[1].moved_s for pair in some) / moved
-        rows.append((name, f'{moved / 3600:.1f}', *cells, f'{held:.1f}', '; '.join(texts) or '-'))
+    for name, ones in zip(names, outcomes, strict=True):
+        moved = sum(one.moved_s for one in ones)
+        shares = [
+            f'{100 * sum(getattr(one, what) * one.moved_s for one in ones) / moved:.1f}'
+            for what in ('found', 'suspected', 'held')
+        ]
+        texts = Counter(text for one in ones for text in one.findings)
+        counts = (str(sum(len(one.findings) for one in ones)), str(sum(bool(one.findings) for one in ones)))
+        rows.append((name, f'{moved / 3600:.1f}', *counts, *shares, '; '.join(texts) or '-'))
     return Table(title, _HEALTHY_HEADER, tuple(rows), _NOTE)
 
 
@@ -271,27 +251,28 @@ def _cell(one: Outcome) -> str:
     return f'{one.found_s:.0f}{cleared}{"" if one.is_right else " !"}'
 
 
-def fault_table(outcomes: dict[Case, tuple[Outcome, Outcome]]) -> Table:
+def fault_table(outcomes: dict[Case, Outcome]) -> Table:
     """Return the table of faults by worlds."""
-    rows = []
-    for name in FAULTS:
-        for from_start in (False, True):
-            pairs = [outcomes[Case(w, FIRST_SEED, fault=name, from_start=from_start)] for w in _FAULTY_WORLDS]
-            cells = [_cell(pair[which]) for pair in pairs for which in range(2)]
-            rows.append((name, 'start' if from_start else 'mid', *cells))
-    header = ('fault', 'from', *(f'{world}: {which}' for world in _FAULTY_WORLDS for which in ('old', 'new')))
-    return Table('Faults, seconds of motion until found / cleared', header, tuple(rows), _NOTE)
+    rows = [
+        (name, 'start' if from_start else 'mid',
+         *(_cell(outcomes[Case(w, FIRST_SEED, fault=name, from_start=from_start)]) for w in _FAULTY_WORLDS))
+        for name in FAULTS for from_start in (False, True)
+    ]  # fmt: skip
+    return Table(
+        'Faults, seconds of motion until found / cleared', ('fault', 'from', *_FAULTY_WORLDS), tuple(rows), _NOTE
+    )
 
 
-def summary_table(outcomes: dict[Case, tuple[Outcome, Outcome]]) -> Table:
+def summary_table(outcomes: dict[Case, Outcome]) -> Table:
     """Return how many faults are found, by the right input, or at least suspected."""
     rows = []
     for from_start in (False, True):
-        some = [pair for case, pair in outcomes.items() if case.fault != NOTHING.name and case.from_start == from_start]
-        cells = [
-            f'{sum(math.isfinite(pair[k].found_s) for pair in some)}, {sum(pair[k].is_right for pair in some)}, '
-            f'{sum(pair[k].was_suspected or math.isfinite(pair[k].found_s) for pair in some)}'
-            for k in range(2)
-        ]
-        rows.append((f'from the start ({len(some)})' if from_start else f'in mid-drive ({len(some)})', *cells))
-    return Table('Faults found, right input named, at least suspected', ('', 'old', 'new'), tuple(rows))
+        some = [one for case, one in outcomes.items() if case.fault != NOTHING.name and case.from_start == from_start]
+        found = sum(math.isfinite(one.found_s) for one in some)
+        right, seen = (
+            sum(one.is_right for one in some),
+            sum(one.was_suspected or one.found_s < math.inf for one in some),
+        )
+        name = f'{"from the start" if from_start else "in mid-drive"} ({len(some)})'
+        rows.append((name, str(found), str(right), str(seen)))
+    return Table('Faults', ('', 'found', 'right input named', 'at least suspected'), tuple(rows))

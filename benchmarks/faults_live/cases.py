@@ -85,10 +85,10 @@ _SECOND: Final = Sender('second_control', (BRAKE,), waits=True, is_second=True)
 
 CASES: Final = (
     Case('nothing', '.'),
-    Case('speed in km/h', 'ato/speed looks like km/h|speed does not follow', ('speed in km/h',)),
-    Case('force sign', 'ato/force|speed does not follow', ('force sign',)),
-    Case('force in kN', 'ato/force|speed does not follow', ('force in kN',)),
-    Case('speed frozen', 'ato/speed is stuck|speed does not follow', ('speed frozen',)),
+    Case('speed in km/h', 'ato/speed is in km/h', ('speed in km/h',)),
+    Case('force sign', 'ato/force', ('force sign',)),
+    Case('force in kN', 'ato/force', ('force in kN',)),
+    Case('speed frozen', 'ato/speed', ('speed frozen',)),
     Case('speed not a number', 'NOT_FINITE', ('speed not a number',)),
     Case('force stamped 1 s late', 'ato/force', ('force +1 s',)),
     Case('clock of speed 1 s behind', '1.0 s behind', ('speed clock -1 s',)),

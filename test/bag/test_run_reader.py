@@ -93,7 +93,7 @@ def test_a_jump_of_the_stamps_starts_a_new_drive(tmp_path: Path, step_s: float) 
     np.testing.assert_allclose(after.brake, before.brake, atol=1e-9)
 
 
-@pytest.mark.parametrize(('sign', 'said'), [(1.0, []), (-1.0, ['ato/force looks as if it had the wrong sign'])])
+@pytest.mark.parametrize(('sign', 'said'), [(1.0, []), (-1.0, ['ato/force has the wrong sign'])])
 def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
     tmp_path: Path, sign: float, said: list[str]
 ) -> None:

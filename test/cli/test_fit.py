@@ -100,7 +100,7 @@ def test_forces_in_kn_give_no_answer(tmp_path: Path, driven_bag: Path, capsys: p
     out, err = capsys.readouterr()
     assert json.loads(out)['a'] is None
     assert err.count('\n') == 1
-    assert 'ato/force looks like kN' in err
+    assert 'ato/force is in kN' in err
 
 
 @pytest.mark.parametrize('value', ['-1', 'x', 'nan'])

@@ -184,7 +184,7 @@ def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
     call(path, '--json', train=driven_bag / 'train.yaml')
     answer = json.loads(capsys.readouterr().out)
     finding, begin_s, end_s = (answer[key] for key in FINDING)
-    assert (finding, end_s) == ('ato/force looks as if it had the wrong sign', None)
+    assert (finding, end_s) == ('ato/force has the wrong sign', None)
     assert 0.0 < begin_s < 40.0
     call(path, train=driven_bag / 'train.yaml')
     text = f'inputs contradict each other since {begin_s:.1f} s: {finding}'

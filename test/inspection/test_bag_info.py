@@ -251,7 +251,7 @@ def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) 
 @pytest.mark.parametrize(
     ('change', 'found'),
     [
-        (against, 'ato/force looks as if it had the wrong sign'),
+        (against, 'ato/force has the wrong sign'),
         (unsigned, 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'),
         (pushed, 'ato/brake_command looks as if it had the wrong sign'),
     ],
@@ -273,7 +273,7 @@ def test_positions_off_the_line_are_a_warning(drive: list[Record], offset: float
 
 def test_a_unit_is_named_where_the_mass_is_known(drive: list[Record]) -> None:
     in_kn = [replace(r, force=r.force / 1e3) if isinstance(r, ForceRecord) else r for r in drive]
-    assert 'ato/force looks like kN' in problems(in_kn, METRO)
+    assert 'ato/force is in kN' in problems(in_kn, METRO)
 
 
 def thinned(records: Iterable[Record], period_s: float) -> list[Record]:

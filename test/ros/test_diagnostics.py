@@ -23,7 +23,7 @@ from trainid_ros.interface.results import Status
 from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, EstimatorNode
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
-from trainid_ros.stream.brake_checks import ShapeChange
+from trainid_ros.stream.brake_shape import ShapeChange
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -224,12 +224,16 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
     node.checkpoints.problem = ''
     assert 'not saved' not in message_at(301)
     stale = Changed(node.pipeline.current(), status=Status.STALE)
-    stream = SimpleNamespace(finding='ato/speed looks like km/h')
-    node.shared.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
-    finding = f'inputs contradict each other: ato/speed looks like km/h, since {clock_time(clock_ns(400))}: check units'
-    assert message_at(400).startswith(finding)
-    assert '; STALE: ' in diagnosed.by_name[own].message
-    assert diagnosed.by_name[own].level == DiagnosticStatus.ERROR
+    stream, original = SimpleNamespace(finding='ato/speed is in km/h'), node.pipeline
+    finding = f'inputs contradict each other: ato/speed is in km/h, since {clock_time(clock_ns(400))}: check units'
+    for found, said in ((stream.finding, 'nothing is learned'), ('', 'this estimate does not depend on it')):
+        trust = SimpleNamespace(finding=found)
+        node.shared.pipeline = Changed(original, stream=stream, trust=trust, current=lambda: stale)
+        message = message_at(400)
+        assert message.startswith(finding)
+        assert said in message
+        assert '; STALE: ' in message
+        assert (diagnosed.by_name[own].level == DiagnosticStatus.ERROR) == bool(found)
 
 
 @pytest.mark.ros
@@ -240,10 +244,10 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
     own, messages = 'brake_rate_estimator: estimator', []
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
     node.shared.pipeline = Changed(node.pipeline, current=lambda: converging)
-    check = node.pipeline.stream.brake_delay
-    check.max_speed, check.shape.found = 22.0, ShapeChange(least=0.5, most=-0.5, size=0.4, std=0.01)
+    shape = node.pipeline.stream.faults.shape
+    shape.found = ShapeChange(least=0.5, most=-0.5, size=0.4, std=0.01)
     for is_wrong in (False, True):
-        check.shape.is_wrong = is_wrong
+        shape.is_wrong = is_wrong
         diagnosed.by_name.clear()
         node._diagnostics.publish()
         graph.until(lambda: own in diagnosed.by_name)

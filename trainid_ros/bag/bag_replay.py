@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
+    from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.interface.records import Row
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.stream.sample_stream import Contradiction
@@ -161,9 +162,9 @@ def replay_through(
     return Replay(
         records,
         group.covered_s,
-        _result(resistance, priors[0]),
-        _result(speed_model, priors[1]),
-        _result(brake_rate, priors[2]),
+        _result(resistance, priors[0], reader.mapping),
+        _result(speed_model, priors[1], reader.mapping),
+        _result(brake_rate, priors[2], reader.mapping),
         group.contradiction,
         tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
     )
@@ -190,7 +191,7 @@ class _ObservedRows:
             observer.on_output(output, self._log_ns)
 
 
-def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
+def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT, mapping: Mapping) -> Result[EstimateT]:
     return Result(
         prior,
         pipeline.current(),
@@ -199,5 +200,5 @@ def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[
         tuple(pipeline.statuses),
         pipeline.resets,
         pipeline.consistency,
-        pipeline.why_converging,
+        mapping.named(pipeline.why_converging),
     )

@@ -584,7 +584,7 @@ class _Check:
         if self.is_most(Reason.CONTRADICTION):
             return found
         if _correlation(self._released) < _MAX_OPPOSITE:
-            found.append(f'{FORCE_TOPIC.name} looks as if it had the wrong sign: it is against the acceleration')
+            found.append(f'{FORCE_TOPIC.name} has the wrong sign: it is against the acceleration')
         elif _correlation(self._braked, about_zero=True) < _MAX_OPPOSITE:
             found.append(f'{FORCE_TOPIC.name} drives while {BRAKE_TOPIC.name} brakes: its sign is missing or wrong')
         return found

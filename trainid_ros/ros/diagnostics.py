@@ -304,8 +304,10 @@ class DiagnosticsPublisher:
         """Return what may be wrong beside the status of the estimate, the worst first; without text it is not."""
         warn, pipeline, unsaved = DiagnosticStatus.WARN, self._context.pipeline, self._checkpoints.problem
         contradiction = brake = rejected = to_do = errors = ''
+        holds = False  # Whether the contradiction holds back this estimator
         if pipeline is not None:
             contradiction, brake = pipeline.stream.finding, '; '.join(brake_findings(pipeline))
+            holds = pipeline.trust.finding != ''
             rejected, to_do = unusable(pipeline.current()) or ('', '')
             errors = str(pipeline.consistency) if pipeline.consistency.is_alarm else ''
 
@@ -316,9 +318,9 @@ class DiagnosticsPublisher:
             'contradiction': found(
                 contradiction,
                 'inputs contradict each other: {}',
-                'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned '
-                'meanwhile',
-                DiagnosticStatus.ERROR,
+                'check units, signs, stamps and publishers of the inputs, and the train file; '
+                f'{"nothing is learned meanwhile" if holds else "this estimate does not depend on it"}',
+                DiagnosticStatus.ERROR if holds else warn,
             ),
             'brake': found(brake, '{}', 'correct it; no brake rate is valid meanwhile'),
             'clock': found(clock_problem, '{}', ''),
