@@ -219,8 +219,10 @@ def test_a_stuck_speed_is_rejected_for_all(train_file: TrainFile, sample: Make) 
     stuck = [sample(200 + k, speed=15.01) for k in range(12)]
     taken(train_file, [*noisy, *stuck])
     assert not any(item.rejection for item in noisy)
-    assert stuck[-1].rejection is stuck[-1].brake_rejection is not None
-    assert stuck[-1].rejection.reason is Reason.SPEED_STUCK
+    rejection = stuck[-1].rejection
+    assert rejection is stuck[-1].brake_rejection
+    assert rejection is not None
+    assert rejection.reason is Reason.SPEED_STUCK
 
 
 def test_a_mass_in_tonnes_holds_back_all(train_file: TrainFile, sample: Make) -> None:
