@@ -21,7 +21,15 @@ from trainid_ros.estimators.pipeline import (
     SharedRecord,
 )
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
 from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.setup.pipelines import (
     EstimatorSettings,
@@ -338,14 +346,14 @@ def test_a_restored_estimate_continues_after_a_break(name: str, metro: TrainFile
 
 @ALL
 def test_a_restore_discards_earlier_records(name: str, metro: TrainFile, day: Records) -> None:
-    """The speed is stuck until samples wait for the next accepted one; then a state is restored."""
+    """The mass is in tonnes until samples wait for the next accepted one; then a state is restored."""
     used, new = make(name, metro), make(name, metro)
     state = make(name, metro).save()
-    stuck_from = day[0].stamp_ns + 20 * NS_PER_S
+    wrong_from = day[0].stamp_ns + 20 * NS_PER_S
     for record in seconds(day, 0.0, 40.0):
-        frozen = isinstance(record, SpeedRecord) and record.stamp_ns > stuck_from
-        used.push(replace(record, speed=12.0) if isinstance(record, SpeedRecord) and frozen else record)
-    assert used.rejections[Reason.SPEED_STUCK] > 5
+        wrong = isinstance(record, MassRecord) and record.stamp_ns > wrong_from
+        used.push(replace(record, mass=1e-3 * record.mass) if isinstance(record, MassRecord) and wrong else record)
+    assert used.rejections[Reason.CONTRADICTION] > 5
     later = [replace(r, stamp_ns=r.stamp_ns + 1000 * NS_PER_S) for r in seconds(day, 60.0, 100.0)]
     used.restore(state)
     new.restore(state)

@@ -643,7 +643,7 @@ class InputCheck:
             seconds = block.seconds
             block.force, block.brake = block.force / seconds, block.brake / seconds
             block.gradient, block.extra = block.gradient / seconds, block.extra / seconds
-            block.force_step = force - self._force if is_finite(self._force) else 0.0
+            block.force_step = force - self._force if is_finite(force - self._force) else 0.0
             block.brake_step = brake - self._brake
             self._count_still(block, last)
         quantum = self._noise.quantum

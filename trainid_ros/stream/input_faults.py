@@ -271,7 +271,9 @@ class InputFaults:
             found = Rejection(stamp_ns, Reason.CONTRADICTION, rise, limit)
             sample.rejection = sample.brake_rejection = found
         elif self.brake_rate.finding:
-            found = Rejection(stamp_ns, Reason.CONTRADICTION, math.nan, math.nan)
+            is_stuck = Input.SPEED in TABLE[self.check.verdict.row].ignores
+            reason = Reason.SPEED_STUCK if is_stuck else Reason.CONTRADICTION
+            found = Rejection(stamp_ns, reason, math.nan, math.nan)
             sample.brake_rejection = found
             if self.resistance.finding:
                 sample.rejection = found
