@@ -319,6 +319,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             if not self._is_found:
                 snapshots.newest = snapshots.before
                 self._go_back()
+                self._has_gap, self._suspected_s = True, 0.0
         elif trust.suspicion:
             if self._suspected_s == 0.0 and snapshots.moved_s < _SUSPECTED_S:
                 snapshots.newest = snapshots.before  # the newest may hold what was wrong already
@@ -326,6 +327,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         elif not trust.finding:
             if 0.0 < self._suspected_s < _PASSING_S:
                 self._go_back()
+                self._has_gap = True
             elif trust.is_full and snapshots.moved_s >= _SNAPSHOT_S:
                 snapshots.add(self._snapshot())
             self._suspected_s = 0.0
@@ -335,7 +337,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         return Snapshot(self.estimator.save(), encode(self._consistency))
 
     def _go_back(self) -> None:
-        self._has_gap, self._suspected_s = True, 0.0
         self.estimator.restore(self._snapshots.newest.estimator)
         restore(self._consistency, self._snapshots.newest.consistency)
 
