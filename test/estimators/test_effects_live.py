@@ -54,13 +54,13 @@ class Case:
 
 CASES = {
     'curve_resistance': Case('curve_resistance:coefficient=1500', 'resistance', 0.15),  # its error is learned
-    'tunnel_drag': Case('tunnel_drag:factor=2.5', 'resistance', 0.7),
+    'tunnel_drag': Case('tunnel_drag:factor=2.5', 'resistance', 0.3),
     'headwind': Case('headwind:speed=6', 'resistance', 1.0),
     'local_drag': Case('local_drag:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'gradient_error': Case('gradient_error:start=1000,end=4000,permille=5', 'resistance', 0.3),
-    'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.6),
+    'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.4),
     'starting_resistance': Case('starting_resistance:value=9,speed=5', 'speed_model', 0.4),
-    'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.7),
+    'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.4),
     'bearing_warmup': Case('bearing_warmup:value=3,distance=4000', 'resistance', 0.7),
     'dragging_brake': Case('dragging_brake:permille=4,time=20', 'resistance', 1.0),
     'mass_error': Case('mass_error:ratio=1.1', 'brake_rate', 0.05),
@@ -69,7 +69,7 @@ CASES = {
     'brake_delay': Case('brake_delay:extra=0.8', 'brake_rate', 0.005),  # the dead time is learned
     'wheel_diameter': Case('wheel_diameter:ratio=1.06', 'brake_rate', 0.02),
     'map_shift': Case('map_shift:distance=80', 'speed_model', 0.4),
-    'stamp_skew': Case('stamp_skew:delay=0.5', 'resistance', 0.0, 'ato/force is about 0.6 s late'),
+    'stamp_skew': Case('stamp_skew:delay=1.2', 'resistance', 0.0, 'ato/force is late by about 1.2 s'),
 }
 
 
