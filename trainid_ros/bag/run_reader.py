@@ -152,7 +152,7 @@ def _read(
     if contradictory > _MAX_CONTRADICTORY * samples:
         share = contradictory / samples
         warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {faults.last_finding}')
-    if warning := faults.brake_warning:
+    elif warning := faults.brake_rate.finding or faults.brake_warning:
         warnings.append(f'{path}: {warning}')
     collector.end_run()
     return _Reading(tuple(collector.runs), collector.origin_ns, tuple(warnings))
