@@ -112,10 +112,19 @@ def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
     assert (current.low, current.high) == pytest.approx(band(WINDOW, correlation), rel=1e-9)
 
 
-def test_the_text_states_verdict_and_numbers() -> None:
-    text = str(Consistency(ConsistencyVerdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
-    assert text.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
-    assert text.endswith('99 % band 0.76 to 1.28, 200 updates)')
+@pytest.mark.parametrize(
+    ('verdict', 'ratio', 'meaning'),
+    [
+        ('optimistic', 2.25, ': predictions miss by 1.50 times the stated std, so allow for errors as much larger'),
+        ('consistent', 1.0, ''),
+        ('pessimistic', 0.49, ': predictions miss by 0.70 times the stated std, so the stated one is safe, '
+                              'but wider than it need be'),
+    ],
+)  # fmt: skip
+def test_the_text_states_verdict_numbers_and_what_they_mean(verdict: str, ratio: float, meaning: str) -> None:
+    text = str(Consistency(ConsistencyVerdict(verdict), ratio, 0.76, 1.28, 200, 3))
+    numbers = f'squared innovations {ratio:.2f} times the stated variance; 99 % band 0.76 to 1.28, 200 updates'
+    assert text == f'{verdict} ({numbers}){meaning}'
 
 
 @pytest.mark.parametrize(('size', 'refuted'), [(1.9, False), (2.1, True)])

@@ -42,6 +42,12 @@ class ConsistencyVerdict(Enum):
     PESSIMISTIC = 'pessimistic'  # errors are smaller than stated
 
 
+_ADVICE: Final = {
+    ConsistencyVerdict.OPTIMISTIC: 'so allow for errors as much larger',
+    ConsistencyVerdict.PESSIMISTIC: 'so the stated one is safe, but wider than it need be',
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Consistency:
     """Outcome of the check."""
@@ -63,8 +69,10 @@ class Consistency:
         """Return verdict and numbers as text."""
         if not self.updates:
             return f'{self.verdict.value} (no innovation with a stated variance)'
+        advice = _ADVICE.get(self.verdict)
         band = f'99 % band {self.low:.2f} to {self.high:.2f}, {self.updates} updates'
-        return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
+        meaning = f': predictions miss by {math.sqrt(self.ratio):.2f} times the stated std, {advice}' if advice else ''
+        return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band}){meaning}'
 
 
 class ConsistencyMonitor:
