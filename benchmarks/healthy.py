@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of the inputs on healthy drives, unusual ones, and with faults; no sample is rejected."""
+"""What the checks of the inputs say on healthy drives, on unusual ones, and with faults."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -16,9 +16,6 @@ from benchmarks.tables import Table
 from benchmarks.unusual import UNUSUAL, unusual_drive
 from benchmarks.worlds import FIELD, WORLDS, drive
 from trainid_ros.interface.records import NS_PER_S, Row
-from trainid_ros.stream.fault_table import BRAKE_RATE_USES, RESISTANCE_USES
-from trainid_ros.stream.input_check import InputCheck
-from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
@@ -63,12 +60,13 @@ _NAMES: Final = {
 
 
 class Moment(NamedTuple):
-    """What the check says after a sample."""
+    """What the checks say after a sample."""
 
-    finding: str
-    is_suspected: bool
-    holds_resistance: bool
-    suspicion: str = ''
+    stamp_ns: int
+    moved_s: float  # Time in motion since the sample before [s]
+    finding: str = ''
+    suspicion: str = ''  # Of something that an estimator uses
+    holds_resistance: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +95,6 @@ class Outcome:
         is_right: Whether most of the time under a finding during the fault names the right input.
         was_suspected: Whether anything was suspected during the fault.
         suspicions: Texts of the suspicions, most frequent first.
-
     """
 
     findings: tuple[str, ...]
@@ -112,43 +109,37 @@ class Outcome:
     suspicions: tuple[str, ...] = ()
 
 
-def samples_of(train_file: TrainFile, rows: Sequence[Row]) -> list[Sample]:
-    """Return the aligned samples of a drive, none of them rejected."""
-    stream = SampleStream(StreamConfig(train_file, rejects_faults=False))
-    return [event for row in rows for event in stream.push_row(*row) if isinstance(event, Sample)]
-
-
-def moments_of(train_file: TrainFile, samples: Sequence[Sample]) -> list[Moment]:
-    """Return what the check says after each sample."""
-    check, moments = InputCheck(KnownForce(train_file)), []
-    for sample in samples:
-        verdict = check.take(sample)
-        holds = not verdict.condemned.isdisjoint(RESISTANCE_USES)
-        suspected = not verdict.suspected.isdisjoint(BRAKE_RATE_USES) and not verdict.finding
-        moments.append(Moment(verdict.finding, suspected, holds, verdict.suspicion))
+def moments_of(train_file: TrainFile, rows: Iterable[Row]) -> list[Moment]:
+    """Return what the checks say after each sample of a drive."""
+    stream, moments = SampleStream(StreamConfig(train_file)), list[Moment]()
+    for row in rows:
+        for event in stream.push_row(*row):
+            if isinstance(event, Sample):
+                faults = stream.faults
+                moved_s = event.dt if event.speed >= _MIN_SPEED and event.dt > 0.0 else 0.0
+                suspicion, is_held = faults.brake_rate.suspicion, faults.resistance.finding != ''
+                moments.append(Moment(event.stamp_ns, moved_s, faults.finding, suspicion, is_held))
     return moments
 
 
-def outcome_of(moments: Sequence[Moment], samples: Sequence[Sample], case: Case) -> Outcome:
-    """Summarise what the check said."""
-    findings, suspicions, before, start_ns = list[str](), Counter[str](), '', samples[0].stamp_ns
+def outcome_of(moments: Sequence[Moment], case: Case) -> Outcome:
+    """Summarise what the checks said."""
+    findings, suspicions, before, start_ns = list[str](), Counter[str](), '', moments[0].stamp_ns
     begin_s, end_s = (0.0, math.inf) if case.from_start else (_BEGIN_S, _END_S)
     moved = found = suspected = held = right = 0.0
     found_s, cleared_s, since, after, under, was_suspected = math.inf, math.nan, 0.0, 0.0, 0.0, False
     name = _NAMES.get(case.fault.split(' ')['position' in case.fault], '')
-    for moment, sample in zip(moments, samples, strict=True):
+    for moment in moments:
         if moment.finding and not before:
             findings.append(moment.finding)
         before = moment.finding
-        time_s = (sample.stamp_ns - start_ns) / NS_PER_S
-        dt = sample.dt if sample.speed >= _MIN_SPEED and sample.dt > 0.0 else 0.0
-        if case.fault == 'speed frozen' and begin_s <= time_s < end_s and sample.dt > 0.0:
-            dt = sample.dt
+        time_s, dt = (moment.stamp_ns - start_ns) / NS_PER_S, moment.moved_s
+        is_suspected = moment.suspicion != '' and not moment.finding
         moved += dt
         found += dt * (moment.finding != '')
-        suspected += dt * moment.is_suspected
+        suspected += dt * is_suspected
         held += dt * moment.holds_resistance
-        if moment.suspicion and not moment.finding:
+        if is_suspected:
             suspicions[moment.suspicion] += 1
         if begin_s <= time_s < end_s:
             since += dt
@@ -156,17 +147,16 @@ def outcome_of(moments: Sequence[Moment], samples: Sequence[Sample], case: Case)
                 found_s = min(found_s, since)
                 under += dt
                 right += dt * (name in moment.finding)
-            was_suspected = was_suspected or moment.is_suspected
+            was_suspected = was_suspected or is_suspected
         elif time_s >= end_s:
             after += dt
             if moment.finding and math.isnan(cleared_s) and found_s < math.inf:
-                cleared_s = -1.0
-            if not moment.finding and cleared_s == -1.0:
+                cleared_s = math.inf
+            if not moment.finding and cleared_s == math.inf:
                 cleared_s = after
-    if cleared_s == -1.0:
-        cleared_s = math.inf
+    whole = moved or math.inf  # a speed that is stuck from the start never moves
     return Outcome(
-        tuple(findings), found / moved, suspected / moved, held / moved, moved, found_s, cleared_s,
+        tuple(findings), found / whole, suspected / whole, held / whole, moved, found_s, cleared_s,
         under > 0.0 and right > 0.5 * under, was_suspected,
         tuple(f'{text} ({count / 5.0:.0f} s)' for text, count in suspicions.most_common(3)),
     )  # fmt: skip
@@ -195,8 +185,7 @@ def run(case: Case) -> Outcome:
     train_file, rows = rows_of(case.world, case.seed, case.place, FAULTY_S if is_faulty else HEALTHY_S)
     if is_faulty:
         rows = faulty_rows(rows, FAULTS[case.fault], from_start=case.from_start)
-    samples = samples_of(train_file, rows)
-    return outcome_of(moments_of(train_file, samples), samples, case)
+    return outcome_of(moments_of(train_file, rows), case)
 
 
 def measure(seeds: int) -> tuple[Table, ...]:

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Healthy trains of all kinds, a quarter of an hour each: nothing is found. The benchmark ``healthy`` has many more."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.healthy import Case, moments_of, outcome_of, rows_of
+from benchmarks.unusual import UNUSUAL
+from benchmarks.worlds import WORLDS
+
+SEED = 9000
+DURATION_S = 900.0
+# Least motion of a drive that shows something [s]: that of the one that shunts.
+MIN_MOVED_S = 200.0
+CASES = [Case(world, SEED) for world in WORLDS] + [Case(u.world, SEED, place) for place, u in enumerate(UNUSUAL)]
+
+
+def name_of(case: Case) -> str:
+    return case.world if case.place < 0 else f'{UNUSUAL[case.place].name}, {case.world}'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('case', CASES, ids=name_of)
+def test_nothing_is_found_on_a_healthy_train(case: Case) -> None:
+    outcome = outcome_of(moments_of(*rows_of(case.world, case.seed, case.place, DURATION_S)), case)
+    print(name_of(case), outcome.findings, f'suspected {outcome.suspected:.1%}', outcome.suspicions)
+    assert outcome.moved_s > MIN_MOVED_S
+    assert outcome.findings == ()
