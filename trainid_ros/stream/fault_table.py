@@ -39,6 +39,7 @@ BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKE
 class Usual:
     """A quantity in which healthy trains differ."""
 
+    name: str
     mean: float  # What is usual, in the unit of the quantity
     std: float  # Standard deviation over trains and time
     time_s: float  # Time in which it varies [s]
@@ -54,15 +55,15 @@ FORCE_LATE: Final = 5
 BRAKE_LATE: Final = 6
 
 USUAL: Final = (
-    Usual(0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
-    Usual(0.0, 0.5, 60.0),  # Share of it that is added [1]: head wind of 10 m/s, tunnels, errors of the train file
-    Usual(1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
-    Usual(1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
-    Usual(0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
-    Usual(0.0, 0.25, 300.0),  # Share of dead time and lag by which the brake acts later than stated [1]
+    Usual('the resistance', 0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
+    Usual('the wind', 0.0, 0.5, 60.0),  # Share of it that is added [1]: head wind of 10 m/s, tunnels, errors of the train file
+    Usual('the traction by ato/force and ato/mass', 1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
+    Usual('the brake rate', 1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
+    Usual('the delay of ato/force', 0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
+    Usual('the delay of the brake', 0.0, 0.25, 300.0),  # Share of dead time and lag by which the brake acts later than stated [1]
 )
 """What is usual, in the order of the places from ``OFFSET`` on."""
-WHEEL: Final = Usual(0.0, 0.01, 3000.0)
+WHEEL: Final = Usual('the wheel', 0.0, 0.01, 3000.0)
 """Measured over true speed, minus one [1]: wear of a wheel between two turnings."""
 
 

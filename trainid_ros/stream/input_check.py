@@ -65,7 +65,7 @@ _SUSPECT: Final = 6.0  # nats: exp(-6) = 1/400
 _FIND: Final = 14.0  # nats: 1e-6 for each fresh start, of which there are some 1e4 a day
 _CLEAR: Final = 8.0  # nats: health is the more probable state, so less is asked for
 _LEAD: Final = 3.0  # nats before the second best row, so that the right one is named ...
-_LEAD_S: Final = 10.0  # s ... but for at most this time
+_LEAD_S: Final = 10.0  # s ... but for at most this time; a fault has to be gone for as long
 _TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that which comes first in the table is right
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
@@ -81,8 +81,7 @@ _ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, 
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
 _NO_LINE: Final = 1.0  # nats per length of the line: the same if the line, or the gradient of the topic, is ignored
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
-_STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck ...
-_HELD_S: Final = 20.0  # s: ... but a brake command, which drivers hold
+_STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then the speed is taken as measured), and ...
@@ -131,6 +130,7 @@ _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topi
 # What is usual, and how far a row may depart from it
 
 _RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
+_LIMIT: Final = 2.4  # standard deviations: a quantity so far off may be farther off
 _LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
 _TUNNEL_WIND: Final = 1.0  # std of the wind in a tunnel, as a share of the resistance [1]
 _BOARDING: Final = 0.05  # share of the mass by which it may change at a stop, if it is not weighed ...
@@ -220,6 +220,7 @@ class Prior:
         self.delays_force = (others and late is not Input.FORCE) or row.early
         self.delays_command = (others and late is not Input.COMMAND) or late is Input.BRAKE
         self.delays_gradient = others
+        self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
         self.is_of_line = self.ignores_line or self.ignores_gradient or row.gradient != 1.0
 
@@ -529,13 +530,14 @@ class InputCheck:
 
     Attributes:
         verdict: What it says after the last sample.
+        is_brake_confirmed: Whether the brake has acted as the train file says from its application to its release or a stop.
     """
 
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared',
         '_accepted', several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std',
-        '_gradient_var', '_off', 'verdict',
+        '_gradient_var', '_off', '_braked_s', 'is_brake_confirmed', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -574,6 +576,8 @@ class InputCheck:
         self._mismatch = self._distance_score = self._line_score = 0.0
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
+        self._braked_s = 0.0  # Time for which the brake has acted on a moving train [s]
+        self.is_brake_confirmed = False
         self.verdict = Verdict()
 
     def take(self, sample: Sample) -> Verdict:
@@ -584,6 +588,15 @@ class InputCheck:
             self._close(sample)
             self._judge()
         return self.verdict
+
+    def at_limit(self, places: tuple[int, ...]) -> str:
+        """Return which of some quantities is as far from usual as a healthy train can have it, empty if none is."""
+        trial = self._accepted
+        for place in places:
+            usual = USUAL[place - 1]
+            if trial.row == 0 and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
+                return f'{usual.name} is at the limit of what is usual'
+        return ''
 
     @property
     def noise(self) -> SpeedNoise:
@@ -787,7 +800,7 @@ class InputCheck:
             score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
         if mismatch != 0.0:
-            is_stuck = prior.ignores_command and self._still[3] > _HELD_S
+            is_stuck = prior.ignores_command and self._still[3] > _STILL_S
             is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
@@ -914,7 +927,7 @@ class InputCheck:
         later = accepted.shift if theirs.delays_speed else 0
         is_stuck = self._is_stuck(theirs)
         is_released = block.brake > -_BRAKES and self._brake > -_BRAKES
-        kept = list[Trial]()
+        kept, rival = list[Trial](), -math.inf
         for other in self._others:
             prior = _PRIORS[other.row]
             place = (self._count - max(later, other.shift if prior.delays_speed else 0)) % _KEPT
@@ -925,9 +938,15 @@ class InputCheck:
             if is_released or not (prior.is_of_times or theirs.is_of_times):
                 other.total, other.part = other.sum, 0.0
             other.rise_s = other.rise_s + block.seconds if other.sum > 1.0 else 0.0
+            rival = max(rival, other.sum)
             if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
         self._others = kept
+        if block.state == MOVING and not is_released:
+            self._braked_s += block.seconds
+        else:
+            self.is_brake_confirmed = self.is_brake_confirmed or (self._braked_s > self._forces.timing and rival < 1.0)
+            self._braked_s = 0.0
 
     def _is_stuck(self, prior: Prior) -> bool:
         """Return whether the input that a row ignores has not changed for some time."""
@@ -936,7 +955,7 @@ class InputCheck:
             (prior.ignores_speed and still[0] > _STILL_S)
             or (prior.ignores_position and still[1] > _STILL_S)
             or (prior.ignores_force and still[2] > _STILL_S)
-            or (prior.ignores_command and still[3] > _HELD_S)
+            or (prior.ignores_command and still[3] > _STILL_S)
         )
 
     def _decide(self, seconds: float) -> None:
@@ -954,7 +973,7 @@ class InputCheck:
         if self._usual_s > _LEAD_S:
             self._spare[0].start(self._accepted, 0)
             self._accept(self._spare[0])
-        elif health > _CLEAR and health > first - _LEAD:
+        elif health > _CLEAR and health > first - _LEAD and self._others[0].rise_s > _LEAD_S:
             self._accept(self._others[0])
         elif first > _FIND and first - second > _LEAD:
             self._accept(best)
@@ -969,6 +988,8 @@ class InputCheck:
     def _evidence(self, trial: Trial) -> float:
         """Return S of a row less what is asked of it beforehand [nats]."""
         prior, score = _PRIORS[trial.row], trial.sum
+        if trial.row > 0 and prior.held < _PRIORS[self._accepted.row].held:
+            return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
         if not self._is_stuck(prior):
             score -= prior.row.asks
         return min(score, _SUSPECT) if trial.rise_s < _DELAYS * prior.row.late_s else score

@@ -18,7 +18,7 @@ from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare
 from trainid_ros.stream.brake_shape import BrakeShapeCheck
-from trainid_ros.stream.fault_table import TABLE, Input
+from trainid_ros.stream.fault_table import BRAKE, BRAKE_LATE, FORCE_LATE, GAIN, TABLE, Input
 from trainid_ros.stream.input_check import MOVING, InputCheck
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import (
@@ -114,7 +114,7 @@ class InputFaults:
     STATE: ClassVar[State] = declare(
         'finding', 'last_finding', 'resistance', 'brake_rate', 'check', 'shape', '_mass', '_commands',
         '_command_spikes', '_releases', '_force_spikes', '_gradient_spikes', '_repeats', '_speed', '_held_s',
-        '_slowest', '_moved_s', '_braked_s', '_blocks',
+        '_slowest', '_moved_s', '_blocks',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -145,7 +145,6 @@ class InputFaults:
         # Lowest speed since the brake has followed a command that holds the train, the speed itself before that [m/s].
         self._slowest = 0.0
         self._moved_s = 0.0  # Time in motion with known forces, up to that which confirms the inputs [s]
-        self._braked_s = 0.0  # Time for which a moving train was braked, up to that after which it acts [s]
         self._blocks = 0  # Number of blocks of the check whose brake was looked at
 
     @property
@@ -199,8 +198,6 @@ class InputFaults:
         command, speed, is_complete = self._commands.command, sample.speed, is_finite(sample.force_mean)
         if speed >= _MIN_SPEED and is_complete and is_finite(sample.gradient_mean):
             self._moved_s = min(self._moved_s + dt, _CONFIRMED_S)
-            if command < 0.0:
-                self._braked_s = min(self._braked_s + dt, self._followed_s)
         holds = command < _HOLDING and self._held_s > self._followed_s
         self._slowest = min(self._slowest, speed) if holds else speed
         if self._blocks != self.check.count:
@@ -238,7 +235,7 @@ class InputFaults:
         self.resistance.update(
             found or (verdict.finding if row.holds_resistance else ''),
             suspected or (verdict.suspicion if suspect.holds_resistance else ''),
-            '' if self._moved_s >= _CONFIRMED_S else 'the inputs have not yet confirmed each other',
+            self._objection_to_forces(),
             moved_s,
         )
         self.brake_rate.update(
@@ -250,15 +247,21 @@ class InputFaults:
         self.finding = of_command or ('' if Input.BRAKE in row.condemns else verdict.finding)
         self.last_finding = self.finding or self.last_finding
 
+    def _objection_to_forces(self) -> str:
+        """Return why nothing is valid although the inputs agree, empty if it may be."""
+        if self._moved_s < _CONFIRMED_S:
+            return 'the inputs have not yet confirmed each other'
+        return self.check.at_limit((GAIN, FORCE_LATE))
+
     def _objection(self) -> str:
         """Return why no brake rate is valid although its inputs agree, empty if it may be."""
         if self.shape.is_wrong:
             return 'the brake contradicts the train file'
         if self.shape.is_odd:
             return 'the present braking contradicts the train file'
-        if self._braked_s < self._followed_s:
+        if not self.check.is_brake_confirmed:
             return 'no braking has confirmed brake.delay and brake.rate yet'
-        return ''
+        return self.check.at_limit((BRAKE, BRAKE_LATE))
 
     def _reject(self, sample: Sample) -> None:
         """Set why estimators must not use a sample, if they must not."""
