@@ -69,6 +69,7 @@ _LEAD_S: Final = 10.0  # s ... but for at most this time; a fault has to be gone
 _TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that which comes first in the table is right
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
+_FOLLOWED_S: Final = 5.0  # s: a shorter application of the brake confirms nothing
 _APPLICATION: Final = 5.0  # nats: the most that one application of the brake counts: none is suspected by one
 _START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
@@ -537,7 +538,7 @@ class InputCheck:
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared',
         '_accepted', several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std',
-        '_gradient_var', '_off', '_braked_s', 'is_brake_confirmed', 'verdict',
+        '_gradient_var', '_off', unknown('_braked_s'), 'is_brake_confirmed', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -576,7 +577,7 @@ class InputCheck:
         self._mismatch = self._distance_score = self._line_score = 0.0
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
-        self._braked_s = 0.0  # Time for which the brake has acted on a moving train [s]
+        self._braked_s = math.nan  # Time for which the brake has acted on a moving train [s], NaN at a stand
         self.is_brake_confirmed = False
         self.verdict = Verdict()
 
@@ -945,8 +946,8 @@ class InputCheck:
         if block.state == MOVING and not is_released:
             self._braked_s += block.seconds
         else:
-            self.is_brake_confirmed = self.is_brake_confirmed or (self._braked_s > self._forces.timing and rival < 1.0)
-            self._braked_s = 0.0
+            self.is_brake_confirmed = self.is_brake_confirmed or (self._braked_s > _FOLLOWED_S and rival < 1.0)
+            self._braked_s = 0.0 if block.state == MOVING else math.nan  # a train that departs shows nothing
 
     def _is_stuck(self, prior: Prior) -> bool:
         """Return whether the input that a row ignores has not changed for some time."""
