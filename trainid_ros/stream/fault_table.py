@@ -56,7 +56,7 @@ BRAKE_LATE: Final = 6
 
 USUAL: Final = (
     Usual('the resistance', 0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
-    Usual('the wind', 0.0, 0.5, 60.0),  # Share of it that is added [1]: head wind of 10 m/s, tunnels, errors of the train file
+    Usual('the wind', 0.0, 5.0, 60.0),  # Head wind [m/s]
     Usual('the traction by ato/force and ato/mass', 1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
     Usual('the brake rate', 1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
     Usual('the delay of ato/force', 0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control

@@ -7,7 +7,7 @@ m = 1000 (1 + gamma)/g0, F the reported force, B the brake command after exact d
 rate and (a, b, c) the resistance of the train file, i gradient and effects:
 
     (1)  m dv/dt = gain (T + force_late dT/dt) + brake r (B - brake_late (delay + lag) dB/dt)
-                   - i - (1 + wind) (a + b v + c v^2) - offset + noise,      T = F - B
+                   - i - (a + b v + c (v + wind)^2) - offset + noise,      T = F - B
     (2)  distance by position = distance by speed / (1 + wheel) + noise
 
 Traction and brake act together: power braking, and dynamic braking without a command, are no exceptions. The states
@@ -133,7 +133,7 @@ _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topi
 _RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
 _LIMIT: Final = 2.4  # standard deviations: a quantity so far off may be farther off
 _LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
-_TUNNEL_WIND: Final = 1.0  # std of the wind in a tunnel, as a share of the resistance [1]
+_TUNNEL_WIND: Final = 0.5  # std of the wind in a tunnel over the speed [1]: drag up to 3.5 times that in the open
 _BOARDING: Final = 0.05  # share of the mass by which it may change at a stop, if it is not weighed ...
 _BOARDING_S: Final = 30.0  # s ... in this time
 _LEARNED: Final = 0.01  # weight of a new square in the learned noise of position and gradient: 100 blocks ...
@@ -323,8 +323,8 @@ class Trial:
         v, h, rate = x[V], block.seconds / forces.inertia, forces.timing * forces.brake_rate
         x[V] = max(v + h * forces.balance(x), 0.0)
         # Row v of the Jacobian.
-        f[V] = 1.0 - h * (1.0 + x[WIND]) * forces.slope(v)
-        f[OFFSET], f[WIND] = -h, -h * forces.resistance(v)
+        f[V] = 1.0 - h * (forces.slope(v) + x[WIND] * 2.0 * forces.drag)
+        f[OFFSET], f[WIND] = -h, -h * 2.0 * forces.drag * v
         f[GAIN] = h * (forces.traction + x[FORCE_LATE] * forces.traction_rate)
         f[BRAKE] = h * (forces.brake - x[BRAKE_LATE] * rate)
         f[FORCE_LATE], f[BRAKE_LATE] = h * x[GAIN] * forces.traction_rate, -h * x[BRAKE] * rate
@@ -363,14 +363,14 @@ class Trial:
             if own[i] > 0.0 and accepted:
                 s = min(s, _PRIORS[0].std[i])
             elif i == WIND and block.tunnel:
-                s = _TUNNEL_WIND
+                s = max(s, _TUNNEL_WIND * x[V])
             P[k] = d[i] * d[i] * P[k] + (1.0 - d[i] * d[i]) * s * s
             k += 1
             for j in range(i + 1, _STATES):
                 P[k] *= d[i] * d[j]
                 k += 1
         if block.tunnel:
-            P[_WIND_WIND] = max(P[_WIND_WIND], _TUNNEL_WIND * _TUNNEL_WIND)
+            P[_WIND_WIND] = max(P[_WIND_WIND], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
 
     def correct(self, speed: float, R: float, most: float = math.inf) -> float:
         """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
@@ -401,7 +401,7 @@ class Trial:
         for i in range(1, _STATES):
             if accepted and prior.own[i] > 0.0:
                 continue
-            most = _RANGE * (_TUNNEL_WIND if i == WIND and tunnel else prior.std[i])
+            most = _RANGE * (max(_TUNNEL_WIND * self.x[V], prior.std[i]) if i == WIND and tunnel else prior.std[i])
             self.x[i] = min(max(self.x[i], prior.mean[i] - most), prior.mean[i] + most)
 
     def compare_distances(self, block: Block, learned: float, *, accepted: bool) -> float:
@@ -446,6 +446,7 @@ class Forces:
 
     Attributes:
         inertia: m of (1) [N/kN per m/s^2].
+        drag: c of (1) [N/kN per (m/s)^2]; of the wind only the linear term counts.
         timing: Dead time and lag of the brake [s].
         traction: T of (1), and its rate.
         brake: r B, and its rate.
@@ -459,23 +460,23 @@ class Forces:
     def __init__(self, known: KnownForce) -> None:
         resistance, brake = known.train_file.resistance, known.brake
         self.inertia, self.timing = known.inertia, brake.delay + brake.time_constant
-        self._a, self._b, self._c = resistance.a, resistance.b, resistance.c
+        self._a, self._b, self.drag = resistance.a, resistance.b, resistance.c
         self.traction = self.traction_rate = self.brake = self.brake_rate = self.gradient = self.extra = 0.0
         self.variance = self.effort = self.mismatch = 0.0
 
     def resistance(self, v: float) -> float:
         """Return a + b v + c v^2 [N/kN]."""
-        return self._a + v * (self._b + v * self._c)
+        return self._a + v * (self._b + v * self.drag)
 
     def slope(self, v: float) -> float:
         """Return its derivative [N/kN per m/s]."""
-        return self._b + 2.0 * v * self._c
+        return self._b + 2.0 * v * self.drag
 
     def balance(self, x: vec[float]) -> float:
         """Return the right side of (1) for a state of shape (7,) [N/kN]."""
         pull = self.traction + x[FORCE_LATE] * self.traction_rate
         slow = self.brake - x[BRAKE_LATE] * self.timing * self.brake_rate
-        track = self.gradient + self.extra + (1.0 + x[WIND]) * self.resistance(x[V]) + x[OFFSET]
+        track = self.gradient + self.extra + self.resistance(x[V]) + 2.0 * self.drag * x[V] * x[WIND] + x[OFFSET]
         return x[GAIN] * pull + x[BRAKE] * slow - track
 
     def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
