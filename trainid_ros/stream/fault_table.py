@@ -56,7 +56,7 @@ BRAKE_LATE: Final = 6
 
 USUAL: Final = (
     Usual('the resistance', 0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
-    Usual('the wind', 0.0, 5.0, 60.0),  # Head wind [m/s]
+    Usual('the wind', 0.0, 6.0, 60.0),  # Head wind [m/s]
     Usual('the traction by ato/force and ato/mass', 1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
     Usual('the brake rate', 1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
     Usual('the delay of ato/force', 0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
@@ -130,6 +130,7 @@ def _nothing(sentence: str, *inputs: Input, asks: float = _FOLLOWS_NOTHING) -> R
 
 
 _FOLLOWS: Final = 'the train follows {gain:.2g} times it'
+_CHANGED: Final = 'ato/mass or ato/force has changed: the train follows {gain:.2g} times the force'
 _WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows {gain:.2g} times the force'
 
 TABLE: Final[tuple[Row, ...]] = (
@@ -143,6 +144,7 @@ TABLE: Final[tuple[Row, ...]] = (
     _nothing('the position in ato/speed follows nothing', Input.POSITION),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
+    Row(_CHANGED, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.0, 0.15),)),
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0),
@@ -159,7 +161,7 @@ TABLE: Final[tuple[Row, ...]] = (
     _nothing('ato/force is stuck or follows nothing', Input.FORCE),
     *_late(Input.FORCE, 'ato/force is late', _LATE_S),
     *_late(Input.SPEED, 'ato/speed is late', _LATE_S),
-    *_late(Input.FORCE, 'ato/force is early', _LATE_S[1:3], early=True),
+    *_late(Input.FORCE, 'ato/force is early', _LATE_S[:3], early=True),
     Row('ato/brake_command is in g', _only(Input.COMMAND), command=G),
     Row('ato/brake_command is too small by 2', _only(Input.COMMAND), command=2.0),
     Row('ato/brake_command is too small by 4', _only(Input.COMMAND), command=4.0),
