@@ -24,7 +24,6 @@ class Input(Enum):
     COMMAND = 'ato/brake_command'
     MASS = 'ato/mass'
     GRADIENT = 'ato/gradient'
-    LINE = 'line.gradient of the train file'
     BRAKE = 'brake.delay of the train file'
 
 
@@ -32,7 +31,7 @@ NOTHING: Final[frozenset[Input]] = frozenset()
 RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.MASS, Input.GRADIENT})
 """Inputs of resistance and speed model: while one of them is condemned, neither learns."""
 BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKE})
-"""Inputs of the brake rate. No estimator depends on position or line."""
+"""Inputs of the brake rate. No estimator depends on the position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +171,6 @@ TABLE: Final[tuple[Row, ...]] = (
     *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[2:]),
     Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0),
     Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0),
-    _nothing('ato/gradient does not fit the line', Input.GRADIENT, asks=0.0),
-    _nothing('line.gradient of the train file does not fit ato/gradient', Input.LINE),
+    _nothing('ato/gradient does not fit line.gradient of the train file', Input.GRADIENT, asks=0.0),
 )
 """All hypotheses; the first one is that all is well."""

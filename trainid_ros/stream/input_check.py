@@ -80,7 +80,7 @@ _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one n
 
 _ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
-_NO_LINE: Final = 1.0  # nats per length of the line: the same if the line, or the gradient of the topic, is ignored
+_NO_LINE: Final = 1.0  # nats per length of the line: the same if it is not compared with the gradient of the topic
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
@@ -207,14 +207,13 @@ class Prior:
             if is_own:
                 self.own[place] = 1.0
         self.anew = self.own[:]
-        if row.gradient != 1.0 or Input.GRADIENT in row.ignores:
+        if row.gradient != 1.0:
             self.anew[OFFSET] = 1.0
         self.ignores_speed = Input.SPEED in row.ignores
         self.ignores_position = Input.POSITION in row.ignores
         self.ignores_force = Input.FORCE in row.ignores
         self.ignores_command = Input.COMMAND in row.ignores
         self.ignores_gradient = Input.GRADIENT in row.ignores
-        self.ignores_line = Input.LINE in row.ignores
         # Inputs that are read from an earlier block: all but the late one, or the early one alone.
         late, others = row.late, row.late is not None and not row.early and row.late is not Input.BRAKE
         self.delays_speed = others and late is not Input.SPEED
@@ -223,7 +222,7 @@ class Prior:
         self.delays_gradient = others
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
-        self.is_of_line = self.ignores_line or self.ignores_gradient or row.gradient != 1.0
+        self.is_of_line = self.ignores_gradient or row.gradient != 1.0
 
 
 _PRIORS: Final = [Prior(row) for row in TABLE]
@@ -751,8 +750,7 @@ class InputCheck:
             return None
         forces = self._forces
         forces.correct(prior, at, force, command)
-        is_taken = prior.ignores_gradient and is_finite(at.line)
-        forces.gradient, forces.extra = at.line if is_taken else prior.row.gradient * slope.gradient, slope.extra
+        forces.gradient, forces.extra = prior.row.gradient * slope.gradient, slope.extra
         return at
 
     def _miss(self, prior: Prior, known: vec[float], at: Block, before: Block) -> float:
@@ -806,11 +804,7 @@ class InputCheck:
             is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
-            cost = (
-                _NO_LINE
-                if prior.ignores_gradient or prior.ignores_line
-                else _off_line(gradient, at, self._gradient_var)
-            )
+            cost = _NO_LINE if prior.ignores_gradient else _off_line(gradient, at, self._gradient_var)
             self._line_score = -cost if accepted else self._line_score
             score -= cost * min(1.0, max(at.by_speed, 0.0) / _GRADIENT_M)
         trial.scores[place] = score
@@ -917,6 +911,8 @@ class InputCheck:
             self._place += K * (block.gradient - block.line)
             self._place_std = max(math.sqrt((1.0 - K * H) * P), _MIN_PLACE_M)
         self._place_std += _PLACE_SHARE * block.by_speed
+        if any(_PRIORS[other.row].is_of_line and other.sum > 1.0 for other in self._others):
+            return  # what may be a fault is not learned as noise
         change = min(square, 1.0) / _CAPPED_MEAN - 1.0
         self._gradient_var = max((1.0 + _LEARNED * change) * self._gradient_var, _GRADIENT_STD * _GRADIENT_STD)
 
