@@ -106,6 +106,7 @@ class Row:
 
 
 _FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
+_SLIDES: Final = 60.0  # nats: 2 for each block of some 20 s in which sliding wheels follow nothing
 _RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that no file states, or a speed that is late
 # Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
@@ -138,7 +139,7 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
     Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0),
     Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
-    _nothing('ato/speed is stuck or follows nothing', Input.SPEED),
+    _nothing('ato/speed is stuck or follows nothing', Input.SPEED, asks=_SLIDES),
     _nothing('ato/speed and its position are stuck', Input.SPEED, Input.POSITION),
     _nothing('the position in ato/speed follows nothing', Input.POSITION),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),

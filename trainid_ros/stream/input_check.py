@@ -68,6 +68,7 @@ _LEAD: Final = 3.0  # nats before the second best row, so that the right one is 
 _LEAD_S: Final = 10.0  # s ... but for at most this time; a fault has to be gone for as long
 _TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that which comes first in the table is right
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
+_CREDIBLE: Final = 2.0  # standard deviations of healthy trains: no fault is found or suspected that is smaller
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
 _FOLLOWED_S: Final = 5.0  # s: a shorter application of the brake confirms nothing
 _APPLICATION: Final = 5.0  # nats: the most that one application of the brake counts: none is suspected by one
@@ -87,6 +88,7 @@ _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rar
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then the speed is taken as measured), and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
+_JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
 _SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
 _LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
@@ -222,6 +224,7 @@ class Prior:
         self.delays_gradient = others
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
+        self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
         self.is_of_line = self.ignores_gradient or row.gradient != 1.0
 
 
@@ -255,7 +258,7 @@ class Trial:
         total: S against the accepted row [nats], without ...
         part: ... that of the present application of the brake.
         age_s: Time since its fresh start [s].
-        rise_s: Time since S was last below one nat [s].
+        rise_s: Time in motion since S was last below one nat [s].
         odd_s: Time for which the speed has been odd [s].
     """
 
@@ -659,7 +662,6 @@ class InputCheck:
             block.gradient, block.extra = block.gradient / seconds, block.extra / seconds
             block.force_step = force - self._force if is_finite(force - self._force) else 0.0
             block.brake_step = brake - self._brake
-            self._count_still(block, last)
         quantum = self._noise.quantum
         block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
         block.speed_step = sample.speed - last.speed
@@ -672,6 +674,8 @@ class InputCheck:
             block.rate = known.train_file.brake.rate_at(sample.speed) * known.brake_share(sample)
         self._look_up(block, sample)
         block.state = self._state(block, force)
+        if block.seconds > 0.0:
+            self._count_still(block, last)
         self._force, self._brake, self._is_weighed = force, brake, sample.weighed
         self._count += 1
         self._filling = self._blocks[self._count % _KEPT]
@@ -688,11 +692,11 @@ class InputCheck:
         return MOVING if block.speed >= _MIN_SPEED or is_driven else STANDING
 
     def _count_still(self, block: Block, last: Block) -> None:
-        """Count for how long speed, position and force have not changed."""
-        still, seconds = self._still, block.seconds
-        still[0] = still[0] + seconds if self._speed == last.speed else 0.0
-        still[1] = still[1] + seconds if block.by_position == 0.0 else 0.0
-        still[2] = still[2] + seconds if block.force == last.force else 0.0
+        """Count for how long speed and position of a moving train, and any force, have not changed."""
+        still, moved_s = self._still, block.seconds if block.state == MOVING else 0.0
+        still[0] = still[0] + moved_s if self._speed == last.speed else 0.0
+        still[1] = still[1] + moved_s if block.by_position == 0.0 else 0.0
+        still[2] = still[2] + block.seconds if block.force == last.force else 0.0
 
     def _look_up(self, block: Block, sample: Sample) -> None:
         """Look up the line in the middle of the block, and on either side of it where that may be."""
@@ -757,7 +761,7 @@ class InputCheck:
         """Return how far the speed is from what corrected inputs and known parameters, shape (7,), give [m/s]."""
         x, factor = self._scratch, prior.row.speed
         for i in range(1, _STATES):
-            x[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
+            x[i] = known[i]
         x[V] = factor * before.speed
         return factor * at.speed - x[V] - at.seconds / self._forces.inertia * self._forces.balance(x)
 
@@ -775,7 +779,10 @@ class InputCheck:
         at = self._correct(prior, shift)
         if at is None or prior.is_of_line:
             return at is not None and self._line_score < _START
-        miss = self._miss(prior, self._before.x, at, self._block(shift + 1 if prior.delays_speed else 1))
+        known = self._before.x[:]
+        for i in range(1, _STATES):
+            known[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
+        miss = self._miss(prior, known, at, self._block(shift + 1 if prior.delays_speed else 1))
         return self._mismatch > _START_MISMATCH or miss * miss < at.miss * at.miss - _START_SHARE * at.variance
 
     def _score(self, trial: Trial, *, accepted: bool) -> float:
@@ -790,15 +797,17 @@ class InputCheck:
             return math.nan
         was, gradient, mismatch = trial.x[V], forces.gradient, forces.mismatch
         # No error of the forces changes the speed by more: only wheels that slip do.
-        most = math.inf
+        most, miss = math.inf, self._miss(prior, trial.x, at, self._block(back + 1))
         if accepted:
-            at.miss, self._mismatch = self._miss(prior, trial.x, at, self._block(back + 1)), abs(mismatch)
+            at.miss, self._mismatch = miss, abs(mismatch)
             most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + 4.0 * math.sqrt(at.variance)
         trial.predict(forces, at, self._decay, accepted=accepted)
         score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
         if accepted:
             score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
+        if not accepted and self._says_nothing(prior, miss, at):
+            return math.nan
         if mismatch != 0.0:
             is_stuck = prior.ignores_command and self._still[3] > _STILL_S
             is_blank = prior.ignores_force or prior.ignores_command
@@ -810,6 +819,17 @@ class InputCheck:
         trial.scores[place] = score
         return score
 
+    def _says_nothing(self, prior: Prior, miss: float, at: Block) -> bool:
+        """Return whether a block says nothing of a row, whose ``miss`` of the speed [m/s] it is.
+
+        Late commands show while the train brakes. A jump that forces do not explain much better is slip.
+        """
+        if prior.is_of_brake and min(self._forces.brake, at.brake) > -_BRAKES:
+            return True
+        jump = at.seconds * _SLIPS / self._forces.inertia + 4.0 * math.sqrt(at.variance)
+        has_both = not (prior.ignores_speed or prior.ignores_force)
+        return has_both and abs(at.miss) > jump and abs(miss) > max(jump, _JUMP_SHARE * abs(at.miss))
+
     def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
         is_odd = score < -0.5 * _ODD
@@ -820,10 +840,9 @@ class InputCheck:
             trial.measure(speed, at.variance)
         if not self._slips:
             return score
-        # Wheels that slip say nothing about forces.
-        v, variance = trial.x[V], trial.P[V]
-        trial.copy(self._before)
-        trial.measure(v, variance)
+        # Wheels that slip say nothing about forces; the speed is followed as it comes.
+        for i in range(1, _STATES):
+            trial.x[i] = self._before.x[i]
         return max(score, -_SLIP)
 
     def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool) -> float:
@@ -935,7 +954,8 @@ class InputCheck:
                 other.part += gain
             if is_released or not (prior.is_of_times or theirs.is_of_times):
                 other.total, other.part = other.sum, 0.0
-            other.rise_s = other.rise_s + block.seconds if other.sum > 1.0 else 0.0
+            moved_s = block.seconds if block.state == MOVING else 0.0
+            other.rise_s = other.rise_s + moved_s if other.sum > 1.0 else 0.0
             rival = max(rival, other.sum)
             if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
@@ -967,7 +987,7 @@ class InputCheck:
             elif score > second:
                 second = score
         self._waited_s = self._waited_s + seconds if first > _FIND else 0.0
-        self._usual_s = self._usual_s + seconds if self._is_usual() else 0.0
+        self._usual_s = self._usual_s + seconds if self._size(self._accepted) < 1.0 else 0.0
         if self._usual_s > _LEAD_S:
             self._spare[0].start(self._accepted, 0)
             self._accept(self._spare[0])
@@ -990,16 +1010,17 @@ class InputCheck:
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
         if not self._is_stuck(prior):
             score -= prior.row.asks
-        return min(score, _SUSPECT) if trial.rise_s < _DELAYS * prior.row.late_s else score
+        is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
+        return min(score, _SUSPECT) if is_open else score
 
-    def _is_usual(self) -> bool:
-        """Return whether the size of the fault of the accepted row is one that healthy trains have."""
-        trial, prior = self._accepted, _PRIORS[self._accepted.row]
+    def _size(self, trial: Trial) -> float:
+        """Return the size of the fault of a row in standard deviations of healthy trains, infinite without one."""
+        prior, healthy = _PRIORS[trial.row], _PRIORS[0].std
         if prior.own[OFFSET] > 0.0:
-            return abs(trial.x[OFFSET]) < _PRIORS[0].std[OFFSET]
+            return abs(trial.x[OFFSET]) / healthy[OFFSET]
         if prior.row.unusual:
-            return abs(prior.row.force * trial.x[GAIN] - 1.0) < _PRIORS[0].std[GAIN]
-        return prior.row.wheel_std != WHEEL.std and abs(trial.wheel) < WHEEL.std
+            return abs(prior.row.force * trial.x[GAIN] - 1.0) / healthy[GAIN]
+        return abs(trial.wheel) / WHEEL.std if prior.row.wheel_std != WHEEL.std else math.inf
 
     def _accept(self, trial: Trial) -> None:
         """Accept a row, which keeps the size of its fault: all others start afresh."""
