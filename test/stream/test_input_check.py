@@ -128,6 +128,7 @@ def faulty(row: Row) -> Drive:
     drive.force = drive.force / row.force
     drive.gradient = drive.gradient / row.gradient
     drive.command = drive.command / row.command
+    drive.position = drive.position / row.position
     drive.speed = drive.speed / row.speed * (1.06 if row.wheel_std > 0.01 else 1.0)
     # The usual force is a little late.
     later = -row.late_s if row.early else row.late_s + 0.2

@@ -72,10 +72,11 @@ class Row:
 
     sentence: str  # What is wrong; in braces the size as estimated
     condemns: frozenset[Input]  # What it says must not be used
-    force: float = 1.0  # Factors that correct force, command, gradient and speed [1]
+    force: float = 1.0  # Factors that correct force, command, gradient, speed and position [1]
     command: float = 1.0
     gradient: float = 1.0
     speed: float = 1.0
+    position: float = 1.0
     late: Input | None = None  # The input that comes too late
     late_s: float = 0.0  # By so much [s]
     early: bool = False  # True if it comes too early instead
@@ -102,7 +103,7 @@ class Row:
     @property
     def has_speed(self) -> bool:
         """True if it says something about speed over position."""
-        return self.speed != 1.0 or self.wheel_std != WHEEL.std
+        return self.speed != 1.0 or self.position != 1.0 or self.wheel_std != WHEEL.std
 
 
 _FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
@@ -135,6 +136,7 @@ _WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows 
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
+    Row('the position in ato/speed is twice what it should be', _only(Input.POSITION), position=0.5),
     Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / _KMH),
     Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
     Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0),

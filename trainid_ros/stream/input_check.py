@@ -418,8 +418,9 @@ class Trial:
             std = min(std, WHEEL.std)
         self.wheel += share * (self.wheel_centre - self.wheel)
         self.wheel_var += 2.0 * share * (std * std - self.wheel_var)
-        R = position_variance(block, learned)
-        nu, H = block.by_position - by_speed / (1.0 + self.wheel), -by_speed
+        scale = prior.row.position
+        R = scale * scale * position_variance(block, learned)
+        nu, H = scale * block.by_position - by_speed / (1.0 + self.wheel), -by_speed
         S = R + H * H * self.wheel_var
         score, weight = student_t(nu * nu / S, S / R)
         K = H * self.wheel_var / (H * H * self.wheel_var + R / weight)
@@ -910,7 +911,7 @@ class InputCheck:
         if block.state != MOVING or not is_finite(block.by_position) or prior.ignores_speed or prior.ignores_position:
             return
         # From one block to the next, where an error of the scale is the same.
-        off = block.by_position - prior.row.speed * block.by_speed / (1.0 + trial.wheel)
+        off = prior.row.position * block.by_position - prior.row.speed * block.by_speed / (1.0 + trial.wheel)
         change, self._off = off - self._off, off
         square = min(0.5 * change * change, self._position_var) / _CAPPED_MEAN
         self._compared += 1
