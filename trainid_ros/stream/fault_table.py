@@ -56,10 +56,16 @@ BRAKE_LATE: Final = 6
 USUAL: Final = (
     Usual('the resistance', 0.0, 2.0, 60.0),  # Offset of a + b v + c v^2 [N/kN]: rain, curves, errors of the map, gusts
     Usual('the wind', 0.0, 6.0, 60.0),  # Head wind [m/s]
-    Usual('the traction by ato/force and ato/mass', 1.0, 0.07, 1e4),  # Traction over reported force [1]: mass and force are each 5 % off
-    Usual('the brake rate', 1.0, 0.2, 120.0),  # Brake rate over that of the train file [1]: wet rail, isolated bogie, blending
-    Usual('the delay of ato/force', 0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles and filters of the drive control
-    Usual('the delay of the brake', 0.0, 0.25, 300.0),  # Share of dead time and lag by which the brake acts later than stated [1]
+    Usual('the traction by ato/force and ato/mass', 1.0, 0.07, 1e4),  # Traction over force [1]: mass, force 5 % off
+    Usual(
+        'the brake rate', 1.0, 0.2, 120.0
+    ),  # Brake rate over that of the file [1]: wet rail, isolated bogie, blending
+    Usual(
+        'the delay of ato/force', 0.1, 0.12, 3000.0
+    ),  # Delay of the reported force [s]: bus cycles, filters
+    Usual(
+        'the delay of the brake', 0.0, 0.25, 300.0
+    ),  # How much later it acts, as a share of dead time and lag [1]
 )
 """What is usual, in the order of the places from ``OFFSET`` on."""
 WHEEL: Final = Usual('the wheel', 0.0, 0.01, 3000.0)

@@ -535,7 +535,7 @@ class InputCheck:
 
     Attributes:
         verdict: What it says after the last sample.
-        is_brake_confirmed: Whether the brake has acted as the train file says from its application to its release or a stop.
+        is_brake_confirmed: Whether the brake has acted as the train file says for a whole application.
     """
 
     STATE: ClassVar[State] = declare(
