@@ -18,7 +18,7 @@ def test_each_row_names_what_it_condemns_and_corrects_something(row: Row) -> Non
     text = row.sentence.format(gain=2.0, offset=5.0, wheel=0.05)
     assert row.condemns
     assert any(item.value.split(' ')[0] in text or item.value in text for item in row.condemns)
-    factors = {row.force, row.command, row.gradient, row.speed}
+    factors = {row.force, row.command, row.gradient, row.speed, row.position}
     assert factors != {1.0} or row.late or row.ignores or row.unusual or row.wheel_std != TABLE[0].wheel_std
 
 
