@@ -60,12 +60,8 @@ USUAL: Final = (
     Usual(
         'the brake rate', 1.0, 0.2, 120.0
     ),  # Brake rate over that of the file [1]: wet rail, isolated bogie, blending
-    Usual(
-        'the delay of ato/force', 0.1, 0.12, 3000.0
-    ),  # Delay of the reported force [s]: bus cycles, filters
-    Usual(
-        'the delay of the brake', 0.0, 0.25, 300.0
-    ),  # How much later it acts, as a share of dead time and lag [1]
+    Usual('the delay of ato/force', 0.1, 0.12, 3000.0),  # Delay of the reported force [s]: bus cycles, filters
+    Usual('the delay of the brake', 0.0, 0.25, 300.0),  # How much later it acts, as a share of dead time and lag [1]
 )
 """What is usual, in the order of the places from ``OFFSET`` on."""
 WHEEL: Final = Usual('the wheel', 0.0, 0.01, 3000.0)
