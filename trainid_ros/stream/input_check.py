@@ -748,12 +748,13 @@ class InputCheck:
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
         """Correct the inputs as a row says; return the block of its speed, None if they cannot be compared."""
-        at = self._block(shift if prior.delays_speed else 0)
-        before = self._block(shift + 1 if prior.delays_speed else 1)
-        force = self._block(shift if prior.delays_force else 0)
-        command = self._block(shift if prior.delays_command else 0)
-        slope = self._block(shift if prior.delays_gradient else 0)
-        if at.state != MOVING or not (before.is_known and slope.is_known and force.is_known and command.is_known):
+        now = self._block(0)
+        then = self._block(shift) if shift else now
+        at, before = then if prior.delays_speed else now, self._block(shift + 1 if prior.delays_speed else 1)
+        force = then if prior.delays_force else now
+        command = then if prior.delays_command else now
+        slope = then if prior.delays_gradient else now
+        if at.state != MOVING or max(max(now.state, then.state), before.state) == UNKNOWN:  # noqa: PLW3301
             return None
         forces = self._forces
         forces.correct(prior, at, force, command)
@@ -948,6 +949,7 @@ class InputCheck:
         is_stuck = self._is_stuck(theirs)
         is_released = block.brake > -_BRAKES and self._brake > -_BRAKES
         kept, rival = list[Trial](), -math.inf
+        moved_s = block.seconds if block.state == MOVING else 0.0
         for other in self._others:
             prior = _PRIORS[other.row]
             place = (self._count - max(later, other.shift if prior.delays_speed else 0)) % _KEPT
@@ -957,10 +959,10 @@ class InputCheck:
                 other.part += gain
             if is_released or not (prior.is_of_times or theirs.is_of_times):
                 other.total, other.part = other.sum, 0.0
-            moved_s = block.seconds if block.state == MOVING else 0.0
-            other.rise_s = other.rise_s + moved_s if other.sum > 1.0 else 0.0
-            rival = max(rival, other.sum)
-            if other.sum >= _GIVE_UP and not (other.sum < 1.0 and other.age_s > _HOPELESS_S):
+            S = other.sum
+            other.rise_s = other.rise_s + moved_s if S > 1.0 else 0.0
+            rival = max(rival, S)
+            if S >= _GIVE_UP and not (S < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
         self._others = kept
         if block.state == MOVING and not is_released:
