@@ -240,10 +240,10 @@ def reference(trial: Trial, forces: Forces, block: Block) -> tuple[Array, Array]
 
     def after(state: Array) -> float:
         v, offset, wind, gain, brake, force_late, brake_late = state
-        w = 1.5 + 0.03 * v + 0.004 * v * v
+        w = 1.5 + 0.03 * v + 0.004 * v * (v + 2.0 * wind)
         pull = forces.traction + force_late * forces.traction_rate
         slow = forces.brake - brake_late * (0.6 + 0.4) * forces.brake_rate
-        total = gain * pull + brake * slow - forces.gradient - forces.extra - (1.0 + wind) * w - offset
+        total = gain * pull + brake * slow - forces.gradient - forces.extra - w - offset
         return float(v + block.seconds * G / (1000.0 * (1.0 + GAMMA)) * total)
 
     F, step = np.eye(7), 1e-4

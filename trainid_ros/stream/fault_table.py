@@ -133,7 +133,6 @@ def _nothing(sentence: str, *inputs: Input, asks: float = _FOLLOWS_NOTHING) -> R
 
 
 _FOLLOWS: Final = 'the train follows {gain:.2g} times it'
-_CHANGED: Final = 'ato/mass or ato/force has changed: the train follows {gain:.2g} times the force'
 _WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows {gain:.2g} times the force'
 
 TABLE: Final[tuple[Row, ...]] = (
@@ -148,7 +147,6 @@ TABLE: Final[tuple[Row, ...]] = (
     _nothing('the position in ato/speed follows nothing', Input.POSITION),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
-    Row(_CHANGED, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.0, 0.15),)),
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0),

@@ -537,7 +537,7 @@ class InputCheck:
 
     Attributes:
         verdict: What it says after the last sample.
-        is_brake_confirmed: Whether the brake has acted as the train file says for a whole application.
+        is_brake_confirmed: Whether the brake of a moving train has acted as the train file says for some seconds.
     """
 
     STATE: ClassVar[State] = declare(
@@ -965,11 +965,11 @@ class InputCheck:
             if S >= _GIVE_UP and not (S < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
         self._others = kept
-        if block.state == MOVING and not is_released:
-            self._braked_s += block.seconds
-        else:
+        if block.state == STANDING:
+            self._braked_s = math.nan  # a train that departs with its brake on shows nothing
+        elif block.state == MOVING:
+            self._braked_s = 0.0 if is_released else self._braked_s + block.seconds
             self.is_brake_confirmed = self.is_brake_confirmed or (self._braked_s > _FOLLOWED_S and rival < 1.0)
-            self._braked_s = 0.0 if block.state == MOVING else math.nan  # a train that departs shows nothing
 
     def _is_stuck(self, prior: Prior) -> bool:
         """Return whether the input that a row ignores has not changed for some time."""
