@@ -105,6 +105,8 @@ _KEPT: Final = 8  # blocks kept: the longest delay, and the one before
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
 _PLACE_SHARE: Final = 0.006  # ... and by which share of the distance it grows, by worn wheels
+_DRIVEN: Final = 0.3  # m/s: a train whose position changes faster moves, ...
+_SURE: Final = 32.0  # times the variance of a position: ... if it has moved by four standard deviations of a difference
 _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise
@@ -601,7 +603,8 @@ class InputCheck:
         trial = self._accepted
         for place in places:
             usual = USUAL[place - 1]
-            if trial.row == 0 and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
+            is_own = _PRIORS[trial.row].own[place] > 0.0
+            if not is_own and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
                 return f'{usual.name} is at the limit of what is usual'
         return ''
 
@@ -669,7 +672,8 @@ class InputCheck:
         block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
         block.speed_step = sample.speed - last.speed
         # Blocks between two steps of a speed share the error of its rounding.
-        rounding = self._noise.rounding * min(sample.dt / block.seconds, 1.0) if block.seconds > 0.0 else 0.0
+        share = sample.dt / block.seconds if block.seconds > 0.0 and sample.dt > 0.0 else 0.0
+        rounding = self._noise.rounding * min(share, 1.0)
         block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + max(rounding, quantum * quantum / 6.0)
         block.tunnel = sample.tunnel
         block.rate = 1.0
@@ -691,7 +695,8 @@ class InputCheck:
         """Return what can be compared in a full block."""
         if block.seconds < _BLOCK_S or not is_finite(force):
             return UNKNOWN
-        is_driven = is_finite(block.by_position) and abs(block.by_position) > 0.3 * _MIN_SPEED * block.seconds
+        moved = sum(other.by_position for other in self._blocks)
+        is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self._position_var
         return MOVING if block.speed >= _MIN_SPEED or is_driven else STANDING
 
     def _count_still(self, block: Block, last: Block) -> None:
@@ -885,7 +890,8 @@ class InputCheck:
         n, place, started = len(others), 0, list[Trial]()
         last = self._block(1)
         off = self._before.x[V] - theirs.row.speed * last.speed
-        is_lost = theirs.delays_speed or off * off > _LOST * _LOST * last.variance
+        scale = theirs.row.speed
+        is_lost = theirs.delays_speed or off * off > _LOST * _LOST * scale * scale * last.variance
         for row in range(len(TABLE)):
             if place < n and others[place].row == row:
                 started.append(others[place])
@@ -902,7 +908,7 @@ class InputCheck:
             # Where it is another block, or another unit, or the accepted row has lost it, the speed is as measured.
             if is_lost or prior.delays_speed or prior.row.speed != theirs.row.speed:
                 last = self._block((shift if prior.delays_speed else 0) + 1)
-                trial.measure(last.speed * prior.row.speed, last.variance)
+                trial.measure(last.speed * prior.row.speed, last.variance * prior.row.speed * prior.row.speed)
             self._score(trial, accepted=False)
             started.append(trial)
         self._others = started
@@ -969,16 +975,19 @@ class InputCheck:
             self._braked_s = math.nan  # a train that departs with its brake on shows nothing
         elif block.state == MOVING:
             self._braked_s = 0.0 if is_released else self._braked_s + block.seconds
-            self.is_brake_confirmed = self.is_brake_confirmed or (self._braked_s > _FOLLOWED_S and rival < 1.0)
+            self.is_brake_confirmed = self.is_brake_confirmed or (
+                self._braked_s > _FOLLOWED_S and rival < 1.0 and theirs.held == 0
+            )
 
-    def _is_stuck(self, prior: Prior) -> bool:
-        """Return whether the input that a row ignores has not changed for some time."""
-        still = self._still
-        return (
-            (prior.ignores_speed and still[0] > _STILL_S)
-            or (prior.ignores_position and still[1] > _STILL_S)
-            or (prior.ignores_force and still[2] > _STILL_S)
-            or (prior.ignores_command and still[3] > _STILL_S)
+    def _is_stuck(self, prior: Prior, seconds: float = _STILL_S) -> bool:
+        """Return whether no input that a row ignores has changed for some time [s]."""
+        still, ignores = self._still, prior.row.ignores
+        return bool(ignores) and not (
+            (prior.ignores_speed and still[0] <= seconds)
+            or (prior.ignores_position and still[1] <= seconds)
+            or (prior.ignores_force and still[2] <= seconds)
+            or (prior.ignores_command and still[3] <= seconds)
+            or prior.ignores_gradient
         )
 
     def _decide(self, seconds: float) -> None:
@@ -986,8 +995,9 @@ class InputCheck:
         first, second, best, health = -math.inf, -math.inf, self._accepted, -math.inf
         for other in self._others:
             score = self._evidence(other)
-            health = other.sum if other.row == 0 else health
-            if score > first:
+            if other.row == 0:
+                health = other.sum
+            elif score > first:
                 first, second, best = score, first, other
             elif score > second:
                 second = score
@@ -1005,7 +1015,7 @@ class InputCheck:
             self._accept(next(other for other in self._others if self._evidence(other) > first - _TIE))
         else:
             row, now = best.row if first > _SUSPECT else 0, self.verdict
-            if TABLE[row].condemns != now.suspected:
+            if row != now.suspect:
                 self.verdict = Verdict(now.finding, _told(best, row), now.row, row)
 
     def _evidence(self, trial: Trial) -> float:
@@ -1013,7 +1023,7 @@ class InputCheck:
         prior, score = _PRIORS[trial.row], trial.sum
         if trial.row > 0 and prior.held < _PRIORS[self._accepted.row].held:
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
-        if not self._is_stuck(prior):
+        if not self._is_stuck(prior, max(trial.age_s, _STILL_S)):
             score -= prior.row.asks
         is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
         return min(score, _SUSPECT) if is_open else score
