@@ -148,6 +148,10 @@ def _whole_kmh(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
     return [(*row[:2], round(row[2] * 3.6) / 3.6, *row[3:]) if row[0] == SPEED else row for row in rows]
 
 
+def _in_steps(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
+    return [(*row[:3], 10.0 * math.floor(row[3] / 10.0), row[4]) if row[0] == SPEED else row for row in rows]
+
+
 def _balises(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
     """The position is 2 % off from balise to balise, which stand every 700 m."""
     sent = list[Row]()
@@ -215,6 +219,8 @@ UNUSUAL: Final = (
     Unusual('neutral sections', 'high_speed', _NeutralSections),
     Unusual('position 2 % off between balises', 'metro', rows=_balises),
     Unusual('position 2 % off between balises', 'high_speed', rows=_balises),
+    Unusual('position in steps of 10 m', 'metro', rows=_in_steps),
+    Unusual('position in steps of 10 m', 'high_speed', rows=_in_steps),
 )
 
 

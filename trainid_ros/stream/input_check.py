@@ -125,6 +125,7 @@ _ANY_FORCE: Final = 40.0  # N/kN: traction that is not known
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
 _MIN_POSITION_STD: Final = 0.1  # m: least such noise
 _POSITION_LAG: Final = 0.1  # s by which position and speed are apart
+_COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
 _DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
 _BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
@@ -544,9 +545,10 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
-        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var', '_compared',
-        '_accepted', several('_others', _blank), '_waited_s', '_usual_s', '_is_weighed', '_place', '_place_std',
-        '_gradient_var', '_off', unknown('_braked_s'), 'is_brake_confirmed', 'verdict',
+        unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var',
+        '_position_step', '_is_held', '_compared', '_accepted', several('_others', _blank), '_waited_s',
+        '_usual_s', '_is_weighed', '_place', '_place_std', '_gradient_var', '_off', unknown('_braked_s'),
+        'is_brake_confirmed', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -571,6 +573,7 @@ class InputCheck:
         # Time for which speed, position, force and command have not changed [s].
         self._still = vec[float]([0.0, 0.0, 0.0, 0.0])
         self._position_var = _POSITION_STD * _POSITION_STD
+        self._position_step, self._is_held = 0.0, False  # Step of the position [m]; whether it waits for the next one
         self._compared = 0  # Number of distances from which it was learned
         self._accepted = Trial(0)
         k = 0
@@ -651,11 +654,23 @@ class InputCheck:
         block.seconds += dt
         block.by_speed += 0.5 * (before + sample.speed) * dt
         block.by_position += sample.direction * (sample.position - position)
+        self._learn_step(abs(sample.position - position), sample.speed)
         block.force += known.traction(sample.force_mean, sample) * dt
         block.brake += impulse
         block.gradient += sample.gradient_mean * dt
         block.extra += (known.track(sample) - sample.gradient_mean) * dt
         return block.seconds >= _BLOCK_S
+
+    def _learn_step(self, moved: float, speed: float) -> None:
+        """Learn the step in which a position counts [m]: that after samples in which a moving train stood still."""
+        if moved == 0.0:
+            self._is_held = self._is_held or speed >= _MIN_SPEED
+            return
+        if self._is_held and moved < _COARSEST_M:
+            self._position_step = max(self._position_step, moved)
+        elif moved < 0.9 * self._position_step:
+            self._position_step = 0.0
+        self._is_held = False
 
     def _close(self, sample: Sample) -> None:
         """Complete the block; its place is taken by the oldest one."""
@@ -862,7 +877,7 @@ class InputCheck:
             if prior.ignores_position:
                 return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
             if has_position:  # the mean speed by position, half a block ago
-                R = position_variance(at, self._position_var) / (at.seconds * at.seconds)
+                R = position_variance(at, self._distance_var()) / (at.seconds * at.seconds)
                 score += trial.correct(at.by_position / at.seconds + 0.5 * (trial.x[V] - was), R)
             return score
         score = trial.correct(at.speed * factor, at.variance * factor * factor, most)
@@ -871,7 +886,7 @@ class InputCheck:
         if prior.ignores_position:
             return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
         # Slip shows in both alike.
-        distance_score = trial.compare_distances(at, self._position_var, accepted=accepted)
+        distance_score = trial.compare_distances(at, self._distance_var(), accepted=accepted)
         self._distance_score = distance_score if accepted else self._distance_score
         return max(score + distance_score, -_ODD)
 
@@ -912,6 +927,10 @@ class InputCheck:
             self._score(trial, accepted=False)
             started.append(trial)
         self._others = started
+
+    def _distance_var(self) -> float:
+        """Return the variance of a distance by position without its drift: as learned, and of rounding at both ends."""
+        return self._position_var + self._position_step * self._position_step / 6.0
 
     def _learn_position(self, block: Block) -> None:
         """Learn the noise of the distance by position from the accepted row."""
