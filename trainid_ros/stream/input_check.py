@@ -1042,7 +1042,7 @@ class InputCheck:
         prior, score = _PRIORS[trial.row], trial.sum
         if trial.row > 0 and prior.held < _PRIORS[self._accepted.row].held:
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
-        if not self._is_stuck(prior, max(trial.age_s, _STILL_S)):
+        if not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S)):
             score -= prior.row.asks
         is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
         return min(score, _SUSPECT) if is_open else score
