@@ -7,7 +7,7 @@ m = 1000 (1 + gamma)/g0, F the reported force, B the brake command after exact d
 rate and (a, b, c) the resistance of the train file, i gradient and effects:
 
     (1)  m dv/dt = gain (T + force_late dT/dt) + brake r (B - brake_late (delay + lag) dB/dt)
-                   - i - (a + b v + c (v + wind)^2) - offset + noise,      T = F - B
+                   - i - (a + b v + c v (v + 2 wind)) - offset + noise,     T = F - B
     (2)  distance by position = distance by speed / (1 + wheel) + noise
 
 Traction and brake act together: power braking, and dynamic braking without a command, are no exceptions. The states
@@ -21,8 +21,8 @@ One row is accepted, at first that all is well. For each other row
 
 from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
 ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``: accepted, a finding.
-S of the first row > ``_CLEAR``: all is well again. Rows about the brake are scored by applications of the brake, since
-the errors within one are the same.
+S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays are scored by applications of the brake,
+since the errors within one are the same. What holds back an estimator is not replaced by what does not.
 
 A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
 """
@@ -100,7 +100,7 @@ _GRADIENTS: Final = 40.0  # per mille: range of all gradients
 
 _BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
 _GAP_S: Final = 1.6  # s: samples further apart are no neighbours
-_MIN_SPEED: Final = 1.0  # m/s: slower trains stand, or stop with a jerk
+MIN_SPEED: Final = 1.0  # m/s: slower trains stand, shunt, or stop with a jerk
 _KEPT: Final = 8  # blocks kept: the longest delay, and the one before
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
@@ -127,7 +127,7 @@ _MIN_POSITION_STD: Final = 0.1  # m: least such noise
 _POSITION_LAG: Final = 0.1  # s by which position and speed are apart
 _COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
 _DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
-_BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
+BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
 _RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
@@ -258,8 +258,8 @@ class Trial:
         wheel_var: Its variance.
         wheel_centre: Value to which it returns [1].
         scores: Log likelihoods of the last blocks by their number, NaN where there is none [nats].
-        total: S against the accepted row [nats], without ...
-        part: ... that of the present application of the brake.
+        total: S against the accepted row up to the present application of the brake [nats].
+        part: S since then [nats].
         age_s: Time since its fresh start [s].
         rise_s: Time in motion since S was last below one nat [s].
         odd_s: Time for which the speed has been odd [s].
@@ -270,7 +270,7 @@ class Trial:
         'part', 'age_s', 'rise_s', 'odd_s',
     )  # fmt: skip
 
-    def __init__(self, row: int) -> None:
+    def __init__(self, row: int = 0) -> None:
         self.row, self.shift = row, 0
         self.centre = _PRIORS[row].mean[:]
         self.x = self.centre[:]
@@ -442,11 +442,6 @@ def position_variance(block: Block, learned: float) -> float:
     return max(learned, _MIN_POSITION_STD * _MIN_POSITION_STD) + lag * lag + drift * drift
 
 
-def _blank() -> Trial:
-    """Return a trial to be restored."""
-    return Trial(0)
-
-
 class Forces:
     """The train, and the inputs of one block as a row corrects them: forces [N/kN] and their rates [N/kN/s].
 
@@ -495,8 +490,8 @@ class Forces:
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
         T, dT = F - B, dF - dB
         # A driver who pulls after a command pulls also if the brake acts later.
-        is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -_BRAKES
-        self.mismatch, self.is_dynamic = 0.0, not is_braked and F < -_BRAKES
+        is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -BRAKES
+        self.mismatch, self.is_dynamic = 0.0, not is_braked and F < -BRAKES
         if self.is_dynamic or (is_braked and command.brake_step <= _RELEASING * abs(command.brake) * command.seconds):
             self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))
         self.effort = abs(force.force) + abs(command.brake)
@@ -540,13 +535,15 @@ class InputCheck:
 
     Attributes:
         verdict: What it says after the last sample.
+        noise: Noise of the speed.
+        count: Number of full blocks.
         is_brake_confirmed: Whether the brake of a moving train has acted as the train file says for some seconds.
     """
 
     STATE: ClassVar[State] = declare(
-        several('_blocks', Block), '_filling', '_count', '_actuator', '_noise', '_stamp_ns', '_direction',
+        several('_blocks', Block), '_filling', 'count', '_actuator', 'noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), '_brake', '_still', '_position_var',
-        '_position_step', '_is_held', '_compared', '_accepted', several('_others', _blank), '_waited_s',
+        '_position_step', '_is_held', '_compared', '_accepted', several('_others', Trial), '_waited_s',
         '_usual_s', '_is_weighed', '_place', '_place_std', '_gradient_var', '_off', unknown('_braked_s'),
         'is_brake_confirmed', 'verdict',
     )  # fmt: skip
@@ -564,9 +561,9 @@ class InputCheck:
         self._before = Trial(0)
         self._blocks = [Block() for _ in range(_KEPT)]
         self._filling = Block()
-        self._count = 0  # Number of full blocks
+        self.count = 0
         self._actuator = BrakeActuator(brake)
-        self._noise = SpeedNoise.declared(_SPEED_STD, robust=True)
+        self.noise = SpeedNoise.declared(_SPEED_STD, robust=True)
         self._stamp_ns, self._direction = 0, 1
         self._speed = self._position = self._force = math.nan
         self._brake = 0.0
@@ -594,7 +591,7 @@ class InputCheck:
 
     def take(self, sample: Sample) -> Verdict:
         """Take in a sample; return what is found and suspected after it."""
-        self._noise.add(sample.speed, sample.dt)
+        self.noise.add(sample.speed, sample.dt)
         impulse = self._follow_brake(sample)
         if self._add(sample, impulse):
             self._close(sample)
@@ -610,20 +607,6 @@ class InputCheck:
             if not is_own and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
                 return f'{usual.name} is at the limit of what is usual'
         return ''
-
-    @property
-    def noise(self) -> SpeedNoise:
-        """Noise of the speed."""
-        return self._noise
-
-    @property
-    def count(self) -> int:
-        """Number of full blocks."""
-        return self._count
-
-    def block(self, back: int) -> Block:
-        """Return one of the last eight blocks by how far it is back; 0 is the last one."""
-        return self._block(back)
 
     # Blocks
 
@@ -664,7 +647,7 @@ class InputCheck:
     def _learn_step(self, moved: float, speed: float) -> None:
         """Learn the step in which a position counts [m]: that after samples in which a moving train stood still."""
         if moved == 0.0:
-            self._is_held = self._is_held or speed >= _MIN_SPEED
+            self._is_held = self._is_held or speed >= MIN_SPEED
             return
         if self._is_held and moved < _COARSEST_M:
             self._position_step = max(self._position_step, moved)
@@ -676,20 +659,20 @@ class InputCheck:
         """Complete the block; its place is taken by the oldest one."""
         block, known = self._filling, self._known
         force, brake = known.traction(sample.force, sample), known.inertia * self._actuator.output
-        last = self._block(0)
+        last = self.block(0)
         if block.seconds > 0.0:
             seconds = block.seconds
             block.force, block.brake = block.force / seconds, block.brake / seconds
             block.gradient, block.extra = block.gradient / seconds, block.extra / seconds
             block.force_step = force - self._force if is_finite(force - self._force) else 0.0
             block.brake_step = brake - self._brake
-        quantum = self._noise.quantum
+        quantum = self.noise.quantum
         block.speed, block.is_frozen = sample.speed, sample.speed == last.speed
         block.speed_step = sample.speed - last.speed
         # Blocks between two steps of a speed share the error of its rounding.
         share = sample.dt / block.seconds if block.seconds > 0.0 and sample.dt > 0.0 else 0.0
-        rounding = self._noise.rounding * min(share, 1.0)
-        block.variance = max(self._noise.learned, _SPEED_STD * _SPEED_STD) + max(rounding, quantum * quantum / 6.0)
+        rounding = self.noise.rounding * min(share, 1.0)
+        block.variance = max(self.noise.learned, _SPEED_STD * _SPEED_STD) + max(rounding, quantum * quantum / 6.0)
         block.tunnel = sample.tunnel
         block.rate = 1.0
         if brake < 0.0 or block.brake < 0.0:
@@ -699,9 +682,9 @@ class InputCheck:
         if block.seconds > 0.0:
             self._count_still(block, last)
         self._force, self._brake, self._is_weighed = force, brake, sample.weighed
-        self._count += 1
-        self._filling = self._blocks[self._count % _KEPT]
-        self._blocks[self._count % _KEPT] = block
+        self.count += 1
+        self._filling = self._blocks[self.count % _KEPT]
+        self._blocks[self.count % _KEPT] = block
         block = self._filling
         block.seconds = block.by_speed = block.by_position = 0.0
         block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
@@ -712,7 +695,7 @@ class InputCheck:
             return UNKNOWN
         moved = sum(other.by_position for other in self._blocks)
         is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self._position_var
-        return MOVING if block.speed >= _MIN_SPEED or is_driven else STANDING
+        return MOVING if block.speed >= MIN_SPEED or is_driven else STANDING
 
     def _count_still(self, block: Block, last: Block) -> None:
         """Count for how long speed and position of a moving train, and any force, have not changed."""
@@ -739,15 +722,15 @@ class InputCheck:
             block.least, block.most = min(before2, after2, block.least), max(before2, after2, block.most)
         block.steepness = 0.5 * (after - before) / std
 
-    def _block(self, back: int) -> Block:
-        """Return a block by how far it is back; 0 is the last one."""
-        return self._blocks[(self._count - back) % _KEPT]
+    def block(self, back: int) -> Block:
+        """Return one of the last eight blocks by how far it is back; 0 is the last one."""
+        return self._blocks[(self.count - back) % _KEPT]
 
     # Scores
 
     def _judge(self) -> None:
         """Score the last block by the accepted row, by those that are followed, and decide."""
-        block, accepted = self._block(0), self._accepted
+        block, accepted = self.block(0), self._accepted
         if block.seconds != self._decay_s and block.seconds > 0.0:
             self._decay_s = block.seconds
             self._decay[V] = math.exp(-block.seconds / _LASTING_S)
@@ -768,9 +751,9 @@ class InputCheck:
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
         """Correct the inputs as a row says; return the block of its speed, None if they cannot be compared."""
-        now = self._block(0)
-        then = self._block(shift) if shift else now
-        at, before = then if prior.delays_speed else now, self._block(shift + 1 if prior.delays_speed else 1)
+        now = self.block(0)
+        then = self.block(shift) if shift else now
+        at, before = then if prior.delays_speed else now, self.block(shift + 1 if prior.delays_speed else 1)
         force = then if prior.delays_force else now
         command = then if prior.delays_command else now
         slope = then if prior.delays_gradient else now
@@ -806,22 +789,22 @@ class InputCheck:
         known = self._before.x[:]
         for i in range(1, _STATES):
             known[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
-        miss = self._miss(prior, known, at, self._block(shift + 1 if prior.delays_speed else 1))
+        miss = self._miss(prior, known, at, self.block(shift + 1 if prior.delays_speed else 1))
         return self._mismatch > _START_MISMATCH or miss * miss < at.miss * at.miss - _START_SHARE * at.variance
 
     def _score(self, trial: Trial, *, accepted: bool) -> float:
         """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
         prior, forces = _PRIORS[trial.row], self._forces
         back = trial.shift if prior.delays_speed else 0
-        place = (self._count - back) % _KEPT
+        place = (self.count - back) % _KEPT
         trial.scores[place] = math.nan
         at = self._correct(prior, trial.shift)
         if at is None:
-            self._rest(trial, self._block(back))
+            self._rest(trial, self.block(back))
             return math.nan
         was, gradient, mismatch = trial.x[V], forces.gradient, forces.mismatch
         # No error of the forces changes the speed by more: only wheels that slip do.
-        most, miss = math.inf, self._miss(prior, trial.x, at, self._block(back + 1))
+        most, miss = math.inf, self._miss(prior, trial.x, at, self.block(back + 1))
         if accepted:
             at.miss, self._mismatch = miss, abs(mismatch)
             most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + 4.0 * math.sqrt(at.variance)
@@ -848,7 +831,7 @@ class InputCheck:
 
         Late commands show while the train brakes. A jump that forces do not explain much better is slip.
         """
-        if prior.is_of_brake and min(self._forces.brake, at.brake) > -_BRAKES:
+        if prior.is_of_brake and min(self._forces.brake, at.brake) > -BRAKES:
             return True
         jump = at.seconds * _SLIPS / self._forces.inertia + 4.0 * math.sqrt(at.variance)
         has_both = not (prior.ignores_speed or prior.ignores_force)
@@ -903,7 +886,7 @@ class InputCheck:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
         others, accepted, theirs = self._others, self._accepted.row, _PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
-        last = self._block(1)
+        last = self.block(1)
         off = self._before.x[V] - theirs.row.speed * last.speed
         scale = theirs.row.speed
         is_lost = theirs.delays_speed or off * off > _LOST * _LOST * scale * scale * last.variance
@@ -922,7 +905,7 @@ class InputCheck:
             trial.start(self._before, shift)
             # Where it is another block, or another unit, or the accepted row has lost it, the speed is as measured.
             if is_lost or prior.delays_speed or prior.row.speed != theirs.row.speed:
-                last = self._block((shift if prior.delays_speed else 0) + 1)
+                last = self.block((shift if prior.delays_speed else 0) + 1)
                 trial.measure(last.speed * prior.row.speed, last.variance * prior.row.speed * prior.row.speed)
             self._score(trial, accepted=False)
             started.append(trial)
@@ -972,12 +955,12 @@ class InputCheck:
         theirs = _PRIORS[accepted.row]
         later = accepted.shift if theirs.delays_speed else 0
         is_stuck = self._is_stuck(theirs)
-        is_released = block.brake > -_BRAKES and self._brake > -_BRAKES
+        is_released = block.brake > -BRAKES and self._brake > -BRAKES
         kept, rival = list[Trial](), -math.inf
         moved_s = block.seconds if block.state == MOVING else 0.0
         for other in self._others:
             prior = _PRIORS[other.row]
-            place = (self._count - max(later, other.shift if prior.delays_speed else 0)) % _KEPT
+            place = (self.count - max(later, other.shift if prior.delays_speed else 0)) % _KEPT
             gain = other.scores[place] - accepted.scores[place]
             other.age_s += block.seconds
             if is_finite(gain) and not (is_stuck and other.row == 0):

@@ -19,7 +19,7 @@ from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare
 from trainid_ros.stream.brake_shape import BrakeShapeCheck
 from trainid_ros.stream.fault_table import BRAKE, BRAKE_LATE, FORCE_LATE, GAIN, TABLE, Input
-from trainid_ros.stream.input_check import MOVING, InputCheck
+from trainid_ros.stream.input_check import BRAKES, MIN_SPEED, MOVING, InputCheck
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import (
     CommandCheck,
@@ -46,8 +46,6 @@ _COMMAND_HELD_S: Final = 1.0
 # Error of a force by the change of the speed over two samples, besides the noise of the speed [N/kN].
 _IMPULSE_STD: Final = 3.0
 
-# Slower trains may stand or shunt [m/s].
-_MIN_SPEED: Final = 1.0
 # A brake has followed a command after its dead time and this many time constants: to 1 - exp(-2) = 86 %.
 _FOLLOWED: Final = 2.0
 # A brake command that holds a train on any gradient [m/s^2].
@@ -56,8 +54,6 @@ _HOLDING: Final = -0.3
 _ROLLING: Final = 0.2
 _ROLLING_SIGMAS: Final = 4.0
 
-# A weaker brake says nothing of its rate [N/kN].
-_BRAKES: Final = 3.0
 # The command holds where the brake differs by no more than this share [1] in all blocks ...
 _HOLDS: Final = 0.2
 # ... up to this number before and after: then an error of the dead time by some 1.5 s does not matter.
@@ -161,13 +157,13 @@ class InputFaults:
         self._check_messages(sample, dt)
         self.check.take(sample)
         self._check_brake(sample, dt)
-        self._conclude(dt if sample.speed >= _MIN_SPEED else 0.0)
+        self._conclude(dt if sample.speed >= MIN_SPEED else 0.0)
         self._reject(sample)
         self._speed = sample.speed
 
     def _check_messages(self, sample: Sample, dt: float) -> None:
         """Look for messages that no healthy source sends."""
-        known, commands, is_moving = self._known, self._commands, sample.speed >= _MIN_SPEED
+        known, commands, is_moving = self._known, self._commands, sample.speed >= MIN_SPEED
         before = commands.command
         self._mass.add(sample.mass, known.train_file.train.mass)
         commands.add(sample.brake_changes, dt)
@@ -187,7 +183,7 @@ class InputFaults:
         if is_finite(sample.gradient_mean) and is_finite(sample.force_mean):
             mean = known.traction(sample.force_mean, sample)
             is_released = sample.brake_command == 0.0 and self._held_s > known.settling and not sample.emergency
-            if is_released and sample.speed >= _MIN_SPEED:
+            if is_released and sample.speed >= MIN_SPEED:
                 resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
                 by_speed = known.inertia * (sample.speed - self._speed) + dt * resistance
         std = known.inertia * math.sqrt(2.0) * self.check.noise.std + _IMPULSE_STD * 2.0 * dt
@@ -196,7 +192,7 @@ class InputFaults:
     def _check_brake(self, sample: Sample, dt: float) -> None:
         """Look at the brake: whether it has acted, whether it holds, and at its rate over speed."""
         command, speed, is_complete = self._commands.command, sample.speed, is_finite(sample.force_mean)
-        if speed >= _MIN_SPEED and is_complete and is_finite(sample.gradient_mean):
+        if speed >= MIN_SPEED and is_complete and is_finite(sample.gradient_mean):
             self._moved_s = min(self._moved_s + dt, _CONFIRMED_S)
         holds = command < _HOLDING and self._held_s > self._followed_s
         self._slowest = min(self._slowest, speed) if holds else speed
@@ -209,7 +205,7 @@ class InputFaults:
         check, known = self.check, self._known
         middle = check.block(_NEIGHBOURS)
         level = middle.brake
-        if level > -_BRAKES or middle.state != MOVING or self.brake_rate.finding:
+        if level > -BRAKES or middle.state != MOVING or self.brake_rate.finding:
             self.shape.end()
             return
         for back in range(2 * _NEIGHBOURS + 1):
