@@ -186,6 +186,53 @@ def test_a_position_that_is_off_is_no_fault_and_a_small_error_of_the_gradient_is
     assert any(Input.GRADIENT in verdict.condemned for verdict in said[half : half + 500])
 
 
+def test_a_position_in_steps_of_10_m_is_no_fault() -> None:
+    drive = driven(900.0)
+    drive.position = 10.0 * np.floor(drive.position / 10.0)
+    check = InputCheck(KnownForce(FILE))
+    assert {check.take(sample) for sample in samples_of(drive)} == {Verdict()}
+
+
+def test_a_brake_is_confirmed_by_five_seconds_that_fit_its_command() -> None:
+    """Each braking of these drives lasts for more than ten seconds."""
+    for factor, is_confirmed in ((1.0, True), (2.0, False)):
+        drive, check = driven(120.0), InputCheck(KnownForce(FILE))
+        drive.command = factor * drive.command
+        braked_s = 0.0
+        for sample in samples_of(drive):
+            check.take(sample)
+            braked_s += DT if sample.brake_command < 0.0 else 0.0
+            assert not check.is_brake_confirmed or braked_s > 5.0
+        assert check.is_brake_confirmed is is_confirmed
+
+
+def test_a_quantity_at_the_limit_of_what_is_usual_is_named() -> None:
+    check = InputCheck(KnownForce(FILE))
+    check._accepted.x[GAIN] = 1.0 - 2.45 * USUAL[GAIN - 1].std
+    assert check.at_limit((GAIN,)) == 'the traction by ato/force and ato/mass is at the limit of what is usual'
+    assert check.at_limit((BRAKE,)) == ''
+
+
+def test_a_finding_that_holds_an_estimator_is_not_replaced_by_one_that_does_not() -> None:
+    """A speed that drifts against its position at last explains it worse than a position that follows nothing."""
+    drive = driven(900.0)
+    drive.speed = drive.speed + 0.02 * DT * np.arange(len(drive.speed))
+    check = InputCheck(KnownForce(FILE))
+    found = [check.take(sample) for sample in samples_of(drive)]
+    first = next(k for k, verdict in enumerate(found) if verdict.finding)
+    assert all(Input.SPEED in verdict.condemned for verdict in found[first:])
+
+
+@pytest.mark.parametrize('phase', range(3))
+def test_a_gap_at_any_place_of_a_block_leaves_a_state_that_can_be_restored(phase: int) -> None:
+    check = InputCheck(KnownForce(FILE))
+    for k, sample in enumerate(samples_of(driven(30.0))):
+        sample.dt = math.nan if k == 90 + phase else sample.dt
+        check.take(sample)
+        if k >= 90:
+            restore(InputCheck(KnownForce(FILE)), encode(check))
+
+
 def test_a_driver_who_pulls_against_a_new_command_is_no_late_brake() -> None:
     """Also by a row that has no brake yet, traction beside the command that was given costs something."""
     late = next(k for k, row in enumerate(TABLE) if row.late is Input.BRAKE)
