@@ -456,7 +456,6 @@ class Forces:
         variance: Variance of the white noise of all [(N/kN)^2].
         effort: |F| + |B| as they came.
         mismatch: Reported force less that of the brake in standard deviations, 0 where they are not compared.
-        is_dynamic: Whether the drives brake without a command.
     """
 
     def __init__(self, known: KnownForce) -> None:
@@ -465,7 +464,6 @@ class Forces:
         self._a, self._b, self.drag = resistance.a, resistance.b, resistance.c
         self.traction = self.traction_rate = self.brake = self.brake_rate = self.gradient = self.extra = 0.0
         self.variance = self.effort = self.mismatch = 0.0
-        self.is_dynamic = False
 
     def resistance(self, v: float) -> float:
         """Return a + b v + c v^2 [N/kN]."""
@@ -491,8 +489,8 @@ class Forces:
         T, dT = F - B, dF - dB
         # A driver who pulls after a command pulls also if the brake acts later.
         is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -BRAKES
-        self.mismatch, self.is_dynamic = 0.0, not is_braked and F < -BRAKES
-        if self.is_dynamic or (is_braked and command.brake_step <= _RELEASING * abs(command.brake) * command.seconds):
+        self.mismatch = 0.0
+        if is_braked and command.brake_step <= _RELEASING * abs(command.brake) * command.seconds:
             self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))
         self.effort = abs(force.force) + abs(command.brake)
         # No row may seem sharper because it makes an input small.
@@ -816,8 +814,8 @@ class InputCheck:
         if not accepted and self._says_nothing(prior, miss, at):
             return math.nan
         if mismatch != 0.0:
-            is_stuck = prior.ignores_command and self._still[3] > _STILL_S and not forces.is_dynamic
-            is_blank = (prior.ignores_force or prior.ignores_command) and not forces.is_dynamic
+            is_stuck = prior.ignores_command and self._still[3] > _STILL_S
+            is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
             cost = _NO_LINE if prior.ignores_gradient else _off_line(gradient, at, self._gradient_var)
