@@ -70,7 +70,8 @@ _TIE: Final = 1.0  # nats within which rows explain the inputs alike: then that 
 _DELAYS: Final = 2.0  # times the delay for which one must have been seen: an onset of anything looks like one at first
 _CREDIBLE: Final = 2.0  # standard deviations of healthy trains: no fault is found or suspected that is smaller
 _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
-_FOLLOWED_S: Final = 5.0  # s: a shorter application of the brake confirms nothing
+_FOLLOWED_S: Final = 5.0  # s: a shorter application of the brake confirms nothing ...
+_AGREES: Final = 2.0  # nats: ... nor does one that another row explains better by more
 _APPLICATION: Final = 5.0  # nats: the most that one application of the brake counts: none is suspected by one
 _START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
@@ -976,7 +977,7 @@ class InputCheck:
         elif block.state == MOVING:
             self._braked_s = 0.0 if is_released else self._braked_s + block.seconds
             self.is_brake_confirmed = self.is_brake_confirmed or (
-                self._braked_s > _FOLLOWED_S and rival < 1.0 and theirs.held == 0
+                self._braked_s > _FOLLOWED_S and rival < _AGREES and theirs.held == 0
             )
 
     def _is_stuck(self, prior: Prior, seconds: float = _STILL_S) -> bool:
