@@ -132,7 +132,7 @@ def test_diagnostics_show_inputs_that_stopped(graph: Graph, train_file: str) -> 
 def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
-    records = graph.coasting(60)
+    records = graph.coasting(120)
     records = [replace(item, speed=8.0) if isinstance(item, SpeedRecord) else item for item in records]
     graph.feed(node, [replace(item, force=2e5) if isinstance(item, ForceRecord) else item for item in records])
     own = 'resistance_estimator: estimator'
