@@ -71,7 +71,7 @@ def test_a_loaded_estimate_is_latched_at_once_with_its_stamp_and_counters(
 ) -> None:
     path = str(tmp_path / 'state.json')
     first = graph.active(train_file, checkpoint_file=path, **graph.narrow)
-    graph.feed(first, graph.coasting(150))
+    graph.feed(first, graph.coasting(160))
     saved = first.pipeline.current()
     assert saved.status is Status.VALID
     first.trigger_deactivate()
@@ -93,7 +93,7 @@ def test_the_age_of_a_checkpoint_widens_the_estimate(
 ) -> None:
     path = str(tmp_path / 'state.json')
     first = graph.active(train_file, checkpoint_file=path)
-    graph.feed(first, graph.coasting(150))
+    graph.feed(first, graph.coasting(160))
     std = first.pipeline.current().estimate.resistance_std
     first.trigger_deactivate()
     graph.drop()
@@ -310,7 +310,7 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
 def test_a_jump_that_resets_the_estimator_leaves_a_good_checkpoint(
     graph: Graph, train_file: str, tmp_path: Path, by_clock: bool
 ) -> None:
-    path, records = tmp_path / 'state.json', graph.coasting(150)
+    path, records = tmp_path / 'state.json', graph.coasting(160)
     node = graph.active(train_file, checkpoint_file=str(path), use_sim_time=by_clock)
     clock = graph.simulated(node) if by_clock else None
     if clock is not None:
@@ -335,7 +335,7 @@ def test_after_a_jump_it_is_saved_once_the_estimate_is_valid_or_when_asked_for(
     path, early_ns = tmp_path / 'state.json', graph.start_ns - 7200 * NS_PER_S
     node = graph.active(train_file, checkpoint_file=str(path), **graph.narrow)
     graph.feed(node, graph.coasting(20))
-    early = graph.coasting(150, start_ns=early_ns)
+    early = graph.coasting(160, start_ns=early_ns)
     graph.feed(node, early[:20])
     node.checkpoints.save(node.pipeline)
     assert (node.pipeline.resets, path.exists()) == (1, False)

@@ -129,7 +129,7 @@ def test_a_late_joiner_gets_the_last_valid_estimate_and_learns_that_it_is_not_ke
 ) -> None:
     node = graph.active(train_file, **graph.narrow, stale_after=4.0)
     published = graph.published(node)
-    graph.feed(node, graph.coasting(150))
+    graph.feed(node, graph.coasting(160))
     valid = [output for output in published.messages if output.status is Status.VALID][-1]
     got = latched_by(graph, 'listener')
     graph.until(lambda: got)
@@ -139,5 +139,5 @@ def test_a_late_joiner_gets_the_last_valid_estimate_and_learns_that_it_is_not_ke
     got = latched_by(graph, 'later')
     graph.until(lambda: got)
     assert Status(got[0].status) is Status.STALE
-    graph.feed(node, graph.coasting(150, start_ns=graph.start_ns + 60_000_000_000))
+    graph.feed(node, graph.coasting(160, start_ns=graph.start_ns + 60_000_000_000))
     graph.until(lambda: Status(got[-1].status) is Status.VALID)

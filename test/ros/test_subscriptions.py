@@ -135,7 +135,7 @@ def test_a_node_without_inputs_is_replaced_by_the_train_file(graph: Graph, train
     node = graph.active(train_file, **NARROW)
     model = TrainModel(graph.plain('controller'), train_file)
     graph.until(lambda: 'STALE' in model.resistance(10.0).reason)
-    graph.feed(node, graph.coasting(150))
+    graph.feed(node, graph.coasting(160))
     graph.until(lambda: model.resistance(20.0).live)
     graph.until(lambda: not model.resistance(20.0).live)
     graph.until(lambda: model.resistance(20.0).reason == 'train file: STALE, inputs of the node are missing')
