@@ -55,7 +55,7 @@ EFFECTS: Final = (
 YEAR_NS: Final = 365 * 24 * 3600 * NS_PER_S
 FAULTS: Final = {
     *(Reason.NOT_FINITE, Reason.OUT_OF_RANGE, Reason.ZERO_STAMP, Reason.LATE, Reason.DUPLICATE, Reason.STAMP_JUMP),
-    *(Reason.GAP, Reason.SPEED_STUCK, Reason.FORCE_MISSING, Reason.BRAKE_COMMAND_MISSING, Reason.THINNED),
+    *(Reason.GAP, Reason.FORCE_MISSING, Reason.BRAKE_COMMAND_MISSING, Reason.THINNED),
     Reason.CONTRADICTION,
 }
 
@@ -72,7 +72,7 @@ def hard(records: Iterable[Record]) -> list[Record]:
         stamp_ns = record.stamp_ns + (0 if second < 150.0 else -3600 * NS_PER_S if second < 250.0 else YEAR_NS)
         moved = replace(record, stamp_ns=stamp_ns)
         if isinstance(moved, SpeedRecord):
-            if 20.0 <= second < 40.0:
+            if 20.0 <= second < 58.0:
                 moved = replace(moved, speed=stuck)
             stuck = moved.speed
             if 40.0 <= second < 50.0:  # at 10 Hz
