@@ -170,7 +170,7 @@ def test_each_row_is_found_on_a_drive_with_just_that_fault(place: int) -> None:
         pytest.skip('a command stuck at zero looks like dynamic braking')
     found = [verdict for verdict in verdicts(place) if verdict.finding]
     assert found, row.sentence
-    condemned = frozenset[Input]().union(*(verdict.condemned for verdict in found))
+    condemned = frozenset[Input]().union(*(TABLE[verdict.row].condemns for verdict in found))
     assert condemned & (row.condemns | (_ALIKE if row.condemns & _ALIKE else frozenset[Input]())), found
 
 
@@ -183,7 +183,7 @@ def test_a_position_that_is_off_is_no_fault_and_a_small_error_of_the_gradient_is
     check = InputCheck(KnownForce(FILE))
     said = [check.take(sample) for sample in samples_of(drive)]
     assert {verdict.finding for verdict in said[:half]} == {''}
-    assert any(Input.GRADIENT in verdict.condemned for verdict in said[half : half + 500])
+    assert any(Input.GRADIENT in TABLE[verdict.row].condemns for verdict in said[half : half + 500])
 
 
 def test_a_position_in_steps_of_10_m_is_no_fault() -> None:
@@ -220,7 +220,7 @@ def test_a_finding_that_holds_an_estimator_is_not_replaced_by_one_that_does_not(
     check = InputCheck(KnownForce(FILE))
     found = [check.take(sample) for sample in samples_of(drive)]
     first = next(k for k, verdict in enumerate(found) if verdict.finding)
-    assert all(Input.SPEED in verdict.condemned for verdict in found[first:])
+    assert all(Input.SPEED in TABLE[verdict.row].condemns for verdict in found[first:])
 
 
 @pytest.mark.parametrize('phase', range(3))

@@ -327,7 +327,7 @@ class Trial:
         x, P, f, fP = self.x, self.P, self._f, self._row
         self._relax(_PRIORS[self.row], block, decay, accepted=accepted)
         v, h, rate = x[V], block.seconds / forces.inertia, forces.timing * forces.brake_rate
-        x[V] = max(v + h * forces.balance(x), 0.0)
+        x[V] = max(v + h * forces.balance(x, v), 0.0)
         # Row v of the Jacobian.
         f[V] = 1.0 - h * (forces.slope(v) + x[WIND] * 2.0 * forces.drag)
         f[OFFSET], f[WIND] = -h, -h * 2.0 * forces.drag * v
@@ -474,11 +474,11 @@ class Forces:
         """Return its derivative [N/kN per m/s]."""
         return self._b + 2.0 * v * self.drag
 
-    def balance(self, x: vec[float]) -> float:
-        """Return the right side of (1) for a state of shape (7,) [N/kN]."""
+    def balance(self, x: vec[float], v: float) -> float:
+        """Return the right side of (1) for parameters in a state of shape (7,) and a speed [N/kN]."""
         pull = self.traction + x[FORCE_LATE] * self.traction_rate
         slow = self.brake - x[BRAKE_LATE] * self.timing * self.brake_rate
-        track = self.gradient + self.extra + self.resistance(x[V]) + 2.0 * self.drag * x[V] * x[WIND] + x[OFFSET]
+        track = self.gradient + self.extra + self.resistance(v) + 2.0 * self.drag * v * x[WIND] + x[OFFSET]
         return x[GAIN] * pull + x[BRAKE] * slow - track
 
     def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
@@ -517,16 +517,6 @@ class Verdict:
     suspicion: str = ''  # What may be wrong, empty if nothing is suspected
     row: int = 0  # Row of the finding
     suspect: int = 0  # Row of the suspicion
-
-    @property
-    def condemned(self) -> frozenset[Input]:
-        """Inputs that must not be used."""
-        return TABLE[self.row].condemns
-
-    @property
-    def suspected(self) -> frozenset[Input]:
-        """Inputs of which nothing learned may be trusted."""
-        return TABLE[self.suspect].condemns
 
 
 class InputCheck:
@@ -692,9 +682,11 @@ class InputCheck:
         """Return what can be compared in a full block."""
         if block.seconds < _BLOCK_S or not is_finite(force):
             return UNKNOWN
+        if block.speed >= MIN_SPEED:
+            return MOVING
         moved = sum(other.by_position for other in self._blocks)
         is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self._position_var
-        return MOVING if block.speed >= MIN_SPEED or is_driven else STANDING
+        return MOVING if is_driven else STANDING
 
     def _count_still(self, block: Block, last: Block) -> None:
         """Count for how long speed and position of a moving train, and any force, have not changed."""
@@ -763,13 +755,14 @@ class InputCheck:
         forces.gradient, forces.extra = prior.row.gradient * slope.gradient, slope.extra
         return at
 
-    def _miss(self, prior: Prior, known: vec[float], at: Block, before: Block) -> float:
-        """Return how far the speed is from what corrected inputs and known parameters, shape (7,), give [m/s]."""
-        x, factor = self._scratch, prior.row.speed
-        for i in range(1, _STATES):
-            x[i] = known[i]
-        x[V] = factor * before.speed
-        return factor * at.speed - x[V] - at.seconds / self._forces.inertia * self._forces.balance(x)
+    def _miss(self, prior: Prior, known: vec[float], at: Block, back: int) -> float:
+        """Return how far a speed is from what corrected inputs and known parameters, shape (7,), give [m/s].
+
+        It is that of the block ``at``, which is so far back.
+        """
+        factor, forces = prior.row.speed, self._forces
+        v = factor * self.block(back + 1).speed
+        return factor * at.speed - v - at.seconds / forces.inertia * forces.balance(known, v)
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
@@ -785,10 +778,10 @@ class InputCheck:
         at = self._correct(prior, shift)
         if at is None or prior.is_of_line:
             return at is not None and self._line_score < _START
-        known = self._before.x[:]
+        known, theirs = self._scratch, self._before.x
         for i in range(1, _STATES):
-            known[i] = prior.mean[i] if prior.anew[i] > 0.0 else known[i]
-        miss = self._miss(prior, known, at, self.block(shift + 1 if prior.delays_speed else 1))
+            known[i] = prior.mean[i] if prior.anew[i] > 0.0 else theirs[i]
+        miss = self._miss(prior, known, at, shift if prior.delays_speed else 0)
         return self._mismatch > _START_MISMATCH or miss * miss < at.miss * at.miss - _START_SHARE * at.variance
 
     def _score(self, trial: Trial, *, accepted: bool) -> float:
@@ -803,16 +796,17 @@ class InputCheck:
             return math.nan
         was, gradient, mismatch = trial.x[V], forces.gradient, forces.mismatch
         # No error of the forces changes the speed by more: only wheels that slip do.
-        most, miss = math.inf, self._miss(prior, trial.x, at, self.block(back + 1))
+        most = math.inf
         if accepted:
-            at.miss, self._mismatch = miss, abs(mismatch)
+            at.miss, self._mismatch = self._miss(prior, trial.x, at, back), abs(mismatch)
             most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + 4.0 * math.sqrt(at.variance)
+        says_nothing = not accepted and self._says_nothing(trial, prior, at, back)
         trial.predict(forces, at, self._decay, accepted=accepted)
         score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
         if accepted:
             score = self._forgive_slip(trial, at, score, most)
         trial.limit(at.tunnel, accepted=accepted)
-        if not accepted and self._says_nothing(prior, miss, at):
+        if says_nothing:
             return math.nan
         if mismatch != 0.0:
             is_stuck = prior.ignores_command and self._still[3] > _STILL_S
@@ -825,16 +819,17 @@ class InputCheck:
         trial.scores[place] = score
         return score
 
-    def _says_nothing(self, prior: Prior, miss: float, at: Block) -> bool:
-        """Return whether a block says nothing of a row, whose ``miss`` of the speed [m/s] it is.
+    def _says_nothing(self, trial: Trial, prior: Prior, at: Block, back: int) -> bool:
+        """Return whether a block, which is so far back, says nothing of a row that is not accepted.
 
         Late commands show while the train brakes. A jump that forces do not explain much better is slip.
         """
         if prior.is_of_brake and min(self._forces.brake, at.brake) > -BRAKES:
             return True
         jump = at.seconds * _SLIPS / self._forces.inertia + 4.0 * math.sqrt(at.variance)
-        has_both = not (prior.ignores_speed or prior.ignores_force)
-        return has_both and abs(at.miss) > jump and abs(miss) > max(jump, _JUMP_SHARE * abs(at.miss))
+        if prior.ignores_speed or prior.ignores_force or not abs(at.miss) > jump:
+            return False
+        return abs(self._miss(prior, trial.x, at, back)) > max(jump, _JUMP_SHARE * abs(at.miss))
 
     def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
@@ -886,8 +881,8 @@ class InputCheck:
         others, accepted, theirs = self._others, self._accepted.row, _PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
         last = self.block(1)
-        off = self._before.x[V] - theirs.row.speed * last.speed
         scale = theirs.row.speed
+        off = self._before.x[V] - scale * last.speed
         is_lost = theirs.delays_speed or off * off > _LOST * _LOST * scale * scale * last.variance
         for row in range(len(TABLE)):
             if place < n and others[place].row == row:
