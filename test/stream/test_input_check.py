@@ -230,7 +230,9 @@ def test_a_gap_at_any_place_of_a_block_leaves_a_state_that_can_be_restored(phase
         sample.dt = math.nan if k == 90 + phase else sample.dt
         check.take(sample)
         if k >= 90:
-            restore(InputCheck(KnownForce(FILE)), encode(check))
+            other = InputCheck(KnownForce(FILE))
+            restore(other, encode(check))
+            assert encode(other) == encode(check)
 
 
 def test_a_driver_who_pulls_against_a_new_command_is_no_late_brake() -> None:

@@ -42,6 +42,7 @@ from trainid_ros.interface.records import (
     FORCE_TOPIC,
     GRADIENT_TOPIC,
     INPUT_TOPICS,
+    KM_H,
     MASS_TOPIC,
     NS_PER_S,
     REQUIRED_TOPICS,
@@ -78,7 +79,6 @@ _MIN_COMMANDS: Final = 3  # that show whether they are published on change
 _MIN_DISTANCE_M: Final = 500.0
 _MAX_DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
-_KMH: Final = 3.6
 _MAX_INTERVAL_S: Final = AlignmentConfig().max_interval
 # Topic, field and unit of the ranges that are reported.
 _QUANTITIES: Final = (
@@ -364,7 +364,7 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     distance = float(by_position[known].sum())
     if distance < _MIN_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
         return []
-    unit = ', so it looks like km/h' if abs(ratio + 1.0 - _KMH) < _MAX_DISTANCE_ERROR * _KMH else ''
+    unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < _MAX_DISTANCE_ERROR * KM_H else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from trainid_ros.interface.records import KM_H
 from trainid_ros.train.forces import G
 
 
@@ -113,7 +114,6 @@ _SLIDES: Final = 60.0  # nats: 2 for each block of some 20 s in which sliding wh
 _RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that no file states, or a speed that is late
 # Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
-_KMH: Final = 3.6
 _MPH: Final = 2.236936
 _LBF: Final = 4.448222  # [N]
 
@@ -138,7 +138,7 @@ _WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
     Row('the position in ato/speed is twice what it should be', _only(Input.POSITION), position=0.5),
-    Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / _KMH),
+    Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / KM_H),
     Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
     Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0),
     Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
