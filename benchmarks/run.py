@@ -62,7 +62,7 @@ PARTS: Final[Mapping[str, Part]] = {
     'rates': Part('benchmarks.scenario_parts:rates', 2, 1.0),
     'brake_worlds': Part('benchmarks.scenario_parts:brake_worlds', 3, 3.0),
     'faults': Part('benchmarks.fault_matrix:measure', 1, 13.0),
-    'healthy': Part('benchmarks.healthy:measure', 3, 0.0),
+    'healthy': Part('benchmarks.healthy:measure', 6, 2.0),
     'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.0),
     'explain': Part('benchmarks.explain:measure', 12, 2.5),
     'fleet': Part('benchmarks.fleet:measure', 1, 4.0),

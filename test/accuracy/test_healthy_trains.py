@@ -23,7 +23,7 @@ def name_of(case: Case) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize('case', CASES, ids=name_of)
 def test_nothing_is_found_on_a_healthy_train(case: Case) -> None:
-    outcome = outcome_of(moments_of(*rows_of(case.world, case.seed, case.place, DURATION_S)), case)
+    outcome = outcome_of(moments_of(*rows_of(case.world, case.seed, case.place, DURATION_S)))
     print(name_of(case), outcome.findings, f'suspected {outcome.suspected:.1%}', outcome.suspicions)
     assert outcome.moved_s > MIN_MOVED_S
     assert outcome.findings == ()
