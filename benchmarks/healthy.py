@@ -14,7 +14,7 @@ from benchmarks.tables import Table
 from benchmarks.unusual import UNUSUAL, unusual_drive
 from benchmarks.worlds import FIELD, WORLDS, drive
 from trainid_ros.interface.records import Row
-from trainid_ros.stream.input_check import MIN_SPEED
+from trainid_ros.stream.input_blocks import MIN_SPEED
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile

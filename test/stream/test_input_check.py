@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.state import encode, restore
+from trainid_ros.stream.fault_filter import Forces, Prior, Trial, student_t
 from trainid_ros.stream.fault_table import BRAKE, GAIN, OFFSET, TABLE, USUAL, Input, Row
-from trainid_ros.stream.input_check import Block, Forces, InputCheck, Prior, Trial, Verdict, student_t
+from trainid_ros.stream.input_blocks import Block
+from trainid_ros.stream.input_check import InputCheck, Verdict
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import BrakeCommandChange, G

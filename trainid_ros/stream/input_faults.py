@@ -18,8 +18,10 @@ from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare
 from trainid_ros.stream.brake_shape import BrakeShapeCheck
+from trainid_ros.stream.fault_filter import BRAKES
 from trainid_ros.stream.fault_table import BRAKE, BRAKE_LATE, FORCE_LATE, GAIN, TABLE, Input
-from trainid_ros.stream.input_check import BRAKES, MIN_SPEED, MOVING, InputCheck
+from trainid_ros.stream.input_blocks import MIN_SPEED, MOVING
+from trainid_ros.stream.input_check import InputCheck
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import (
     CommandCheck,
@@ -153,7 +155,7 @@ class InputFaults:
     def take(self, sample: Sample) -> None:
         """Take in a sample; set why estimators must not use it."""
         dt = sample.dt if is_finite(sample.dt) else 0.0
-        self._repeats.add(sample.speed, self.check.noise)
+        self._repeats.add(sample.speed, self.check.blocks.noise)
         self._check_messages(sample, dt)
         self.check.take(sample)
         self._check_brake(sample, dt)
@@ -186,7 +188,7 @@ class InputFaults:
             if is_released and sample.speed >= MIN_SPEED:
                 resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
                 by_speed = known.inertia * (sample.speed - self._speed) + dt * resistance
-        std = known.inertia * math.sqrt(2.0) * self.check.noise.std + _IMPULSE_STD * 2.0 * dt
+        std = known.inertia * math.sqrt(2.0) * self.check.blocks.noise.std + _IMPULSE_STD * 2.0 * dt
         self._force_spikes.add(force, mean, by_speed, std, dt)
 
     def _check_brake(self, sample: Sample, dt: float) -> None:
@@ -196,20 +198,20 @@ class InputFaults:
             self._moved_s = min(self._moved_s + dt, _CONFIRMED_S)
         holds = command < _HOLDING and self._held_s > self._followed_s
         self._slowest = min(self._slowest, speed) if holds else speed
-        if self._blocks != self.check.count:
-            self._blocks = self.check.count
+        if self._blocks != self.check.blocks.count:
+            self._blocks = self.check.blocks.count
             self._follow_shape()
 
     def _follow_shape(self) -> None:
         """Compare the specific force of the brake with that of the train file, in the middle of the blocks kept."""
-        check, known = self.check, self._known
-        middle = check.block(_NEIGHBOURS)
+        blocks, known = self.check.blocks, self._known
+        middle = blocks.block(_NEIGHBOURS)
         level = middle.brake
         if level > -BRAKES or middle.state != MOVING or self.brake_rate.finding:
             self.shape.end()
             return
         for back in range(2 * _NEIGHBOURS + 1):
-            block = check.block(back)
+            block = blocks.block(back)
             if not (block.is_known and abs(block.brake - level) < _HOLDS * -level):
                 return
         resistance = davis(known.train_file.resistance, middle.speed) + middle.gradient + middle.extra
@@ -262,7 +264,7 @@ class InputFaults:
     def _reject(self, sample: Sample) -> None:
         """Set why estimators must not use a sample, if they must not."""
         repeats, stamp_ns, rise = self._repeats, sample.stamp_ns, sample.speed - self._slowest
-        limit = _ROLLING + _ROLLING_SIGMAS * self.check.noise.std
+        limit = _ROLLING + _ROLLING_SIGMAS * self.check.blocks.noise.std
         if repeats.is_stuck:
             found = Rejection(stamp_ns, Reason.SPEED_STUCK, float(repeats.repeats), float(repeats.most))
             sample.rejection = sample.brake_rejection = found
