@@ -76,17 +76,25 @@ def toggled(changes_per_s: float, seconds: float = 20.0) -> CommandCheck:
 @pytest.mark.parametrize('mass', [60e3, 199e3, 640e3, math.nan])
 def test_a_mass_may_be_that_of_an_empty_or_a_loaded_train(mass: float) -> None:
     check = MassCheck()
-    check.add(mass, 200e3)
+    check.add(mass, 200e3, is_overdue=False)
     assert check.finding == ''
 
 
 def test_a_mass_in_tonnes_or_of_another_train_is_named_until_it_fits() -> None:
     check = MassCheck()
-    check.add(185.0, 200e3)
+    check.add(185.0, 200e3, is_overdue=False)
     assert check.finding == 'ato/mass is 185, the train file says 200000 kg: it looks like tonnes'
-    check.add(1.5e6, 200e3)
+    check.add(1.5e6, 200e3, is_overdue=False)
     assert check.finding == 'ato/mass is 1.5e+06, the train file says 200000 kg'
-    check.add(185e3, 200e3)
+    check.add(185e3, 200e3, is_overdue=False)
+    assert check.finding == ''
+
+
+def test_a_load_that_is_not_weighed_any_more_is_named_until_it_is() -> None:
+    check = MassCheck()
+    check.add(190e3, 200e3, is_overdue=True)
+    assert check.finding == 'ato/mass is missing since the last stop: the load may have changed'
+    check.add(190e3, 200e3, is_overdue=False)
     assert check.finding == ''
 
 

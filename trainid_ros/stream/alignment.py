@@ -374,6 +374,7 @@ class Aligner:
         command, emergency = self._commands.at(now)
         curvature, tunnel = self._track_at(now)
         mass, weighed_ns = self._latest_mass(now - self._lag_ns)
+        has_stood, due_ns = weighed_ns < self._travel.stop_ns, round(ONE_LOST * self._mass.interval.ns) + self._lag_ns
         forces, gradients = self._force.value(now), self._gradient.value(now)
         gradient_mean, curvature_mean = self._gradient.mean(start, now, gradients)
         return Sample(
@@ -384,7 +385,8 @@ class Aligner:
             brake_command=command, brake_changes=changes, brake_gap=missed, emergency=emergency,
             curvature_mean=curvature_mean,
             force_interval=0.0 if math.isnan(forces[0]) else self._force.interval_around(now),
-            stood_since_weighing=weighed_ns < self._travel.stop_ns,
+            stood_since_weighing=has_stood,
+            is_weighing_overdue=has_stood and self._mass.interval.ns > 0 and now - weighed_ns > due_ns,
         )  # fmt: skip
 
     def _elapsed(self, now_ns: int) -> float:

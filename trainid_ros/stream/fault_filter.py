@@ -34,7 +34,7 @@ from trainid_ros.stream.fault_table import (
     Row,
     V,
 )
-from trainid_ros.stream.input_blocks import KEPT, Block
+from trainid_ros.stream.input_blocks import KEPT, MOVING, UNKNOWN, Block
 from trainid_ros.stream.known_force import KnownForce
 
 STATES: Final[i64] = 7
@@ -177,7 +177,7 @@ class Trial:
 
     @property
     def sum(self) -> float:
-        """S of (3) [nats]."""
+        """S of (4) [nats]."""
         return self.total + min(self.part, _APPLICATION)
 
     def start(self, other: Trial, shift: int) -> None:
@@ -326,6 +326,49 @@ class Trial:
             most = _RANGE * prior.row.wheel_std
             self.wheel = min(max(self.wheel, -most), most)
         return score
+
+
+class ForceLead:
+    """How far the reported force is ahead of the brake that the command gives, in braking.
+
+    With m the mean over a block, and the steps of B to the blocks beside it:
+
+        (3)  F_m - B_m = lead dB/dt + noise,    lead = brake earlier than stated - force_late
+
+    The balance (1) does not show it, since F = T + B is right also where B is not.
+
+    Attributes:
+        mean: Its mean [s].
+        variance: Its variance [s^2].
+        usual: Its usual mean [s], by the delay of a reported force.
+        std: Standard deviation over healthy trains [s].
+    """
+
+    STATE: ClassVar[State] = declare('mean', 'variance')
+
+    def __init__(self, timing: float) -> None:
+        """Prepare for dead time and lag of a brake together [s]."""
+        late, brake = USUAL[FORCE_LATE - 1], USUAL[BRAKE_LATE - 1].std * timing
+        self.usual, self.std = -late.mean, math.sqrt(late.std * late.std + brake * brake)
+        self.mean, self.variance = self.usual, self.std * self.std
+
+    def add(self, before: Block, block: Block, after: Block) -> None:
+        """Learn from a block between two others."""
+        if before.state != MOVING or block.state != MOVING or after.state == UNKNOWN or block.force > 0.0:
+            return
+        H = (after.brake - before.brake) / (block.seconds + 0.5 * (before.seconds + after.seconds))
+        if abs(H) < BRAKES:
+            return
+        # First-order Gauss-Markov process about what is usual, and Student's t for braking without a command.
+        d = math.exp(-block.seconds / USUAL[BRAKE_LATE - 1].time_s)
+        self.mean = self.usual + d * (self.mean - self.usual)
+        self.variance = d * d * self.variance + (1.0 - d * d) * self.std * self.std
+        noise = _REPORTED_STD + _REPORTED_SHARE * max(abs(block.brake), abs(block.force))
+        R, nu, H2 = noise * noise, block.force - block.brake - H * self.mean, H * H
+        _, weight = student_t(nu * nu / (H2 * self.variance + R), 1.0)
+        K = H * self.variance / (H2 * self.variance + R / weight)
+        self.mean += K * nu
+        self.variance -= K * H * self.variance
 
 
 def position_variance(block: Block, learned: float) -> float:

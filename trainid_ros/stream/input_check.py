@@ -8,7 +8,7 @@ against the brake, of the gradient against the line.
 
 One row is accepted, at first that all is well. For each other row
 
-    (3)  S = sum of log likelihoods of its blocks - the same of the accepted row,
+    (4)  S = sum of log likelihoods of its blocks - the same of the accepted row,
 
 from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
 ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``: accepted, a finding.
@@ -33,6 +33,7 @@ from trainid_ros.stream.fault_filter import (
     ODD,
     PRIORS,
     STATES,
+    ForceLead,
     Forces,
     Prior,
     Trial,
@@ -107,12 +108,13 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         'blocks', '_accepted', several('_others', Trial), '_waited_s', '_usual_s', unknown('_braked_s'),
-        'is_brake_confirmed', 'verdict',
+        'is_brake_confirmed', '_lead', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
         self.blocks = InputBlocks(known)
         self._forces = Forces(known)
+        self._lead = ForceLead(self._forces.timing)
         self._decay = vec[float]([0.0] * STATES)
         self._decay_s = 0.0
         self._spare = [Trial(row) for row in range(len(TABLE))]
@@ -146,6 +148,14 @@ class InputCheck:
             if not is_own and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
                 return f'{usual.name} is at the limit of what is usual'
         return ''
+
+    def timing_objection(self) -> str:
+        """Return how force and brake command are apart in time, empty if no more than on healthy trains."""
+        lead = self._lead
+        if abs(lead.mean - lead.usual) < _CREDIBLE * lead.std:
+            return ''
+        order = 'before' if lead.mean > 0.0 else 'after'
+        return f'ato/force brakes {abs(lead.mean):.1f} s {order} it should by ato/brake_command and brake.delay'
 
     # Scores
 
@@ -338,6 +348,8 @@ class InputCheck:
         """Learn the noise of position and gradient, where the accepted row uses them."""
         trial, blocks = self._accepted, self.blocks
         prior = PRIORS[trial.row]
+        if trial.row == 0:
+            self._lead.add(blocks.block(2), blocks.block(1), block)
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
             blocks.learn_position(block, prior.row.position * block.by_position, by_speed)

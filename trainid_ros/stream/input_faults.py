@@ -167,7 +167,7 @@ class InputFaults:
         """Look for messages that no healthy source sends."""
         known, commands, is_moving = self._known, self._commands, sample.speed >= MIN_SPEED
         before = commands.command
-        self._mass.add(sample.mass, known.train_file.train.mass)
+        self._mass.add(sample.mass, known.train_file.train.mass, is_overdue=sample.is_weighing_overdue)
         commands.add(sample.brake_changes, dt)
         if not is_moving:  # the command may do anything while the train is held
             commands.reversals = 0.0
@@ -259,7 +259,7 @@ class InputFaults:
             return 'the present braking contradicts the train file'
         if not self.check.is_brake_confirmed:
             return 'no braking has confirmed brake.delay and brake.rate yet'
-        return self.check.at_limit((BRAKE, BRAKE_LATE))
+        return self.check.at_limit((BRAKE, BRAKE_LATE)) or self.check.timing_objection()
 
     def _reject(self, sample: Sample) -> None:
         """Set why estimators must not use a sample, if they must not."""

@@ -118,13 +118,13 @@ _TONNE: Final = 1000.0
 
 @dataclass(slots=True)
 class MassCheck(MessageCheck):
-    """Weighed mass against that of the train file."""
+    """Weighed mass against that of the train file, and whether the present load was weighed."""
 
-    def add(self, mass: float, stated: float) -> None:
+    def add(self, mass: float, stated: float, *, is_overdue: bool) -> None:
         """Compare the weighed mass, NaN if there is none, with that of the train file [kg]."""
         ratio = mass / stated if is_finite(mass) else 1.0
         if 1.0 / _MAX_MASS <= ratio <= _MAX_MASS:
-            self.finding = ''
+            self.finding = 'ato/mass is missing since the last stop: the load may have changed' if is_overdue else ''
             return
         in_tonnes = 1.0 / _MAX_MASS < ratio * _TONNE < _MAX_MASS
         unit = ': it looks like tonnes' if in_tonnes else ''

@@ -55,6 +55,7 @@ class Sample:
     curvature_mean: float = math.nan  # Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known
     force_interval: float = 0.0  # Time between the two reports of the force around the stamp [s], 0 if not known
     stood_since_weighing: bool = False  # True if the train has come to a stop since the mass was weighed
+    is_weighing_overdue: bool = False  # True if a mass has been due since then, by the interval of the messages
     # Why resistance and speed model cannot use it (a stuck speed, inputs that contradict each other), None if they can
     rejection: Rejection | None = None
     brake_rejection: Rejection | None = None  # The same for the brake rate
@@ -84,6 +85,7 @@ class Sample:
         curvature_mean: float = math.nan,
         force_interval: float = 0.0,
         stood_since_weighing: bool = False,
+        is_weighing_overdue: bool = False,
         rejection: Rejection | None = None,
         brake_rejection: Rejection | None = None,
     ) -> None:
@@ -107,6 +109,7 @@ class Sample:
         self.curvature_mean = curvature_mean
         self.force_interval = force_interval
         self.stood_since_weighing = stood_since_weighing
+        self.is_weighing_overdue = is_weighing_overdue
         self.rejection = rejection
         self.brake_rejection = brake_rejection
         self.extra = math.nan

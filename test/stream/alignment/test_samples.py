@@ -205,21 +205,24 @@ def test_the_mass_holds_until_the_next_weighing(drive: Any, run: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ('weighed_s', 'first_drive', 'second_drive'),
+    ('weighed_s', 'first_drive', 'second_drive', 'overdue'),
     [
-        ([], False, False),
-        ([0.55], True, False),  # once, before the first departure
-        ([0.55, 5.05], True, False),  # weighing fails before the stop
-        ([0.55, 6.55], True, True),  # once per stop
-        ([k + 0.05 for k in range(14)], True, True),  # every second
+        ([], False, False, False),
+        ([0.55], True, False, False),  # once, before the first departure
+        ([0.55, 5.05], True, False, False),  # weighing fails before the stop
+        ([0.55, 6.55], True, True, False),  # once per stop
+        ([k + 0.05 for k in range(14)], True, True, False),  # every second
+        ([0.5 * k + 0.05 for k in range(10)], True, False, True),  # twice a second, until before the stop
     ],
 )
 def test_a_load_counts_as_weighed_until_the_train_next_stops(
-    weighed_s: list[float], first_drive: bool, second_drive: bool, stopping: Any
+    weighed_s: list[float], first_drive: bool, second_drive: bool, overdue: bool, stopping: Any
 ) -> None:
     samples = stopping(weighed_s=weighed_s)
-    assert (samples[5 * 4].weighed, samples[5 * 12].weighed) == (first_drive, second_drive)
-    assert math.isnan(samples[5 * 12].mass) is (not weighed_s)
+    first, second = samples[5 * 4], samples[5 * 12]
+    assert (first.weighed, second.weighed) == (first_drive, second_drive)
+    assert (first.is_weighing_overdue, second.is_weighing_overdue) == (False, overdue)
+    assert math.isnan(second.mass) is (not weighed_s)
 
 
 def test_the_force_interval_is_that_of_the_records_around_the_stamp(drive: Any, run: Any) -> None:
