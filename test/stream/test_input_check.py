@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.state import encode, restore
-from trainid_ros.stream.fault_filter import Forces, Prior, Trial, student_t
+from trainid_ros.stream.fault_filter import BRAKES, ForceLead, Forces, Prior, Trial, student_t
 from trainid_ros.stream.fault_table import BRAKE, GAIN, OFFSET, TABLE, USUAL, Input, Row
-from trainid_ros.stream.input_blocks import Block
+from trainid_ros.stream.input_blocks import MOVING, Block
 from trainid_ros.stream.input_check import InputCheck, Verdict
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample, coasting_sample
@@ -213,6 +213,39 @@ def test_a_quantity_at_the_limit_of_what_is_usual_is_named() -> None:
     check._accepted.x[GAIN] = 1.0 - 2.45 * USUAL[GAIN - 1].std
     assert check.at_limit((GAIN,)) == 'the traction by ato/force and ato/mass is at the limit of what is usual'
     assert check.at_limit((BRAKE,)) == ''
+
+
+@pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, ' after it should')])
+def test_a_force_that_brakes_before_or_after_the_command_is_told(late_s: float, expected: str) -> None:
+    """The balance of forces is the same for all three: the reported force is right."""
+    drive, check = driven(300.0), InputCheck(KnownForce(FILE))
+    drive.command = np.roll(drive.command, round(late_s / DT))
+    told = set()
+    for sample in samples_of(drive):
+        check.take(sample)
+        told.add(check.timing_objection())
+    assert any(expected in text for text in told) if expected else told == {''}
+
+
+def test_the_lead_of_a_force_against_regression_and_with_braking_without_a_command() -> None:
+    """Without outliers nearly the mean of least squares with the prior; blocks without a command change nothing."""
+    rng, lead, used = np.random.default_rng(1), 0.8, ForceLead(0.5)
+    prior = used.variance
+    brakes = np.repeat(rng.uniform(-90.0, -20.0, 60), 4)
+    blocks = [Block(seconds=0.5, state=MOVING, brake=b) for b in brakes]
+    sum_HH, sum_Hy = 1.0 / prior, used.usual / prior
+    for before, block, after in zip(blocks, blocks[1:], blocks[2:], strict=False):
+        H = after.brake - before.brake
+        block.force = block.brake + lead * H + rng.normal(0.0, 1.0)
+        weight = (3.0 + 0.25 * max(abs(block.brake), abs(block.force))) ** -2
+        if abs(H) >= BRAKES and block.force <= 0.0:
+            sum_HH, sum_Hy = sum_HH + weight * H * H, sum_Hy + weight * H * (block.force - block.brake)
+        used.add(before, block, after)
+    assert used.mean == pytest.approx(sum_Hy / sum_HH, abs=0.05)
+    assert 1.0 / sum_HH < used.variance < prior / 4.0
+    mean, free = used.mean, Block(seconds=0.5, state=MOVING)
+    used.add(free, Block(seconds=0.5, state=MOVING, force=-60.0), free)
+    assert used.mean == mean
 
 
 def test_a_finding_that_holds_an_estimator_is_not_replaced_by_one_that_does_not() -> None:
