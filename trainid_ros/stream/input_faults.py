@@ -63,7 +63,7 @@ _NEIGHBOURS: Final = 3
 
 # Motion under a finding after which what was learned before is wrong: a single odd moment is over by then [s].
 _LASTING_S: Final = 2.0
-# Motion before which nothing is taken on trust [s]: units and signs show at the first departure.
+# Motion before which nothing is taken on trust, at first and after a fault [s]: units and signs show at a departure.
 _CONFIRMED_S: Final = 30.0
 
 
@@ -242,6 +242,11 @@ class InputFaults:
             self.resistance.objection or self._objection(),
             moved_s,
         )
+        # After a fault the inputs have to confirm each other anew.
+        if self.resistance.finding:
+            self._moved_s = 0.0
+        if self.brake_rate.finding:
+            self.check.is_brake_confirmed = False
         self.finding = of_command or ('' if Input.BRAKE in row.condemns else verdict.finding)
         self.last_finding = self.finding or self.last_finding
 
