@@ -149,6 +149,11 @@ class InputCheck:
                 return f'{usual.name} is at the limit of what is usual'
         return ''
 
+    @property
+    def is_speed_odd(self) -> bool:
+        """True while the wheels seem to slip or slide, and for as long after it."""
+        return self._accepted.odd_s > 0.0
+
     def timing_objection(self) -> str:
         """Return how force and brake command are apart in time, empty if no more than on healthy trains."""
         lead = self._lead

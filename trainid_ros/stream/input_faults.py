@@ -194,7 +194,7 @@ class InputFaults:
     def _check_brake(self, sample: Sample, dt: float) -> None:
         """Look at the brake: whether it has acted, whether it holds, and at its rate over speed."""
         command, speed, is_complete = self._commands.command, sample.speed, is_finite(sample.force_mean)
-        if speed >= MIN_SPEED and is_complete and is_finite(sample.gradient_mean):
+        if speed >= MIN_SPEED and is_complete and is_finite(sample.gradient_mean) and not self.check.is_speed_odd:
             self._moved_s = min(self._moved_s + dt, _CONFIRMED_S)
         holds = command < _HOLDING and self._held_s > self._followed_s
         self._slowest = min(self._slowest, speed) if holds else speed
