@@ -17,8 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trainid_ros.interface.errors import InputError
+from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.fields import parse_yaml, read_text
 from trainid_ros.train.strict_yaml import compose, load
+from trainid_ros.train.train_file import load_train_file
 
 
 def aliases(levels: int) -> str:
@@ -101,15 +103,18 @@ def test_only_regular_files_of_moderate_size_are_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'pipe')
     with (tmp_path / 'large').open('wb') as file:
         file.truncate(17 << 20)
+    (tmp_path / 'binary').write_bytes(b'train\xff')
     for path, reason in (
-        (tmp_path / 'pipe', 'is not a file'),
-        (Path('/dev/zero'), 'is not a file'),
-        (tmp_path / 'large', 'is larger than 16 MB'),
-        (tmp_path, 'Is a directory'),
-        (tmp_path / 'none', 'No such file or directory'),
+        (tmp_path / 'pipe', 'cannot be read: is not a file'),
+        (Path('/dev/zero'), 'cannot be read: is not a file'),
+        (tmp_path / 'large', 'cannot be read: is larger than 16 MB'),
+        (tmp_path, 'cannot be read: Is a directory'),
+        (tmp_path / 'none', 'cannot be read: No such file or directory'),
+        (tmp_path / 'binary', r'is not UTF-8 text \(byte 5\)'),
     ):
-        with pytest.raises(InputError, match=f'{path}: cannot be read: {reason}'):
-            read_text(path)
+        for read in (read_text, load_train_file, load_truth):
+            with pytest.raises(InputError, match=f'{path}: {reason}'):
+                read(path)
 
 
 @pytest.mark.parametrize('text', ['9' * 20_000, '9' * 20_000 + '.', '1' + '_' * 20_000, '9' * 20_000 + 'e'])

@@ -33,7 +33,7 @@ from trainid_ros.train.train_file import (
     parse_train_file,
 )
 
-MINIMAL = 'train: {mass: 194000.0}\nresistance: {a: 1.0, b: 0.03, c: 0.003}\n'
+MINIMAL = 'train: {mass: 194e3}\nresistance: {a: 1.0, b: 0.03, c: 0.003}\n'
 
 FULL = TrainFile(
     Train(194e3, 0.08, 118.0, 6, 310e3, 3.1e6, 22.2),
@@ -87,8 +87,47 @@ def test_a_brake_rate_table_is_interpolated_linearly_and_reads_back() -> None:
     assert scaled.rate_at(10.0) == pytest.approx(0.5)
 
 
-def test_exponents_without_a_point_are_numbers() -> None:
-    assert parse_train_file(MINIMAL.replace('194000.0', '194e3'), 'T.yaml').train.mass == 194e3
+# Further text of a minimal file, and the message about it.
+INVALID = [
+    ('line: {stops: [0, 1e300]}', 'line.stops[1] = 1e+300 m must be <= 1e+08'),
+    ('line: {curve: [[0, 0.1]]}', 'line.curve[0][1] = 0.1 m radius must be >= 1'),
+    ('line: {gradient: [[0, 501]]}', 'line.gradient[0][1] = 501 per mille must be <= 500'),
+    ('line: {tunnel: [[0, 1e9]]}', 'line.tunnel[0][1] = 1e+09 m must be <= 1e+08'),
+    ('zzz: 1', 'zzz is not a known field; known: brake, effects, line, resistance, train'),
+    ('brake: {rate: 0}', 'brake.rate = 0 must be >= 0.01'),
+    ('brake: {rate: []}', 'brake.rate = [] must be a number or have at least one row'),
+    ('brake: {rate: }', 'brake.rate = None must be a number or a table [[speed m/s, rate], ...]'),
+    ('brake: {rate: {0: 1}}', 'brake.rate = {0: 1} must be a number or a table [[speed m/s, rate], ...]'),
+    (f'brake: {{rate: {[[v, 1] for v in range(101)]}}}', 'brake.rate has 101 rows; it may have at most 100'),
+    ('brake: {rate: [[0, 1, 2]]}', 'brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
+    ('brake: {rate: [[-1, 1]]}', 'brake.rate[0][0] = -1 m/s must be >= 0'),
+    ('brake: {rate: [[0, 0]]}', 'brake.rate[0][1] = 0 is outside [0.01, 10]'),
+    ('brake: {rate: [[5, 1], [5, 0.9]]}', 'brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds must increase'),
+    (
+        'brake: {rate_table: [[5, 1]]}',
+        'brake.rate_table is not a known field; known: delay, rate, time_constant, timing_std',
+    ),
+    ('line: {stops: 5}', 'line.stops = 5 must be a list'),
+    ('line: {stops: [0, 5, 5]}', 'line.stops[2] = 5 m must be above 5 m: positions must increase'),
+    ('line: {stops: [0, x]}', "line.stops[1] = 'x' must be a number in m"),
+    ('line: {gradient: [[0, 1], [0, 2]]}', 'line.gradient[1] = 0 m must be above 0 m: positions must increase'),
+    ('line: {gradient: [[0, 1, 2]]}', 'line.gradient[0] = [0, 1, 2] must be [m, per mille]'),
+    ('line: {gradient: [[0, true]]}', 'line.gradient[0][1] = True must be a number in per mille'),
+    ('line: {curve: [[0, -300]]}', 'line.curve[0][1] = -300 m radius must be >= 0'),
+    ('line: {speed_limit: [[0, 0]]}', 'line.speed_limit[0][1] = 0 m/s must be > 0'),
+    ('line: {tunnel: [[9, 4]]}', 'line.tunnel[0] = [9, 4] m must end beyond its start'),
+    ('line: {tunnel: [[0, 9], [8, 20]]}', 'line.tunnel[1][0] = 8 m is before the end of the previous tunnel, 9 m'),
+    ('effects: [{name: 3}]', 'effects[0].name = 3 must be a string'),
+    ('effects: [{}]', 'effects[0].name is missing'),
+    ('effects: [5]', 'effects[0] = 5 must be a mapping of fields'),
+    ('effects: [{name: x, parameters: {k: fast}}]', "effects[0].parameters.k = 'fast' must be a number"),
+    ('effects: [{name: x, std: {k: -1}}]', 'effects[0].std.k = -1 must be >= 0'),
+    (
+        'effects: [{name: x, parameters: {coefficient: 600}, std: {coef: 1}}]',
+        'effects[0].std.coef has no parameter of that name',
+    ),
+    ('[3]: 4', 'line 3, column 1 is not valid YAML: found unhashable key'),
+]
 
 
 @pytest.mark.parametrize(
@@ -103,102 +142,22 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: heavy}\nresistance: {}', "T.yaml: train.mass = 'heavy' must be a number in kg"),
         ('train: {mass: 1:30:00}\nresistance: {}', "T.yaml: train.mass = '1:30:00' must be a number in kg"),
         ('train: {mass: 1, cars: 0777}\nresistance: {}', "T.yaml: train.cars = '0777' must be a whole number"),
-        ('train: {mass: 1, cars: 0x10}\nresistance: {}', "T.yaml: train.cars = '0x10' must be a whole number"),
         ('train: {mass: 1, cars: 1001}\nresistance: {}', 'T.yaml: train.cars = 1001 must be <= 1000'),
-        ('train: {mass: 1e-3}\nresistance: {}', 'T.yaml: train.mass = 0.001 kg must be >= 1'),
         ('train: {mass: 1e10}\nresistance: {}', 'T.yaml: train.mass = 1e+10 kg must be <= 1e+09'),
-        (MINIMAL + 'line: {stops: [0, 1e300]}', 'T.yaml: line.stops[1] = 1e+300 m must be <= 1e+08'),
-        (MINIMAL + 'line: {curve: [[0, 0.1]]}', 'T.yaml: line.curve[0][1] = 0.1 m radius must be >= 1'),
-        (MINIMAL + 'line: {gradient: [[0, 501]]}', 'T.yaml: line.gradient[0][1] = 501 per mille must be <= 500'),
-        (MINIMAL + 'line: {tunnel: [[0, 1e9]]}', 'T.yaml: line.tunnel[0][1] = 1e+09 m must be <= 1e+08'),
         ('train: {mass: .nan}\nresistance: {}', 'T.yaml: train.mass = nan must be finite'),
         ('train: {mass: .inf}\nresistance: {}', 'T.yaml: train.mass = inf must be finite'),
         ('train: 3\nresistance: {}', 'T.yaml: train = 3 must be a mapping of fields'),
         ('[1, 2]', 'T.yaml = [1, 2] must be a mapping of fields'),
         ('', 'T.yaml is empty, but must be a mapping of fields'),
-        ('# mass: 1.0', 'T.yaml is empty, but must be a mapping of fields'),
-        (
-            'train: {mass: 1, mas: 2}\nresistance: {}',
-            "T.yaml: train.mas is not a known field; did you mean 'mass'?",
-        ),
-        (
-            MINIMAL + 'zzz: 1',
-            'T.yaml: zzz is not a known field; known: brake, effects, line, resistance, train',
-        ),
+        ('train: {mass: 1, mas: 2}\nresistance: {}', "T.yaml: train.mas is not a known field; did you mean 'mass'?"),
         (
             'train: {mass: 1, mass: 2}\nresistance: {}',
             "T.yaml: line 1, column 18 is not valid YAML: key 'mass' is given twice",
         ),
-        ('train: {mass: 1, length: 0}\nresistance: {}', 'T.yaml: train.length = 0 m must be >= 0.1'),
-        ('train: {mass: 1, rotary_mass: 8}\nresistance: {}', 'T.yaml: train.rotary_mass = 8 must be <= 1'),
         ('train: {mass: 1, cars: 0}\nresistance: {}', 'T.yaml: train.cars = 0 must be >= 1'),
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
-        ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
-        (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be >= 0.01'),
-        (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have at least one row'),
-        (
-            MINIMAL + 'brake: {rate: }',
-            'T.yaml: brake.rate = None must be a number or a table [[speed m/s, rate], ...]',
-        ),
-        (
-            MINIMAL + 'brake: {rate: {0: 1}}',
-            'T.yaml: brake.rate = {0: 1} must be a number or a table [[speed m/s, rate], ...]',
-        ),
-        (
-            f'{MINIMAL}brake: {{rate: {[[v, 1] for v in range(101)]}}}',
-            'T.yaml: brake.rate has 101 rows; it may have at most 100',
-        ),
-        (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
-        (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
-        (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 is outside [0.01, 10]'),
-        (
-            MINIMAL + 'brake: {rate: [[5, 1], [5, 0.9]]}',
-            'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds must increase',
-        ),
-        (
-            MINIMAL + 'brake: {rate_table: [[5, 1]]}',
-            'T.yaml: brake.rate_table is not a known field; known: delay, rate, time_constant, timing_std',
-        ),
-        (MINIMAL + 'brake: {delay: -0.1}', 'T.yaml: brake.delay = -0.1 s must be >= 0'),
-        (MINIMAL + 'line: {stops: 5}', 'T.yaml: line.stops = 5 must be a list'),
-        (
-            MINIMAL + 'line: {stops: [0, 5, 5]}',
-            'T.yaml: line.stops[2] = 5 m must be above 5 m: positions must increase',
-        ),
-        (MINIMAL + 'line: {stops: [0, x]}', "T.yaml: line.stops[1] = 'x' must be a number in m"),
-        (
-            MINIMAL + 'line: {gradient: [[0, 1], [0, 2]]}',
-            'T.yaml: line.gradient[1] = 0 m must be above 0 m: positions must increase',
-        ),
-        (
-            MINIMAL + 'line: {gradient: [[0, 1, 2]]}',
-            'T.yaml: line.gradient[0] = [0, 1, 2] must be [m, per mille]',
-        ),
-        (
-            MINIMAL + 'line: {gradient: [[0, true]]}',
-            'T.yaml: line.gradient[0][1] = True must be a number in per mille',
-        ),
-        (MINIMAL + 'line: {curve: [[0, -300]]}', 'T.yaml: line.curve[0][1] = -300 m radius must be >= 0'),
-        (MINIMAL + 'line: {speed_limit: [[0, 0]]}', 'T.yaml: line.speed_limit[0][1] = 0 m/s must be > 0'),
-        (MINIMAL + 'line: {tunnel: [[9, 4]]}', 'T.yaml: line.tunnel[0] = [9, 4] m must end beyond its start'),
-        (
-            MINIMAL + 'line: {tunnel: [[0, 9], [8, 20]]}',
-            'T.yaml: line.tunnel[1][0] = 8 m is before the end of the previous tunnel, 9 m',
-        ),
-        (MINIMAL + 'effects: [{name: 3}]', 'T.yaml: effects[0].name = 3 must be a string'),
-        (MINIMAL + 'effects: [{}]', 'T.yaml: effects[0].name is missing'),
-        (MINIMAL + 'effects: [5]', 'T.yaml: effects[0] = 5 must be a mapping of fields'),
-        (
-            MINIMAL + 'effects: [{name: x, parameters: {k: fast}}]',
-            "T.yaml: effects[0].parameters.k = 'fast' must be a number",
-        ),
-        (MINIMAL + 'effects: [{name: x, std: {k: -1}}]', 'T.yaml: effects[0].std.k = -1 must be >= 0'),
-        (
-            MINIMAL + 'effects: [{name: x, parameters: {coefficient: 600}, std: {coef: 1}}]',
-            'T.yaml: effects[0].std.coef has no parameter of that name',
-        ),
-        (MINIMAL + '[3]: 4', 'T.yaml: line 3, column 1 is not valid YAML: found unhashable key'),
         (MINIMAL + '3: 4', 'T.yaml has the key 3, which is not a field name'),
+        *((MINIMAL + text, f'T.yaml: {message}') for text, message in INVALID),
     ],
 )
 def test_each_invalid_field_is_named_in_one_line(text: str, message: str) -> None:
@@ -214,18 +173,6 @@ def test_invalid_yaml_is_reported_in_one_line_with_the_file(text: str) -> None:
     with pytest.raises(InputError, match=r'^T\.yaml:.* is not valid YAML: ') as caught:
         parse_train_file(text, 'T.yaml')
     assert '\n' not in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'none\.yaml: cannot be read: No such file'):
-        load_train_file(tmp_path / 'none.yaml')
-
-
-def test_a_file_that_is_not_text_is_named(tmp_path: Path) -> None:
-    path = tmp_path / 'binary.yaml'
-    path.write_bytes(b'train\xff')
-    with pytest.raises(InputError, match=r'binary\.yaml: is not UTF-8 text \(byte 5\)'):
-        load_train_file(path)
 
 
 # Field, lowest and highest value.

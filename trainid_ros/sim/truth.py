@@ -7,8 +7,9 @@ They are in the file ``truth.yaml`` beside a bag; external bags with known true 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Final
 
@@ -16,8 +17,8 @@ import yaml
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.train.fields import Section, parse_yaml, read_text
-from trainid_ros.train.train_file import Davis, NamedValues
+from trainid_ros.train.fields import parse_yaml, read_text
+from trainid_ros.train.train_file import Davis, NamedValues, plain_numbers
 
 _HEAD: Final = '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n'
 _HEAD_UNKNOWNS: Final = (
@@ -47,10 +48,8 @@ class Truth:
 
     def truth_at(self, time_s: float) -> TruthPoint:
         """Return the true values at a time since the start [s]; the first values also apply before their time."""
-        _, a, b, c = self.resistance[_index([row[0] for row in self.resistance], time_s)]
-        if not self.brake_rate:
-            return TruthPoint(Davis(a, b, c), None)
-        rate = self.brake_rate[_index([row[0] for row in self.brake_rate], time_s)][1]
+        _, a, b, c = self.resistance[_index(self.resistance, time_s)]
+        rate = self.brake_rate[_index(self.brake_rate, time_s)][1] if self.brake_rate else None
         return TruthPoint(Davis(a, b, c), rate)
 
     def truth_at_ns(self, stamp_ns: int) -> TruthPoint:
@@ -66,17 +65,14 @@ def plain_truth(truth: Truth) -> dict[str, object]:
         'brake_rate': [[float(x) for x in row] for row in truth.brake_rate],
     }
     if truth.unknowns:
-        document['unknowns'] = {name: float(value) for name, value in truth.unknowns}
+        document['unknowns'] = plain_numbers(truth.unknowns)
     return document
 
 
 def dump_truth(truth: Truth) -> str:
     """Return the truth as YAML text that reads back as exactly the same values."""
-    return (
-        _HEAD
-        + (_HEAD_UNKNOWNS if truth.unknowns else '')
-        + yaml.safe_dump(plain_truth(truth), sort_keys=False, default_flow_style=None)
-    )
+    head = _HEAD + _HEAD_UNKNOWNS if truth.unknowns else _HEAD
+    return head + yaml.safe_dump(plain_truth(truth), sort_keys=False, default_flow_style=None)
 
 
 def save_truth(truth: Truth, path: str | Path) -> None:
@@ -101,18 +97,14 @@ def load_truth(path: str | Path) -> Truth:
 
 
 def parse_truth(text: str, source: str) -> Truth:
-    """Read a truth file from its text; ``source`` is the name shown in errors.
-
-    Raises:
-        InputError: A field is invalid.
-    """
+    """Read a truth file from its text; ``source`` is the name shown in the InputError of an invalid field."""
     top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
     brake_rate = top.rows('brake_rate', ('time s', 'rate'))
     if not resistance:
         top.fail('resistance', 'is missing: at least one row [time s, a, b, c] is required')
-    _check_rising(top, 'resistance', resistance)
-    _check_rising(top, 'brake_rate', brake_rate)
+    for key, rows in (('resistance', resistance), ('brake_rate', brake_rate)):
+        top.check_rising(f'{key}[{{}}]', (row[0] for row in rows), 's', 'later than', what='times')
     return Truth(
         start_ns=top.integer('start_ns', 0, low=0, high=2**63 - 1),
         resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
@@ -121,12 +113,5 @@ def parse_truth(text: str, source: str) -> Truth:
     )
 
 
-def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:
-    for i, (before, after) in enumerate(pairwise(rows)):
-        if after[0] <= before[0]:
-            problem = f'= {after[0]:g} s must be later than {before[0]:g} s: times must increase'
-            top.fail(f'{key}[{i + 1}]', problem)
-
-
-def _index(times: list[float], time_s: float) -> int:
-    return max(0, bisect_right(times, time_s) - 1)
+def _index(rows: Sequence[tuple[float, ...]], time_s: float) -> int:
+    return max(0, bisect_right(rows, time_s, key=itemgetter(0)) - 1)

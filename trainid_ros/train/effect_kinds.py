@@ -75,12 +75,7 @@ class EffectKind:
         return any(p.search is None for name, p in self.parameters.items() if name != self.amplitude)
 
     def __post_init__(self) -> None:
-        """Check the fields for consistency.
-
-        Raises:
-            InputError: The amplitude is not a parameter, the neutral value is outside its range, or a shape parameter
-                has no search range.
-        """
+        """Raise InputError for an amplitude or neutral value that cannot be, or a shape parameter without a range."""
         limits = self.parameters.get(self.amplitude)
         if limits is None:
             raise InputError(

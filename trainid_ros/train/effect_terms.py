@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects by which the motion of the train differs from Davis resistance and gradient.
-
-Effects by which only the data of the train are wrong.
-"""
+"""The effects built in: of the motion of the train, and of its data alone."""
 
 from __future__ import annotations
 
@@ -14,458 +11,349 @@ from trainid_ros.train.forces import TrackPoint, davis, share_inside
 from trainid_ros.train.train_file import Davis
 
 
-def _bearing_warmup(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``value exp(-s / distance)`` [N/kN]: bearings warm up over the distance run s [m]."""
-    return p['value'] * math.exp(-at.distance_run / p['distance'])
-
-
-BEARING_WARMUP: Final = EffectKind(
-    name='bearing_warmup',
-    title='warm-up of cold bearings',
-    equation='w = value exp(-s / distance), s = distance run since the start',
-    parameters={
-        'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
-        'distance': Parameter('m', 1e-6, 1e9, search=(500.0, 50000.0), grid='log'),
-    },
-    amplitude='value',
-    typical_size=1.0,
-    resistance=_bearing_warmup,
-    linear=True,
-    needs='data from the start of the day until the bearings are warm',
-    twins=(
-        Twin('resistance_step', 'a longer record: a step is sudden, the warm-up effect decays'),
-        Twin('headwind', 'runs in both directions right after the start'),
-    ),
-)
-
-
-def _brake_delay(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``B(t) - B(t - extra)`` [N/kN], ``extra`` in s: less braking at the onset, more after the release."""
-    return at.brake_before(0.0) - at.brake_before(p['extra'])
-
-
-BRAKE_DELAY: Final = EffectKind(
-    name='brake_delay',
-    title='additional dead time of the brake',
-    equation='w = B(t) - B(t - extra), B <= 0',
-    parameters={'extra': Parameter('s', 0.0, 10.0)},
-    amplitude='extra',
-    typical_size=0.5,
-    resistance=_brake_delay,
-    needs='sharp brake onsets and releases at speed',
-    twins=(
-        Twin('brake_scale', 'long steady braking, with sharp onsets and releases'),
-        Twin('dragging_brake', 'sharp brake onsets: a delay has the opposite sign there'),
-        Twin('brake_fade', 'sharp onsets and releases with a cold brake'),
-    ),
-)
-
-
-def _brake_fade(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``loss min(1, heat / energy) B`` [N/kN], <= 0 as B is: the lost braking force; ``energy`` in J/kg."""
-    return p['loss'] * min(1.0, at.heat / p['energy']) * at.brake
-
-
-BRAKE_FADE: Final = EffectKind(
-    name='brake_fade',
-    title='fade of the hot brake',
-    equation='w = loss min(1, heat / energy) B, B <= 0; heat of a brake without fade, cooling time constant 300 s',
-    parameters={
-        'loss': Parameter('', 0.0, 0.9),
-        'energy': Parameter('J/kg', 1e-6, 1e6, search=(30.0, 3000.0), grid='log'),
-    },
-    amplitude='loss',
-    typical_size=0.25,
-    resistance=_brake_fade,
-    linear=True,
-    needs='braking with a cold brake, and repeated braking in quick succession',
-    twins=(
-        Twin('brake_scale', 'the first braking after a long pause, and repeated braking in quick succession'),
-        Twin('brake_delay', 'long braking from high speed: fade grows while braking, a delay does not'),
-    ),
-)
-
-
-def _brake_scale(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``-(ratio - 1) B`` [N/kN]: the braking force is ``ratio`` times the assumed one (B <= 0)."""
-    return -(p['ratio'] - 1.0) * at.brake
-
-
-BRAKE_SCALE: Final = EffectKind(
-    name='brake_scale',
-    title='wrong braking force',
-    equation='w = -(ratio - 1) B, ratio = true over assumed braking force, B <= 0',
-    parameters={'ratio': Parameter('', 0.2, 5.0)},
-    amplitude='ratio',
-    typical_size=0.12,
-    neutral=1.0,
-    resistance=_brake_scale,
-    linear=True,
-    needs='braking with a cold brake and with a hot one',
-    twins=(
-        Twin('brake_fade', 'braking with a cold brake, and again soon after with a hot one'),
-        Twin('brake_delay', 'long steady braking: a delay is visible only while the command changes'),
-        Twin('mass_error', 'runs with high traction, or weighing the train'),
-    ),
-)
-
-
-def _curve_resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``coefficient / R`` [N/kN], with the coefficient in N/kN m (600 in the usual formula) and R in m."""
-    return p['coefficient'] / at.curve_radius if at.curve_radius > 0.0 else 0.0
-
-
-CURVE_RESISTANCE: Final = EffectKind(
-    name='curve_resistance',
-    title='curve resistance',
-    equation='w = coefficient / R',
-    parameters={'coefficient': Parameter('N/kN m', 0.0, 20000.0)},
-    amplitude='coefficient',
-    typical_size=500.0,
-    resistance=_curve_resistance,
-    linear=True,
-    needs='runs through curves of known radius and on straight track',
-    twins=(
-        Twin('gradient_error', 'runs through the curve in both directions: curve resistance keeps its sign'),
-        Twin('local_drag', 'runs through other curves with other radii'),
-    ),
-)
-
-
-def _dragging_brake(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``permille`` [N/kN] for ``time`` [s] after a release while the train moves, else 0."""
-    return p['permille'] if at.speed > 0.0 and 0.0 < at.since_release <= p['time'] else 0.0
-
-
-DRAGGING_BRAKE: Final = EffectKind(
-    name='dragging_brake',
-    title='dragging brake after release',
-    equation='w = permille for time seconds after a release',
-    parameters={
-        'permille': Parameter('per mille', 0.0, 1000.0),
-        'time': Parameter('s', 0.0, 1e5, search=(2.0, 120.0), grid='log'),
-    },
-    amplitude='permille',
-    typical_size=2.0,
-    resistance=_dragging_brake,
-    linear=True,
-    needs='brake releases at speed, and motion long after them',
-    twins=(
-        Twin('starting_resistance', 'releases at high speed: starting resistance is not visible there'),
-        Twin('brake_delay', 'releases at high speed followed by long coasting'),
-    ),
-)
-
-
 def _headwind(p: Parameters, davis: Davis, at: TrackPoint) -> float:
-    """Return ``c ((v + u) |v + u| - v^2)`` [N/kN] with the headwind u [m/s].
-
-    ``speed`` > 0 is a headwind in the direction of increasing position and a tailwind in the opposite direction.
-    """
     air = at.speed + at.direction * p['speed']
     return davis.c * (air * abs(air) - at.speed * at.speed)
 
 
-HEADWIND: Final = EffectKind(
-    name='headwind',
-    title='wind along the line',
-    equation='w = c ((v + u) |v + u| - v^2), u = headwind: speed in increasing position, -speed in decreasing position',
-    parameters={'speed': Parameter('m/s', -60.0, 60.0)},
-    amplitude='speed',
-    typical_size=5.0,
-    resistance=_headwind,
-    needs='runs in both directions, at different speeds',
-    twins=(
-        Twin('tunnel_drag', 'runs in both directions'),
-        Twin('gradient_error', 'runs at clearly different speeds, or on a day without wind'),
-        Twin('resistance_step', 'runs in both directions before and after'),
-    ),
-)
-
-
-def _higher_order_drag(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``coefficient v^3`` [N/kN], with the coefficient in N/kN/(m/s)^3."""
-    return p['coefficient'] * at.speed**3
-
-
-HIGHER_ORDER_DRAG: Final = EffectKind(
-    name='higher_order_drag',
-    title='drag beyond the square of the speed',
-    equation='w = coefficient v^3',
-    parameters={'coefficient': Parameter('N/kN/(m/s)^3', -1.0, 1.0, search=(0.0, 0.01))},
-    amplitude='coefficient',
-    typical_size=0.0001,
-    resistance=_higher_order_drag,
-    linear=True,
-    needs='runs over the full speed range, preferably coasting',
-    twins=(
-        Twin('starting_resistance', 'runs at low and at maximum speed'),
-        Twin('tunnel_drag', 'equally fast runs inside and outside tunnels'),
-    ),
-)
-
-
-def _local_drag(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``permille`` times the share of the train between start and end [N/kN]; same sign in both directions."""
-    return p['permille'] * share_inside(at, p['start'], p['end'])
-
-
-LOCAL_DRAG: Final = EffectKind(
-    name='local_drag',
-    title='additional drag in one section',
-    equation='w = permille between start and end, in both directions',
-    parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille', search=(0.0, 50.0))},
-    amplitude='permille',
-    typical_size=3.0,
-    resistance=_local_drag,
-    linear=True,
-    needs='runs through the section and beyond it',
-    twins=(
-        Twin('gradient_error', 'runs through the section in both directions: a drag keeps its sign'),
-        Twin('curve_resistance', 'runs through other curves: a local drag is not visible there'),
-        Twin('tunnel_drag', 'runs through the section at clearly different speeds, and through other tunnels'),
-    ),
-)
-
-
-def _mass_error(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``(T + B) (1 - 1 / ratio)`` [N/kN]: T, B per assumed weight, true mass ``ratio`` times assumed."""
-    return (at.traction + at.brake) * (1.0 - 1.0 / p['ratio'])
-
-
-MASS_ERROR: Final = EffectKind(
-    name='mass_error',
-    title='wrong mass',
-    equation='w = (T + B) (1 - 1 / ratio), ratio = true over assumed mass',
-    parameters={'ratio': Parameter('', 0.2, 5.0)},
-    amplitude='ratio',
-    typical_size=0.08,
-    neutral=1.0,
-    resistance=_mass_error,
-    needs='high traction and steep gradients, or braking with a known brake rate',
-    twins=(
-        Twin(
-            'traction_scale', 'runs over steep gradients or braking, or weighing the train: mass also scales the brake'
-        ),
-        Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
-        Twin('brake_scale', 'runs with high traction: a brake error is not visible there'),
-    ),
-)
-
-
-def _resistance_step(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``a`` [N/kN] from ``time`` [s since the start] on, 0 before."""
-    return p['a'] if at.time_s >= p['time'] else 0.0
-
-
-RESISTANCE_STEP: Final = EffectKind(
-    name='resistance_step',
-    title='step change of the resistance',
-    equation='w = a from time on',
-    parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
-    amplitude='a',
-    typical_size=0.6,
-    resistance=_resistance_step,
-    linear=True,
-    needs='runs over the same line before and after the step',
-    twins=(
-        Twin('bearing_warmup', 'data from the start of the day: the warm-up effect decays with distance'),
-        Twin('headwind', 'runs in both directions before and after the step'),
-    ),
-)
-
-
-def _starting_resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``value exp(-v / speed)`` [N/kN], ``speed`` in m/s."""
-    return p['value'] * math.exp(-at.speed / p['speed'])
-
-
-STARTING_RESISTANCE: Final = EffectKind(
-    name='starting_resistance',
-    title='additional resistance at low speed',
-    equation='w = value exp(-v / speed)',
-    parameters={
-        'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
-        'speed': Parameter('m/s', 1e-6, 1e3, search=(0.5, 8.0), grid='log'),
-    },
-    amplitude='value',
-    typical_size=2.0,
-    resistance=_starting_resistance,
-    linear=True,
-    needs='running at low speed, not only starts with full traction',
-    twins=(
-        Twin('dragging_brake', 'coasting at low speed long after the brake was released'),
-        Twin('mass_error', 'running at low speed with low traction'),
-        Twin('bearing_warmup', 'starts late in the day, with warm bearings'),
-    ),
-)
-
-
-def _tunnel_drag(p: Parameters, davis: Davis, at: TrackPoint) -> float:
-    """Return ``(factor - 1) c v^2`` [N/kN] in tunnels, else 0: the drag coefficient rises from c to ``factor`` c."""
-    return (p['factor'] - 1.0) * davis.c * at.speed * at.speed if at.tunnel else 0.0
-
-
-TUNNEL_DRAG: Final = EffectKind(
-    name='tunnel_drag',
-    title='air drag in tunnels',
-    equation='w = (factor - 1) c v^2 in tunnels',
-    parameters={'factor': Parameter('', 0.0, 20.0, search=(1.0, 10.0))},
-    amplitude='factor',
-    typical_size=0.6,
-    neutral=1.0,
-    resistance=_tunnel_drag,
-    linear=True,
-    needs='fast runs inside and outside tunnels, with the tunnel flag set',
-    twins=(
-        Twin('headwind', 'runs through the tunnels in both directions'),
-        Twin('local_drag', 'runs through one tunnel at clearly different speeds, and through other tunnels'),
-        Twin('higher_order_drag', 'equally fast runs inside and outside tunnels'),
-    ),
-)
-
-
-def _gradient_error(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return the true gradient minus that of the map [per mille]; ``permille`` is + uphill in increasing position."""
-    return at.direction * p['permille'] * share_inside(at, p['start'], p['end'])
-
-
-GRADIENT_ERROR: Final = EffectKind(
-    name='gradient_error',
-    title='wrong gradient in the map',
-    equation='w = +- permille between start and end: uphill in one direction, downhill in the other',
-    parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille')},
-    amplitude='permille',
-    typical_size=3.0,
-    resistance=_gradient_error,
-    linear=True,
-    origin='sensor',
-    needs='runs through the section in both directions, and beyond it; over the entire line it acts like Davis a',
-    twins=(
-        Twin('local_drag', 'runs through the section in both directions: a gradient error changes sign'),
-        Twin('curve_resistance', 'runs through the section in both directions, and through other curves'),
-        Twin('headwind', 'runs in still air, or at clearly different speeds'),
-        Twin('map_shift', 'runs over other gradient changes: a shift is visible at each of them'),
-    ),
-)
-
-
-def _map_shift(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``i(s - distance) - i(s)`` [per mille] with the reported gradient i, which is ``distance`` [m] early."""
-    return at.gradient_ahead(-p['distance']) - at.gradient_ahead(0.0)
-
-
-MAP_SHIFT: Final = EffectKind(
-    name='map_shift',
-    title='map read at a wrong position',
-    equation='w = i(s - distance) - i(s): the reported gradient is early by distance',
-    parameters={'distance': Parameter('m', -1000.0, 1000.0)},
-    amplitude='distance',
-    typical_size=60.0,
-    resistance=_map_shift,
-    origin='sensor',
-    needs='runs over changes of gradient in both directions',
-    twins=(
-        Twin('gradient_error', 'runs over other changes of gradient'),
-        Twin('stamp_skew', 'coasting over changes of gradient, and sharp changes of traction on level track'),
-    ),
-)
-
-
-# Slower changes of the traction [N/kN/s] do not identify the delay: they come from the speed control, which reacts
-# after the train has slowed down, so they appear late regardless of the stamps.
-_MIN_SLOPE: Final = 3.0
-
-
 def _stamp_skew(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``T(t) - T(t + delay)`` [N/kN] where traction T changes sharply, else 0; stamps are ``delay`` [s] late."""
     change = at.traction_before(0.0) - at.traction_before(-p['delay'])
-    return change if abs(change) > _MIN_SLOPE * abs(p['delay']) else 0.0
-
-
-STAMP_SKEW: Final = EffectKind(
-    name='stamp_skew',
-    title='late force stamps',
-    equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
-    parameters={'delay': Parameter('s', -1.5, 1.5)},
-    amplitude='delay',
-    typical_size=0.15,
-    resistance=_stamp_skew,
-    origin='sensor',
-    on_records=True,
-    needs='sharp changes of traction',
-    twins=(
-        Twin('traction_scale', 'long steady traction, and sharp changes of traction'),
-        Twin('map_shift', 'sharp changes of traction on level track'),
-    ),
-)
-
-
-def _traction_scale(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``-(ratio - 1) T`` [N/kN]: the tractive force is ``ratio`` times the reported one."""
-    return -(p['ratio'] - 1.0) * at.traction
-
-
-TRACTION_SCALE: Final = EffectKind(
-    name='traction_scale',
-    title='wrong gain of the traction force',
-    equation='w = -(ratio - 1) T, ratio = true over reported traction',
-    parameters={'ratio': Parameter('', 0.2, 5.0)},
-    amplitude='ratio',
-    typical_size=0.08,
-    neutral=1.0,
-    resistance=_traction_scale,
-    linear=True,
-    origin='sensor',
-    needs='high and low traction, and coasting',
-    twins=(
-        Twin(
-            'mass_error',
-            'runs over steep gradients or braking, or weighing the train: the gain does not affect braking',
-        ),
-        Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
-        Twin('stamp_skew', 'long steady traction: a skew is visible only while the force changes'),
-    ),
-)
+    # Changes slower than 3 N/kN/s do not identify the delay: they come from the speed control, which reacts after the
+    # train has slowed down, so they appear late regardless of the stamps.
+    return change if abs(change) > 3.0 * abs(p['delay']) else 0.0
 
 
 def _wheel_diameter(p: Parameters, resistance: Davis, at: TrackPoint) -> float:
-    """Return ``-(ratio - 1) (T + B - i - w(v) + v w'(v))`` [N/kN]: it makes the balance of the measured speed hold."""
+    """Return ``-(ratio - 1) (T + B - i - w(v) + v w'(v))``: with it the balance of the measured speed holds."""
     v = at.speed
     free = at.traction + at.brake - at.gradient_ahead(0.0) - davis(resistance, v)
     return -(p['ratio'] - 1.0) * (free + v * (resistance.b + 2.0 * resistance.c * v))
 
 
-WHEEL_DIAMETER: Final = EffectKind(
-    name='wheel_diameter',
-    title='wrong wheel diameter of the odometer',
-    equation='v measured = ratio v, s measured = ratio s between stops',
-    parameters={'ratio': Parameter('', 0.2, 5.0)},
-    amplitude='ratio',
-    typical_size=0.02,
-    resistance=_wheel_diameter,
-    neutral=1.0,
-    linear=True,
-    origin='sensor',
-    on_records=True,
-    needs='positions between stops with a known distance',
-    twins=(
-        Twin('traction_scale', 'comparison of the distance between two stops with the line data'),
-        Twin('mass_error', 'comparison of the distance between two stops with the line data'),
-        Twin('brake_scale', 'comparison of the distance between two stops with the line data'),
+KINDS: Final[tuple[EffectKind, ...]] = (
+    EffectKind(
+        name='bearing_warmup',
+        title='warm-up of cold bearings',
+        equation='w = value exp(-s / distance), s = distance run since the start',
+        parameters={
+            'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
+            'distance': Parameter('m', 1e-6, 1e9, search=(500.0, 50000.0), grid='log'),
+        },
+        amplitude='value',
+        typical_size=1.0,
+        resistance=lambda p, _, at: p['value'] * math.exp(-at.distance_run / p['distance']),
+        linear=True,
+        needs='data from the start of the day until the bearings are warm',
+        twins=(
+            Twin('resistance_step', 'a longer record: a step is sudden, the warm-up effect decays'),
+            Twin('headwind', 'runs in both directions right after the start'),
+        ),
+    ),
+    EffectKind(
+        name='brake_delay',
+        title='additional dead time of the brake',
+        equation='w = B(t) - B(t - extra), B <= 0',
+        parameters={'extra': Parameter('s', 0.0, 10.0)},
+        amplitude='extra',
+        typical_size=0.5,
+        resistance=lambda p, _, at: at.brake_before(0.0) - at.brake_before(p['extra']),
+        needs='sharp brake onsets and releases at speed',
+        twins=(
+            Twin('brake_scale', 'long steady braking, with sharp onsets and releases'),
+            Twin('dragging_brake', 'sharp brake onsets: a delay has the opposite sign there'),
+            Twin('brake_fade', 'sharp onsets and releases with a cold brake'),
+        ),
+    ),
+    EffectKind(
+        name='brake_fade',
+        title='fade of the hot brake',
+        equation='w = loss min(1, heat / energy) B, B <= 0; heat of a brake without fade, cooling time constant 300 s',
+        parameters={
+            'loss': Parameter('', 0.0, 0.9),
+            'energy': Parameter('J/kg', 1e-6, 1e6, search=(30.0, 3000.0), grid='log'),
+        },
+        amplitude='loss',
+        typical_size=0.25,
+        resistance=lambda p, _, at: p['loss'] * min(1.0, at.heat / p['energy']) * at.brake,
+        linear=True,
+        needs='braking with a cold brake, and repeated braking in quick succession',
+        twins=(
+            Twin('brake_scale', 'the first braking after a long pause, and repeated braking in quick succession'),
+            Twin('brake_delay', 'long braking from high speed: fade grows while braking, a delay does not'),
+        ),
+    ),
+    EffectKind(
+        name='brake_scale',
+        title='wrong braking force',
+        equation='w = -(ratio - 1) B, ratio = true over assumed braking force, B <= 0',
+        parameters={'ratio': Parameter('', 0.2, 5.0)},
+        amplitude='ratio',
+        typical_size=0.12,
+        neutral=1.0,
+        resistance=lambda p, _, at: -(p['ratio'] - 1.0) * at.brake,
+        linear=True,
+        needs='braking with a cold brake and with a hot one',
+        twins=(
+            Twin('brake_fade', 'braking with a cold brake, and again soon after with a hot one'),
+            Twin('brake_delay', 'long steady braking: a delay is visible only while the command changes'),
+            Twin('mass_error', 'runs with high traction, or weighing the train'),
+        ),
+    ),
+    EffectKind(
+        name='curve_resistance',
+        title='curve resistance',
+        equation='w = coefficient / R',
+        parameters={'coefficient': Parameter('N/kN m', 0.0, 20000.0)},  # 600 in the usual formula
+        amplitude='coefficient',
+        typical_size=500.0,
+        resistance=lambda p, _, at: p['coefficient'] / at.curve_radius if at.curve_radius > 0.0 else 0.0,
+        linear=True,
+        needs='runs through curves of known radius and on straight track',
+        twins=(
+            Twin('gradient_error', 'runs through the curve in both directions: curve resistance keeps its sign'),
+            Twin('local_drag', 'runs through other curves with other radii'),
+        ),
+    ),
+    EffectKind(
+        name='dragging_brake',
+        title='dragging brake after release',
+        equation='w = permille for time seconds after a release',
+        parameters={
+            'permille': Parameter('per mille', 0.0, 1000.0),
+            'time': Parameter('s', 0.0, 1e5, search=(2.0, 120.0), grid='log'),
+        },
+        amplitude='permille',
+        typical_size=2.0,
+        resistance=lambda p, _, at: p['permille'] if at.speed > 0.0 and 0.0 < at.since_release <= p['time'] else 0.0,
+        linear=True,
+        needs='brake releases at speed, and motion long after them',
+        twins=(
+            Twin('starting_resistance', 'releases at high speed: starting resistance is not visible there'),
+            Twin('brake_delay', 'releases at high speed followed by long coasting'),
+        ),
+    ),
+    EffectKind(
+        name='gradient_error',
+        title='wrong gradient in the map',
+        equation='w = +- permille between start and end: uphill in one direction, downhill in the other',
+        # permille > 0: steeper uphill in increasing position than in the map
+        parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille')},
+        amplitude='permille',
+        typical_size=3.0,
+        resistance=lambda p, _, at: at.direction * p['permille'] * share_inside(at, p['start'], p['end']),
+        linear=True,
+        origin='sensor',
+        needs='runs through the section in both directions, and beyond it; over the entire line it acts like Davis a',
+        twins=(
+            Twin('local_drag', 'runs through the section in both directions: a gradient error changes sign'),
+            Twin('curve_resistance', 'runs through the section in both directions, and through other curves'),
+            Twin('headwind', 'runs in still air, or at clearly different speeds'),
+            Twin('map_shift', 'runs over other gradient changes: a shift is visible at each of them'),
+        ),
+    ),
+    EffectKind(
+        name='headwind',
+        title='wind along the line',
+        equation='w = c ((v + u) |v + u| - v^2), '
+        'u = headwind: speed in increasing position, -speed in decreasing position',
+        parameters={'speed': Parameter('m/s', -60.0, 60.0)},
+        amplitude='speed',
+        typical_size=5.0,
+        resistance=_headwind,
+        needs='runs in both directions, at different speeds',
+        twins=(
+            Twin('tunnel_drag', 'runs in both directions'),
+            Twin('gradient_error', 'runs at clearly different speeds, or on a day without wind'),
+            Twin('resistance_step', 'runs in both directions before and after'),
+        ),
+    ),
+    EffectKind(
+        name='higher_order_drag',
+        title='drag beyond the square of the speed',
+        equation='w = coefficient v^3',
+        parameters={'coefficient': Parameter('N/kN/(m/s)^3', -1.0, 1.0, search=(0.0, 0.01))},
+        amplitude='coefficient',
+        typical_size=0.0001,
+        resistance=lambda p, _, at: p['coefficient'] * at.speed**3,
+        linear=True,
+        needs='runs over the full speed range, preferably coasting',
+        twins=(
+            Twin('starting_resistance', 'runs at low and at maximum speed'),
+            Twin('tunnel_drag', 'equally fast runs inside and outside tunnels'),
+        ),
+    ),
+    EffectKind(
+        name='local_drag',
+        title='additional drag in one section',
+        equation='w = permille between start and end, in both directions',
+        parameters={
+            'start': Parameter('m'),
+            'end': Parameter('m'),
+            'permille': Parameter('per mille', search=(0.0, 50.0)),
+        },
+        amplitude='permille',
+        typical_size=3.0,
+        resistance=lambda p, _, at: p['permille'] * share_inside(at, p['start'], p['end']),
+        linear=True,
+        needs='runs through the section and beyond it',
+        twins=(
+            Twin('gradient_error', 'runs through the section in both directions: a drag keeps its sign'),
+            Twin('curve_resistance', 'runs through other curves: a local drag is not visible there'),
+            Twin('tunnel_drag', 'runs through the section at clearly different speeds, and through other tunnels'),
+        ),
+    ),
+    EffectKind(
+        name='map_shift',
+        title='map read at a wrong position',
+        equation='w = i(s - distance) - i(s): the reported gradient is early by distance',
+        parameters={'distance': Parameter('m', -1000.0, 1000.0)},
+        amplitude='distance',
+        typical_size=60.0,
+        resistance=lambda p, _, at: at.gradient_ahead(-p['distance']) - at.gradient_ahead(0.0),
+        origin='sensor',
+        needs='runs over changes of gradient in both directions',
+        twins=(
+            Twin('gradient_error', 'runs over other changes of gradient'),
+            Twin('stamp_skew', 'coasting over changes of gradient, and sharp changes of traction on level track'),
+        ),
+    ),
+    EffectKind(
+        name='mass_error',
+        title='wrong mass',
+        equation='w = (T + B) (1 - 1 / ratio), ratio = true over assumed mass',
+        parameters={'ratio': Parameter('', 0.2, 5.0)},
+        amplitude='ratio',
+        typical_size=0.08,
+        neutral=1.0,
+        resistance=lambda p, _, at: (at.traction + at.brake) * (1.0 - 1.0 / p['ratio']),
+        needs='high traction and steep gradients, or braking with a known brake rate',
+        twins=(
+            Twin(
+                'traction_scale',
+                'runs over steep gradients or braking, or weighing the train: mass also scales the brake',
+            ),
+            Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
+            Twin('brake_scale', 'runs with high traction: a brake error is not visible there'),
+        ),
+    ),
+    EffectKind(
+        name='resistance_step',
+        title='step change of the resistance',
+        equation='w = a from time on',
+        parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
+        amplitude='a',
+        typical_size=0.6,
+        resistance=lambda p, _, at: p['a'] if at.time_s >= p['time'] else 0.0,
+        linear=True,
+        needs='runs over the same line before and after the step',
+        twins=(
+            Twin('bearing_warmup', 'data from the start of the day: the warm-up effect decays with distance'),
+            Twin('headwind', 'runs in both directions before and after the step'),
+        ),
+    ),
+    EffectKind(
+        name='stamp_skew',
+        title='late force stamps',
+        equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
+        parameters={'delay': Parameter('s', -1.5, 1.5)},
+        amplitude='delay',
+        typical_size=0.15,
+        resistance=_stamp_skew,
+        origin='sensor',
+        on_records=True,
+        needs='sharp changes of traction',
+        twins=(
+            Twin('traction_scale', 'long steady traction, and sharp changes of traction'),
+            Twin('map_shift', 'sharp changes of traction on level track'),
+        ),
+    ),
+    EffectKind(
+        name='starting_resistance',
+        title='additional resistance at low speed',
+        equation='w = value exp(-v / speed)',
+        parameters={
+            'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
+            'speed': Parameter('m/s', 1e-6, 1e3, search=(0.5, 8.0), grid='log'),
+        },
+        amplitude='value',
+        typical_size=2.0,
+        resistance=lambda p, _, at: p['value'] * math.exp(-at.speed / p['speed']),
+        linear=True,
+        needs='running at low speed, not only starts with full traction',
+        twins=(
+            Twin('dragging_brake', 'coasting at low speed long after the brake was released'),
+            Twin('mass_error', 'running at low speed with low traction'),
+            Twin('bearing_warmup', 'starts late in the day, with warm bearings'),
+        ),
+    ),
+    EffectKind(
+        name='traction_scale',
+        title='wrong gain of the traction force',
+        equation='w = -(ratio - 1) T, ratio = true over reported traction',
+        parameters={'ratio': Parameter('', 0.2, 5.0)},
+        amplitude='ratio',
+        typical_size=0.08,
+        neutral=1.0,
+        resistance=lambda p, _, at: -(p['ratio'] - 1.0) * at.traction,
+        linear=True,
+        origin='sensor',
+        needs='high and low traction, and coasting',
+        twins=(
+            Twin(
+                'mass_error',
+                'runs over steep gradients or braking, or weighing the train: the gain does not affect braking',
+            ),
+            Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
+            Twin('stamp_skew', 'long steady traction: a skew is visible only while the force changes'),
+        ),
+    ),
+    EffectKind(
+        name='tunnel_drag',
+        title='air drag in tunnels',
+        equation='w = (factor - 1) c v^2 in tunnels',
+        parameters={'factor': Parameter('', 0.0, 20.0, search=(1.0, 10.0))},
+        amplitude='factor',
+        typical_size=0.6,
+        neutral=1.0,
+        resistance=lambda p, davis, at: (p['factor'] - 1.0) * davis.c * at.speed * at.speed if at.tunnel else 0.0,
+        linear=True,
+        needs='fast runs inside and outside tunnels, with the tunnel flag set',
+        twins=(
+            Twin('headwind', 'runs through the tunnels in both directions'),
+            Twin('local_drag', 'runs through one tunnel at clearly different speeds, and through other tunnels'),
+            Twin('higher_order_drag', 'equally fast runs inside and outside tunnels'),
+        ),
+    ),
+    EffectKind(
+        name='wheel_diameter',
+        title='wrong wheel diameter of the odometer',
+        equation='v measured = ratio v, s measured = ratio s between stops',
+        parameters={'ratio': Parameter('', 0.2, 5.0)},
+        amplitude='ratio',
+        typical_size=0.02,
+        resistance=_wheel_diameter,
+        neutral=1.0,
+        linear=True,
+        origin='sensor',
+        on_records=True,
+        needs='positions between stops with a known distance',
+        twins=(
+            Twin('traction_scale', 'comparison of the distance between two stops with the line data'),
+            Twin('mass_error', 'comparison of the distance between two stops with the line data'),
+            Twin('brake_scale', 'comparison of the distance between two stops with the line data'),
+        ),
+    ),
+    EffectKind(
+        name='wheel_slip',
+        title='slip and slide of the speed-sensing wheel',
+        equation='v measured = v + bursts of up to speed, for share of the time',
+        parameters={'share': Parameter('', 0.0, 0.5), 'speed': Parameter('m/s', 0.0, 10.0, search=(0.3, 5.0))},
+        amplitude='share',
+        typical_size=0.02,
+        origin='sensor',
+        on_records=True,
+        needs='traction and braking at the limit of adhesion',
+        twins=(Twin('stamp_skew', 'long steady traction: slip occurs in bursts'),),
     ),
 )
-
-
-WHEEL_SLIP: Final = EffectKind(
-    name='wheel_slip',
-    title='slip and slide of the speed-sensing wheel',
-    equation='v measured = v + bursts of up to speed, for share of the time',
-    parameters={'share': Parameter('', 0.0, 0.5), 'speed': Parameter('m/s', 0.0, 10.0, search=(0.3, 5.0))},
-    amplitude='share',
-    typical_size=0.02,
-    origin='sensor',
-    on_records=True,
-    needs='traction and braking at the limit of adhesion',
-    twins=(Twin('stamp_skew', 'long steady traction: slip occurs in bursts'),),
-)
+"""All of them, by name."""

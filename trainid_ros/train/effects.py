@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects beyond Davis resistance and gradient: name, equation, parameters, similar effects.
+"""The library of effects beyond Davis resistance and gradient; those of a train file, checked and bound to evaluate.
 
 Every effect is expressed as an *equivalent extra resistance* in the specific balance with the assumed mass,
 ``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g0``, where T is the reported traction and B the braking
 force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
 
 A new effect is one EffectKind in :mod:`effect_terms`, or one file that defines ``EFFECT`` in a folder listed in
-TRAINID_EFFECTS. Those of a train file are parsed, checked and bound for evaluation here.
+TRAINID_EFFECTS.
 """
 
 from __future__ import annotations
@@ -17,39 +17,21 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Final
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train import effect_terms
 from trainid_ros.train.effect_kinds import EffectKind, Parameter, Parameters, Resistance, Twin
+from trainid_ros.train.effect_terms import KINDS
 from trainid_ros.train.fields import did_you_mean
-from trainid_ros.train.forces import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
+from trainid_ros.train.forces import BRAKE_APPLIED, TrackPoint, heat_after
 from trainid_ros.train.train_file import Davis, Effect
 
 __all__ = [
-    'BRAKE_APPLIED',
-    'COOLING_S',
-    'EFFECTS',
-    'FOLDERS_VARIABLE',
-    'Davis',
-    'EffectKind',
-    'Parameter',
-    'Parameters',
-    'Resistance',
-    'Term',
-    'TrackPoint',
-    'Twin',
-    'check_effects',
-    'effect_value',
-    'heat_after',
-    'parse_effects',
-    'resistance_terms',
-    'share_inside',
-]
-
+    'BRAKE_APPLIED', 'EFFECTS', 'FOLDERS_VARIABLE', 'Davis', 'EffectKind', 'Parameter', 'Parameters', 'Resistance',
+    'Term', 'TrackPoint', 'Twin', 'check_effects', 'effect_value', 'heat_after', 'parse_effects', 'resistance_terms',
+]  # fmt: skip
 
 FOLDERS_VARIABLE: Final = 'TRAINID_EFFECTS'
 """Environment variable listing folders of user effects, separated as in PATH; each ``*.py`` defines ``EFFECT``."""
@@ -74,8 +56,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
 
 @lru_cache(maxsize=8)
 def _kinds(folders: str) -> Mapping[str, EffectKind]:
-    built_in = (kind for kind in vars(effect_terms).values() if isinstance(kind, EffectKind))
-    found = {kind.name: kind for kind in sorted(built_in, key=attrgetter('name'))}
+    found = {kind.name: kind for kind in KINDS}
     for path in _user_files(folders):
         kind = _user_kind(path)
         if kind.name in found:
@@ -94,13 +75,6 @@ def _user_files(folders: str) -> list[Path]:
 
 
 def _user_kind(path: Path) -> EffectKind:
-    kind = getattr(_load(path), 'EFFECT', None)
-    if not isinstance(kind, EffectKind):
-        raise InputError(f'{path}: must define EFFECT = EffectKind(...), see trainid_ros.train.effects')
-    return kind
-
-
-def _load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f'trainid_user_effect_{path.stem}', path)
     if spec is None or spec.loader is None:
         raise InputError(f'{path}: is not a Python module')
@@ -108,9 +82,11 @@ def _load(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        # Any exception raised by a user's file is reported as a file that cannot be loaded.
         raise InputError(f'{path}: cannot be loaded: {type(error).__name__}: {error}') from error
-    return module
+    kind = getattr(module, 'EFFECT', None)
+    if not isinstance(kind, EffectKind):
+        raise InputError(f'{path}: must define EFFECT = EffectKind(...), see trainid_ros.train.effects')
+    return kind
 
 
 Term = Callable[[Davis, TrackPoint], float]
@@ -197,7 +173,7 @@ def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
 
 
 def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
-    """Parse and check effects.
+    """Parse and check effects ``NAME:key=value``.
 
     Consecutive texts with the same name add parameters to one effect; a repeated key starts another one.
 

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, isfinite
 from pathlib import Path
 from stat import S_ISREG
 from typing import Final, NoReturn
@@ -37,7 +38,10 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A mapping in a YAML document, with its file and dotted path for error messages."""
+    """A mapping in a YAML document, with its file and dotted path for error messages.
+
+    All methods raise InputError for a value that is missing without a default or not of the kind asked for.
+    """
 
     source: str
     path: str
@@ -53,11 +57,7 @@ class Section:
         raise InputError(f'{self.source}: {self.name(key)} {problem}')
 
     def only(self, known: Iterable[str]) -> Section:
-        """Return this section; reject unknown keys.
-
-        Raises:
-            InputError: A key is unknown.
-        """
+        """Return this section; raise InputError for an unknown key."""
         allowed = set(known)
         for key in self.data:
             if key not in allowed:
@@ -74,45 +74,35 @@ class Section:
         return as_section(self.source, self.name(key), value)
 
     def number(
-        self,
-        key: str,
-        unit: str,
-        default: float | None = None,
-        *,
-        low: float = -math.inf,
-        above: float = -math.inf,
-        high: float = math.inf,
+        self, key: str, unit: str, default: float | None = None, *, low: float = -inf, high: float = inf
     ) -> float:
-        """Return a finite number with ``low <= x <= high`` and ``x > above``.
-
-        Raises:
-            InputError: The value is missing without a default, not a number, not finite or out of range.
-        """
+        """Return a finite number with ``low <= x <= high``."""
         if key not in self.data:
             if default is None:
                 self.fail(key, 'is missing')
             return default
         value = finite_number(self.source, self.name(key), self.data[key], unit)
-        self.check(key, value, unit, low=low, above=above, high=high)
+        self.check(key, value, unit, low=low, high=high)
         return value
 
     def check(
-        self,
-        key: str,
-        value: float,
-        unit: str,
-        *,
-        low: float = -math.inf,
-        above: float = -math.inf,
-        high: float = math.inf,
+        self, key: str, value: float, unit: str, *, low: float = -inf, above: float = -inf, high: float = inf
     ) -> None:
         """Raise InputError unless ``low <= x <= high`` and ``x > above``."""
+        found = f'= {value:g} {unit}'.rstrip()
         if value <= above:
-            self.fail(key, _out_of_range(value, unit, f'> {above:g}'))
+            self.fail(key, f'{found} must be > {above:g}')
         if value < low:
-            self.fail(key, _out_of_range(value, unit, f'>= {low:g}'))
+            self.fail(key, f'{found} must be >= {low:g}')
         if value > high:
-            self.fail(key, _out_of_range(value, unit, f'<= {high:g}'))
+            self.fail(key, f'{found} must be <= {high:g}')
+
+    def check_rising(self, name: str, values: Iterable[float], unit: str, rule: str = 'above', *, what: str) -> None:
+        """Raise InputError unless values increase; ``name`` is that of each, with {} for its place."""
+        for place, (before, after) in enumerate(pairwise(values), start=1):
+            if after <= before:
+                problem = f'= {after:g} {unit} must be {rule} {before:g} {unit}: {what} must increase'
+                self.fail(name.format(place), problem)
 
     def integer(self, key: str, default: int, *, low: int, high: int) -> int:
         """Return an integer from ``low`` to ``high``."""
@@ -135,11 +125,7 @@ class Section:
         return value
 
     def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
-        """Return one of several words.
-
-        Raises:
-            InputError: The value is another one, or missing without a default.
-        """
+        """Return one of several words."""
         value = self.text(key, default)
         if value not in known:
             self.fail(key, f'= {shown(value)} must be {" or ".join(known)}')
@@ -184,28 +170,20 @@ class Section:
 
 
 def finite_number(source: str, name: str, value: object, unit: str) -> float:
-    """Return a value as a float.
-
-    Raises:
-        InputError: The value is not a number (a boolean does not count as one) or not finite.
-    """
+    """Return a value as a float; raise InputError if it is not a number (as a boolean is not), or not finite."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}')
+        raise InputError(f'{source}: {name} = {shown(value)} must be a number{f" in {unit}" if unit else ""}')
     try:
         number = float(value)
     except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
+        number = inf
+    if not isfinite(number):
         raise InputError(f'{source}: {name} = {number:g} must be finite')
     return number
 
 
 def as_section(source: str, path: str, value: object) -> Section:
-    """Return a value as a section.
-
-    Raises:
-        InputError: The value is not a mapping with string keys.
-    """
+    """Return a value as a section; raise InputError if it is not a mapping with string keys."""
     where = f'{source}: {path}' if path else source
     if value is None:
         raise InputError(f'{where} is empty, but must be a mapping of fields')
@@ -218,11 +196,7 @@ def as_section(source: str, path: str, value: object) -> Section:
 
 
 def read_text(path: str | Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """Return the text of a file; raise InputError if it cannot be read."""
     try:
         file = Path(path)
         if not (S_ISREG(file.stat().st_mode) or file.is_dir()):  # a pipe or a device may have no end
@@ -248,12 +222,3 @@ def parse_yaml(text: str, source: str) -> Section:
     from trainid_ros.train.strict_yaml import load  # noqa: PLC0415
 
     return as_section(source, '', load(text, source))
-
-
-def _out_of_range(value: float, unit: str, rule: str) -> str:
-    shown_unit = f' {unit}' if unit else ''
-    return f'= {value:g}{shown_unit} must be {rule}'
-
-
-def _in_unit(unit: str) -> str:
-    return f' in {unit}' if unit else ''

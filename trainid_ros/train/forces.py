@@ -5,12 +5,8 @@
 ``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the
 rotating mass as a share of the mass [1].
 
-Brake actuator with exact dead time and exact first-order lag, used by simulator and estimators.
-
-The actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
+The brake actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
 response over each piece is known in closed form: no Pade approximation and no step-size error.
-
-What the forces of effects depend on: position and motion of the train at one time, and the heat in its brake.
 """
 
 from __future__ import annotations
@@ -153,15 +149,9 @@ class CommandHistory:
 def actuator_response(
     commands: CommandHistory, start_ns: int, end_ns: int, initial: float, *, delay_ns: int, time_constant: float
 ) -> tuple[float, float]:
-    """Return the output [m/s^2] at the end of (start, end], and its integral over it [m/s].
+    """Return the output [m/s^2] at the end of (start, end] [ns], and its integral over it [m/s].
 
-    Args:
-        commands: History of the command.
-        start_ns: Start of the interval [ns].
-        end_ns: Its end [ns].
-        initial: Output at the start [m/s^2].
-        delay_ns: Dead time [ns].
-        time_constant: Time constant of the lag [s].
+    ``initial`` is the output at the start [m/s^2], ``time_constant`` that of the lag [s].
     """
     output, integral = initial, 0.0
     for duration, target in commands.segments(start_ns - delay_ns, end_ns - delay_ns):
@@ -263,11 +253,7 @@ class TrackPoint:
 def heat_after(heat: float, brake: float, speed: float, duration: float) -> float:
     """Return the heat in a brake [J/kg] after braking at constant acceleration: the solution of h' = -brake v - h / T.
 
-    Args:
-        heat: Heat before [J/kg].
-        brake: Acceleration by the assumed brake [m/s^2, <= 0].
-        speed: Mean speed [m/s].
-        duration: Time [s].
+    ``brake`` is the acceleration by the assumed brake [m/s^2, <= 0], ``speed`` the mean speed [m/s].
     """
     decay = math.exp(-duration / COOLING_S)
     return heat * decay - brake * speed * COOLING_S * (1.0 - decay)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,37 +30,27 @@ class LineProfile:
         length: Length of the train [m].
         first: Where the line begins [m]: the lower one of first stop and first gradient, less the length of the train.
         last: Where it ends [m]. A line without stops has no ends.
+
+    Raises:
+        InputError: The length is not positive.
     """
 
     def __init__(self, line: Line, train_length: float) -> None:
-        """Prepare the line for a train.
-
-        Args:
-            line: Line of a train file.
-            train_length: Length of the train [m, > 0].
-
-        Raises:
-            InputError: The length is not positive.
-        """
         if not train_length > 0.0:
             raise InputError(f'train length = {train_length:g} m must be > 0')
-        self.line = line
-        self.length = train_length
+        self.line, self.length = line, train_length
         self._gradient = _Steps(line.gradient)
         self._curvature = _Steps(tuple((x, 1.0 / r if r > 0.0 else 0.0) for x, r in line.curve))
-        edges = tuple((x, inside) for start, end in line.tunnel for x, inside in ((start, 1.0), (end, 0.0)))
-        self._tunnel = _Steps(((edges[0][0] - 1.0, 0.0), *_merge(edges)) if edges else ())
+        # Of two edges at one position the later one applies: adjacent tunnels are joined.
+        edges = dict(edge for start, end in line.tunnel for edge in ((start, 1.0), (end, 0.0)))
+        self._tunnel = _Steps(((line.tunnel[0][0] - 1.0, 0.0), *edges.items()) if edges else ())
         ends = (*line.stops, *(x for x, _ in line.gradient)) if line.stops else (-math.inf, math.inf)
         self.first, self.last = min(ends) - train_length, max(ends) + train_length
         self._limit_from = [x for x, _ in line.speed_limit]
         self._limit = [v for _, v in line.speed_limit]
 
     def gradient(self, position: float, direction: int) -> float:
-        """Return the mean gradient under the train [per mille, + uphill in its direction].
-
-        It is the height difference from rear to front over the length: exact for a gradient that changes
-        under the train, in either direction.
-        """
+        """Return the mean gradient under the train [per mille, + uphill in its direction]: its height difference."""
         rear = position - direction * self.length
         return (self._gradient.integral(position) - self._gradient.integral(rear)) / self.length
 
@@ -78,9 +68,7 @@ class LineProfile:
 
     def tunnel(self, position: float, direction: int) -> bool:
         """Return whether at least half of the train is in a tunnel."""
-        if self._tunnel.always_zero:
-            return False
-        return self._mean(self._tunnel, position, direction) >= 0.5
+        return not self._tunnel.always_zero and self._mean(self._tunnel, position, direction) >= 0.5
 
     def speed_limit(self, position: float, direction: int) -> float:
         """Return the lowest speed limit under the train [m/s], infinite if there is none."""
@@ -94,18 +82,13 @@ class LineProfile:
     def limits_ahead(self, position: float, direction: int, distance: float) -> Pairs:
         """Return the speed limits that begin within a distance ahead: (distance [m], limit [m/s])."""
         starts, limits = self._limit_from, self._limit
-        out = []
         if direction > 0:
-            for i in range(bisect_right(starts, position), len(starts)):
-                if starts[i] - position > distance:
-                    break
-                out.append((starts[i] - position, limits[i]))
+            places = range(bisect_right(starts, position), len(starts))
+            ahead = ((starts[i] - position, limits[i]) for i in places)
         else:
-            for i in range(bisect_left(starts, position) - 1, 0, -1):
-                if position - starts[i] > distance:
-                    break
-                out.append((position - starts[i], limits[i - 1]))
-        return tuple(out)
+            places = range(bisect_left(starts, position) - 1, 0, -1)
+            ahead = ((position - starts[i], limits[i - 1]) for i in places)
+        return tuple(takewhile(lambda limit: limit[0] <= distance, ahead))
 
     def next_stop(self, position: float, direction: int) -> float | None:
         """Return the position of the next stop [m], None beyond the last one."""
@@ -144,8 +127,3 @@ class _Steps:
         i = np.maximum(0, np.searchsorted(knots, x, side='right') - 1)
         result: NDArray[np.float64] = np.array(self._sum)[i] + np.array(self._value)[i] * (x - knots[i])
         return result
-
-
-def _merge(edges: Pairs) -> Pairs:
-    """Join adjacent tunnels: of two edges at one position the later one applies."""
-    return tuple(dict(edges).items())

@@ -11,6 +11,7 @@ import math
 from bisect import bisect_right
 from dataclasses import MISSING, dataclass, field, fields
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,14 @@ from trainid_ros.train.fields import Section, as_section, parse_yaml, read_text,
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
-_MIN_SPEED = 0.1
-"""Below this speed, the power limits the traction as at it [m/s]."""
 MIN_RATE, MAX_RATE = 0.01, 10.0
 """A brake rate outside this range is a unit error [1]."""
 _CARS = 6
 """Number of cars of a train without a stated number, as that of Yizhuang Line."""
 _MAX_ROWS = 100
 """Maximum number of rows of the brake rate: the time of an answer of the client grows with them."""
-_MIN_DELAY, _MIN_LAG = 0.67, 0.25
-"""Added in quadrature to dead time and lag, because the relative error of short ones is larger [s]."""
-_MAX_SPEED, _MAX_GRADIENT, _MIN_RADIUS, _MAX_POSITION = 1000.0, 500.0, 1.0, 1e8
-"""Values beyond are unit errors: speed [m/s], gradient [per mille], radius of a curve [m], position [m]."""
+_MAX_SPEED, _MAX_POSITION = 1000.0, 1e8
+"""Values beyond are unit errors: speed [m/s], position [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +47,8 @@ class Train:
     force_std: float = setting(0.02, 'std of the relative error of the force', '1', 0.0, 0.5)
 
     def traction_limit(self, speed: float) -> float:
-        """Return the largest traction [N] at a speed [m/s]."""
-        return min(self.max_traction_force, self.max_traction_power / max(speed, _MIN_SPEED))
+        """Return the largest traction [N] at a speed [m/s]; below 0.1 m/s, the power limits it as at 0.1 m/s."""
+        return min(self.max_traction_force, self.max_traction_power / max(speed, 0.1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +77,7 @@ class Brake:
         table = self.rate_table
         if not table:
             return 1.0
-        above = bisect_right(table, speed, key=_first)
+        above = bisect_right(table, speed, key=itemgetter(0))
         if above == 0:
             return table[0][1]
         if above == len(table):
@@ -94,11 +91,8 @@ class Brake:
 
     @property
     def timing_stds(self) -> tuple[float, float]:
-        """Standard deviations of the errors of dead time and lag [s]."""
-        return (
-            self.timing_std * math.hypot(self.delay, _MIN_DELAY),
-            self.timing_std * math.hypot(self.time_constant, _MIN_LAG),
-        )
+        """Standard deviations of the errors of dead time and lag [s]; relative errors of short times are larger."""
+        return self.timing_std * math.hypot(self.delay, 0.67), self.timing_std * math.hypot(self.time_constant, 0.25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,29 +138,38 @@ def load_train_file(path: str | Path) -> TrainFile:
 
 
 def parse_train_file(text: str, source: str) -> TrainFile:
-    """Read a train file from its text; ``source`` is the name shown in errors.
-
-    Raises:
-        InputError: A field is invalid.
-    """
+    """Read a train file from its text; ``source`` is the name shown in the InputError of an invalid field."""
     top = parse_yaml(text, source).only(_names(TrainFile))
     return TrainFile(
         train=_train(top.section('train', required=True)),
-        resistance=_davis(top.section('resistance', required=True)),
+        resistance=Davis(**_numbers(top.section('resistance', required=True).only(_names(Davis)), Davis)),
         brake=_brake(top.section('brake')),
         line=_line(top.section('line')),
-        effects=_effects(top),
+        effects=tuple(
+            _effect(as_section(source, f'effects[{i}]', item)) for i, item in enumerate(top.items('effects'))
+        ),
     )
 
 
 def dump_train_file(train_file: TrainFile) -> str:
     """Return a train file as YAML text that reads back as exactly the same values."""
+    brake = _plain(train_file.brake)
+    if brake.pop('rate_table'):
+        brake['rate'] = [[float(v), train_file.brake.rate * rate] for v, rate in train_file.brake.rate_table]
     document = {
         'train': _plain(train_file.train),
         'resistance': _plain(train_file.resistance),
-        'brake': _plain_brake(train_file.brake),
+        'brake': brake,
         'line': _plain(train_file.line),
-        'effects': [_plain_effect(effect) for effect in train_file.effects],
+        'effects': [
+            {
+                'name': effect.name,
+                'parameters': plain_numbers(effect.parameters),
+                'std': plain_numbers(effect.std),
+                'provenance': effect.provenance,
+            }
+            for effect in train_file.effects
+        ],
     }
     import yaml  # noqa: PLC0415 (slow to load)
 
@@ -175,27 +178,17 @@ def dump_train_file(train_file: TrainFile) -> str:
 
 def _numbers(section: Section, kind: type[Any], *others: str) -> dict[str, Any]:
     """Return the numbers of a section whose ranges are stated on the fields of a class, but for some others."""
-    stated_fields = [(item, info) for item in fields(kind) if (info := setting_info(item)) and item.name not in others]
-    return {
-        item.name: section.number(
-            item.name,
-            '' if info.unit == '1' else info.unit,
-            None if item.default is MISSING else item.default,
-            low=info.low,
-            high=info.high,
-        )
-        for item, info in stated_fields
-    }
+    numbers = {}
+    for item in fields(kind):
+        if (info := setting_info(item)) and item.name not in others:
+            unit, default = '' if info.unit == '1' else info.unit, None if item.default is MISSING else item.default
+            numbers[item.name] = section.number(item.name, unit, default, low=info.low, high=info.high)
+    return numbers
 
 
 def _train(section: Section) -> Train:
     section.only(_names(Train))
     return Train(**_numbers(section, Train), cars=section.integer('cars', _CARS, low=1, high=1000))
-
-
-def _davis(section: Section) -> Davis:
-    section.only(_names(Davis))
-    return Davis(**_numbers(section, Davis))
 
 
 def _brake(section: Section) -> Brake:
@@ -218,19 +211,17 @@ def _rate_table(section: Section) -> Pairs:
         section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MAX_SPEED)
         if not MIN_RATE <= rate <= MAX_RATE:
             section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{MIN_RATE:g}, {MAX_RATE:g}]')
-    for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
-        if after <= before:
-            section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds must increase')
+    section.check_rising('rate[{}][0]', (speed for speed, _ in rows), 'm/s', what='speeds')
     return tuple((speed, rate) for speed, rate in rows)
 
 
 def _line(section: Section) -> Line:
     section.only(_names(Line))
     stops = section.numbers('stops', 'm')
-    _check_rising(section, 'stops', stops)
+    _check_positions(section, 'stops', stops)
     return Line(
         stops=stops,
-        gradient=_profile(section, 'gradient', 'per mille', low=-_MAX_GRADIENT, high=_MAX_GRADIENT),
+        gradient=_profile(section, 'gradient', 'per mille', low=-500.0, high=500.0),
         curve=_curves(section),
         tunnel=_tunnels(section),
         speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MAX_SPEED),
@@ -240,7 +231,7 @@ def _line(section: Section) -> Line:
 
 def _profile(section: Section, key: str, unit: str, *, low: float = -math.inf, **limits: float) -> Pairs:
     rows = section.rows(key, ('m', unit))
-    _check_rising(section, key, tuple(row[0] for row in rows))
+    _check_positions(section, key, tuple(row[0] for row in rows))
     for i, (_, value) in enumerate(rows):
         section.check(f'{key}[{i}][1]', value, unit, low=low, **limits)
     return tuple((position, value) for position, value in rows)
@@ -250,7 +241,7 @@ def _curves(section: Section) -> Pairs:
     curves = _profile(section, 'curve', 'm radius', low=0.0, high=1e9)
     for i, (_, radius) in enumerate(curves):
         if radius:
-            section.check(f'curve[{i}][1]', radius, 'm radius', low=_MIN_RADIUS)
+            section.check(f'curve[{i}][1]', radius, 'm radius', low=1.0)
     return curves
 
 
@@ -267,18 +258,10 @@ def _tunnels(section: Section) -> Pairs:
     return tuple((start, end) for start, end in rows)
 
 
-def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> None:
+def _check_positions(section: Section, key: str, positions: tuple[float, ...]) -> None:
     for i, position in enumerate(positions):
         section.check(f'{key}[{i}]', position, 'm', low=-_MAX_POSITION, high=_MAX_POSITION)
-    for i, (before, after) in enumerate(pairwise(positions)):
-        if after <= before:
-            problem = f'= {after:g} m must be above {before:g} m: positions must increase'
-            section.fail(f'{key}[{i + 1}]', problem)
-
-
-def _effects(top: Section) -> tuple[Effect, ...]:
-    items = enumerate(top.items('effects'))
-    return tuple(_effect(as_section(top.source, f'effects[{i}]', item)) for i, item in items)
+    section.check_rising(f'{key}[{{}}]', positions, 'm', what='positions')
 
 
 def _effect(section: Section) -> Effect:
@@ -300,17 +283,7 @@ def _names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(item.name for item in fields(kind))
 
 
-def _plain_brake(brake: Brake) -> dict[str, object]:
-    rate = [[float(speed), brake.rate * rate] for speed, rate in brake.rate_table] or float(brake.rate)
-    times = {'time_constant': float(brake.time_constant), 'delay': float(brake.delay)}
-    return {'rate': rate, **times, 'timing_std': float(brake.timing_std)}
-
-
-def _first(row: tuple[float, float]) -> float:
-    return row[0]
-
-
-def _plain(section: Train | Davis | Line) -> dict[str, object]:
+def _plain(section: Train | Davis | Brake | Line) -> dict[str, object]:
     return {item.name: _lists(getattr(section, item.name)) for item in fields(section)}
 
 
@@ -321,10 +294,6 @@ def _lists(value: Any) -> object:
     return value if isinstance(value, int) else float(value)
 
 
-def _plain_effect(effect: Effect) -> dict[str, object]:
-    return {
-        'name': effect.name,
-        'parameters': {key: float(value) for key, value in effect.parameters},
-        'std': {key: float(value) for key, value in effect.std},
-        'provenance': effect.provenance,
-    }
+def plain_numbers(values: NamedValues) -> dict[str, float]:
+    """Return named values as a mapping of numbers of Python."""
+    return {key: float(value) for key, value in values}
