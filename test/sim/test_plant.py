@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.interface.errors import InputError
 from trainid_ros.sim.plant import MAX_DELAY_S, STEP_NS, DelayLine, Driver, DriverModel, Gust, GustModel, Phase, Plant
 from trainid_ros.sim.scenario import ar1_path
 from trainid_ros.train.forces import G, required_force, specific_force, specific_inertia
@@ -29,7 +28,13 @@ def plant(file: TrainFile = FILE, *, speed: float = 0.0, jerk: float = 1e9) -> P
 
 
 def effects(name: str, **parameters: float) -> TrainFile:
-    return replace(FILE, effects=(Effect(name, tuple(parameters.items())),))
+    return replace(FILE, resistance=NO_RESISTANCE, effects=(Effect(name, tuple(parameters.items())),))
+
+
+def braked(file: TrainFile, speed: float, command: float) -> Plant:
+    train = plant(file, speed=speed)
+    train.command(command)
+    return train
 
 
 def run(train: Plant, seconds: float, traction: float = 0.0) -> None:
@@ -74,8 +79,7 @@ def test_coasting_against_c_follows_the_closed_form() -> None:
 
 
 def test_delay_and_lag_of_the_brake_are_exact() -> None:
-    train = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
-    train.command(-1.0)
+    train = braked(replace(FILE, resistance=NO_RESISTANCE), 20.0, -1.0)
     run(train, 0.6)
     assert train.speed == 20.0
     assert train.brake == 0.0
@@ -88,9 +92,7 @@ def test_delay_and_lag_of_the_brake_are_exact() -> None:
 
 
 def test_a_delay_that_ends_between_two_steps_is_exact() -> None:
-    file = replace(FILE, resistance=NO_RESISTANCE, brake=Brake(1.0, 0.4, 0.607))
-    train = plant(file, speed=20.0)
-    train.command(-1.0)
+    train = braked(replace(FILE, brake=Brake(1.0, 0.4, 0.607)), 20.0, -1.0)
     run(train, 1.6)
     assert train.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
 
@@ -104,13 +106,8 @@ def test_the_work_of_the_traction_becomes_kinetic_energy_without_resistance() ->
 
 
 def test_a_braking_train_stops_and_remains_at_rest() -> None:
-    train = plant(speed=3.0)
-    train.command(-1.0)
-    speeds = []
-    for _ in range(500):
-        train.step(0.0)
-        speeds.append(train.speed)
-    assert min(speeds) == 0.0
+    train = braked(FILE, 3.0, -1.0)
+    run(train, 10.0)
     stopped = train.position
     run(train, 5.0)
     assert (train.speed, train.position) == (0.0, stopped)
@@ -134,13 +131,10 @@ def test_traction_is_jerk_limited() -> None:
 
 @pytest.mark.parametrize(
     ('file', 'expected'),
-    [
-        (effects('mass_error', ratio=1.1), 100e3 / (1.1 * 216e3)),
-        (effects('traction_scale', ratio=0.9), 90e3 / 216e3),
-    ],
+    [(effects('mass_error', ratio=1.1), 100e3 / (1.1 * 216e3)), (effects('traction_scale', ratio=0.9), 90e3 / 216e3)],
 )
 def test_mass_and_traction_ratios_scale_the_acceleration(file: TrainFile, expected: float) -> None:
-    train = plant(replace(file, resistance=NO_RESISTANCE))
+    train = plant(file)
     run(train, 1.0, 100e3)
     assert train.acceleration == pytest.approx(expected, rel=1e-9)
     assert train.reported_force == pytest.approx(100e3)
@@ -149,7 +143,7 @@ def test_mass_and_traction_ratios_scale_the_acceleration(file: TrainFile, expect
 def test_brake_delay_delays_the_braking_but_not_the_reported_force() -> None:
     """The reported force is that of the assumed brake, so it is the same as without the effect."""
     nominal = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
-    late = plant(replace(effects('brake_delay', extra=0.4), resistance=NO_RESISTANCE), speed=20.0)
+    late = plant(effects('brake_delay', extra=0.4), speed=20.0)
     for train in (nominal, late):
         train.command(-1.0)
         run(train, 1.0)
@@ -162,24 +156,14 @@ def test_brake_delay_delays_the_braking_but_not_the_reported_force() -> None:
     run(late, 0.4)
     # The same braking 0.4 s later.
     assert late.speed == pytest.approx(before, abs=1e-12)
-    run(nominal, 2.0)
-    before = nominal.speed
-    run(late, 2.0)
-    assert late.speed == pytest.approx(before, abs=1e-12)
-
-
-def test_brake_scale_multiplies_the_braking() -> None:
-    train = plant(replace(effects('brake_scale', ratio=0.8), resistance=NO_RESISTANCE), speed=20.0)
-    train.command(-1.0)
-    run(train, 8.0)
-    assert train.acceleration == pytest.approx(-0.9 * 0.8, rel=1e-6)
-    assert train.reported_force == pytest.approx(-216e3, rel=1e-6)
+    for train in (nominal, late):
+        run(train, 2.0)
+    assert late.speed == pytest.approx(nominal.speed, abs=1e-12)
 
 
 def test_a_shifted_map_reports_a_hill_too_early() -> None:
     line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (1000.0, 20.0)))
-    file = replace(effects('map_shift', distance=50.0), resistance=NO_RESISTANCE, line=line)
-    train = plant(file, speed=20.0)
+    train = plant(replace(effects('map_shift', distance=50.0), line=line), speed=20.0)
     train.position = 1040.0
     run(train, 0.1)
     assert train.speed == 20.0
@@ -189,16 +173,14 @@ def test_a_shifted_map_reports_a_hill_too_early() -> None:
 
 
 def test_a_hot_brake_fades_by_its_loss() -> None:
-    train = plant(replace(effects('brake_fade', loss=0.3, energy=50.0), resistance=NO_RESISTANCE), speed=22.0)
-    train.command(-1.0)
+    train = braked(effects('brake_fade', loss=0.3, energy=50.0), 22.0, -1.0)
     run(train, 14.0)
     # 22 m/s is 242 J/kg; most of it is in the brake by now, so the fade has reached its full 30 %.
     assert train.acceleration == pytest.approx(-0.9 * 0.7, rel=1e-6)
 
 
 def test_a_released_brake_drags_for_its_time() -> None:
-    train = plant(replace(effects('dragging_brake', permille=3.0, time=5.0), resistance=NO_RESISTANCE), speed=20.0)
-    train.command(-0.5)
+    train = braked(effects('dragging_brake', permille=3.0, time=5.0), 20.0, -0.5)
     run(train, 2.0)
     train.command(0.0)
     run(train, 4.0)
@@ -207,21 +189,15 @@ def test_a_released_brake_drags_for_its_time() -> None:
     assert train.acceleration == pytest.approx(0.0, abs=1e-6)
 
 
-def test_an_unknown_effect_is_named() -> None:
-    with pytest.raises(InputError, match='effect sun_spots is not known'):
-        plant(effects('sun_spots', size=3.0))
-
-
 def test_time_advances_in_integer_nanoseconds() -> None:
     train = plant()
     run(train, 1.0)
-    assert train.now_ns == 10**9 + 50 * STEP_NS
+    assert train.now_ns == 2 * 10**9
 
 
 def test_the_brake_follows_its_table_over_speed() -> None:
     table = ((0.0, 1.1), (20.0, 0.9))
-    train = plant(replace(FILE, resistance=NO_RESISTANCE, brake=Brake(0.9, 0.4, 0.6, table)), speed=18.0)
-    train.command(-0.5)
+    train = braked(replace(FILE, resistance=NO_RESISTANCE, brake=Brake(0.9, 0.4, 0.6, table)), 18.0, -0.5)
     run(train, 8.0)
     before = train.speed
     train.step(0.0)
@@ -259,11 +235,6 @@ def test_map_error_path_has_its_std_and_correlation() -> None:
     # Correlation 0.95 leaves about 2600 independent values: 1.4 % on the std, so 6 % is 4 sigma.
     assert path.std() == pytest.approx(0.5, rel=0.06)
     assert float(np.corrcoef(path[:-1], path[1:])[0, 1]) == pytest.approx(0.95, abs=0.005)
-
-
-def test_a_setting_out_of_range_is_rejected() -> None:
-    with pytest.raises(InputError, match='time_constant = 0 s'):
-        Gust(GustModel(time_constant=0.0), 0.2, np.random.default_rng(0))
 
 
 DRIVEN = TrainFile(Train(200e3), Davis(1.5, 0.03, 0.004), Brake(), Line(stops=(0.0, 2000.0)))
@@ -306,11 +277,6 @@ def test_braking_starts_on_the_curve_before_the_stop() -> None:
     # Braking from 15 m/s at 0.65 m/s^2 takes 173 m, plus 15 m for dead time and lag.
     assert phase_at(200.0) is Phase.POWER
     assert phase_at(180.0) is Phase.BRAKE
-
-
-def test_a_driver_setting_out_of_range_is_rejected() -> None:
-    with pytest.raises(InputError, match='jerk = 0 '):
-        driver(jerk=0.0)
 
 
 @pytest.mark.parametrize(('window', 'phase'), [(1.0, Phase.POWER), (4.0, Phase.DWELL)])

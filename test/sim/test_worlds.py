@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from test.sim.test_scenario import EXACT, balance, of
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.sim.plant import GustModel
@@ -28,28 +28,20 @@ from trainid_ros.sim.worlds import (
     usual_duration,
     world_train,
 )
-from trainid_ros.train.effects import effect_value
-from trainid_ros.train.forces import (
-    BrakeCommandChange,
-    CommandHistory,
-    davis,
-    lag_response,
-    specific_force,
-    specific_inertia,
-)
-from trainid_ros.train.train_file import Brake, TrainFile, dump_train_file
+from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange
+from trainid_ros.train.train_file import Brake
 
 STOP_ERROR_M = {'freight': 4.5}
 
 
 def field_day(name: str, runs: int, seed: int) -> Simulation:
+    """Simulate a day with all unknowns on which the train makes its stops."""
     world, rng = WORLDS[name], np.random.default_rng(seed)
     case = make_case(world, world_train(world), UNKNOWNS, runs, rng.spawn(1)[0])
-    return simulate(case.scenario, rng)
-
-
-def stop_error(simulation: Simulation) -> float:
-    return max(abs(arrival.error) for arrival in simulation.arrivals)
+    simulation = simulate(case.scenario, rng)
+    assert len(simulation.arrivals) == runs
+    assert max(abs(arrival.error) for arrival in simulation.arrivals) < STOP_ERROR_M.get(name, 2.0)
+    return simulation
 
 
 def test_there_are_five_worlds() -> None:
@@ -86,12 +78,9 @@ def test_usual_duration_includes_the_way_back() -> None:
     assert usual_duration(world, (), 4) == 0.0
 
 
-@pytest.mark.parametrize('name', ['tram', 'freight'])
-def test_the_trains_hardest_to_drive_stop_at_stations(name: str) -> None:
-    runs = {'tram': 2, 'freight': 1}[name]
-    simulation = field_day(name, runs, seed=1)
-    assert len(simulation.arrivals) == runs
-    assert stop_error(simulation) < STOP_ERROR_M.get(name, 2.0)
+@pytest.mark.parametrize(('name', 'runs'), [('tram', 2), ('freight', 1)])
+def test_the_trains_hardest_to_drive_stop_at_stations(name: str, runs: int) -> None:
+    field_day(name, runs, seed=1)
 
 
 def test_a_clean_world_is_its_train_file_driven_by_its_driver() -> None:
@@ -110,14 +99,11 @@ def test_days_are_completed_from_stop_to_stop(name: str, seed: int) -> None:
     stops = world_train(world).line.stops
     runs = {'metro': 6, 'emu': 4, 'high_speed': 2, 'freight': 2, 'tram': 15}[name]
     simulation = field_day(name, runs, seed)
-    assert len(simulation.arrivals) == runs
-    assert stop_error(simulation) < STOP_ERROR_M.get(name, 2.0)
     assert simulation.duration_s == pytest.approx(usual_duration(world, stops, runs), rel=0.2)
     # All changes happen within the day, regardless of its length.
     assert len(simulation.truth.resistance) in (2, 3)
     assert len(simulation.truth.brake_rate) in (2, 3)
-    fastest = max(r.speed for r in simulation.records if isinstance(r, SpeedRecord))
-    assert fastest > 0.6 * world_train(world).train.max_speed
+    assert max(record.speed for record in of(SpeedRecord, simulation)) > 0.6 * world_train(world).train.max_speed
 
 
 TRAM = WORLDS['tram']
@@ -131,51 +117,10 @@ def case_of(names: Collection[str], seed: int = 1, runs: int = 2) -> Case:
 
 def noiseless(case: Case) -> Simulation:
     """Simulate a case with only the errors of its unknowns: no noise, no gusts."""
-    sensors = replace(
-        case.scenario.sensors,
-        speed_noise=0.0,
-        speed_quantum=0.0,
-        force_noise=0.0,
-        force_noise_relative=0.0,
-        position_drift=0.0,
-        mass_noise=0.0,
-        stamp_jitter=0.0,
-    )
-    return simulate(replace(case.scenario, sensors=sensors, gust=GustModel(std=0.0)), np.random.default_rng(2))
-
-
-class Balance(NamedTuple):
-    """Residual of the specific balance with traction and curvature, shapes (n,)."""
-
-    residual: Floats
-    traction: Floats
-    curvature: Floats
-
-
-def balance(simulation: Simulation, stated: TrainFile) -> Balance:
-    """Evaluate the specific balance with the stated train file, without braking and at steady force."""
-    speeds = [r for r in simulation.records if isinstance(r, SpeedRecord)]
-    forces = [r for r in simulation.records if isinstance(r, ForceRecord)]
-    tracks = [r for r in simulation.records if isinstance(r, GradientRecord)]
-    brakes = [r for r in simulation.records if isinstance(r, BrakeRecord)]
-    masses = [r.mass for r in simulation.records if isinstance(r, MassRecord)]
-    coefficient = effect_value(stated.effects, 'curve_resistance', 'coefficient', 0.0)
-    rows, idle = [], 0
-    for i in range(1, len(speeds) - 1):
-        idle = 0 if brakes[i].target_acceleration < 0.0 else idle + 1
-        force, mass = forces[i].force, masses[i // 5]
-        if idle < 20 or abs(forces[i + 1].force - forces[i - 1].force) > 500.0 or speeds[i - 1].speed < 2.0:
-            continue
-        a = (speeds[i + 1].speed - speeds[i - 1].speed) / 0.4
-        curvature = 1.0 / tracks[i].curve_radius if tracks[i].curve_radius > 0.0 else 0.0
-        known = davis(stated.resistance, speeds[i].speed) + tracks[i].gradient + coefficient * curvature
-        residual = specific_force(force, mass) - specific_inertia(a, stated.train.rotary_mass) - known
-        rows.append((residual, specific_force(force, mass), curvature))
-    return Balance(*np.array(rows).T)
-
-
-def slope(residual: Floats, against: Floats) -> float:
-    return float(np.polyfit(against, residual, 1)[0])
+    drawn = case.scenario.sensors
+    errors = {key: getattr(drawn, key) for key in ('wheel_ratio', 'map_error', 'map_error_length', 'force_delay')}
+    quiet = replace(case.scenario, sensors=replace(EXACT, **errors), gust=GustModel(std=0.0))
+    return simulate(quiet, np.random.default_rng(2))
 
 
 @pytest.fixture(scope='module')
@@ -196,50 +141,37 @@ def test_clean_is_exact(clean: Simulation) -> None:
     assert case.scenario.changes == ()
 
 
-def test_clean_changes_only_the_stated_standard_deviations() -> None:
-    stated = case_of(()).stated
-    assert (stated.train.mass_std, stated.train.force_std, stated.line.gradient_std) == (0.002, 0.0, 0.0)
-    assert stated.brake.timing_std == 0.01
-    assert all(dict(effect.std) == {'coefficient': 0.0} for effect in stated.effects)
-    effects = tuple(replace(effect, std=()) for effect in stated.effects)
-    assert replace(stated, train=FILE.train, brake=FILE.brake, line=FILE.line, effects=effects) == FILE
+@pytest.mark.parametrize(
+    ('unknown', 'key', 'place', 'error', 'least', 'tolerance'),
+    [
+        ('mass', 'mass_ratio', 1, lambda ratio: 1.0 - 1.0 / ratio, 0.005, 0.002),  # of the traction
+        ('force_gain', 'force_ratio', 1, lambda ratio: 1.0 - ratio, 0.005, 0.002),
+        ('curve', 'curve_coefficient', 2, lambda coefficient: coefficient - 400.0, 10.0, 12.0),  # of the curvature
+    ],
+)
+def test_a_wrong_value_gives_a_residual_in_proportion(
+    unknown: str, key: str, place: int, error: Callable[[float], float], least: float, tolerance: float
+) -> None:
+    case = case_of([unknown])
+    found, expected = balance(noiseless(case), case.stated), error(dict(case.true_values)[key])
+    assert abs(expected) > least
+    assert np.polyfit(found[place], found.residual, 1)[0] == pytest.approx(expected, abs=tolerance)
 
 
-def test_a_wrong_mass_gives_a_residual_proportional_to_traction(clean: Simulation) -> None:
+def test_the_stated_standard_deviations_are_those_of_the_errors(clean: Simulation) -> None:
     case = case_of(['mass'])
-    ratio = dict(case.true_values)['mass_ratio']
-    found = balance(noiseless(case), case.stated)
-    assert abs(ratio - 1.0) > 0.005
-    assert slope(found.residual, found.traction) == pytest.approx(1.0 - 1.0 / ratio, abs=0.002)
     assert 0.02 <= case.stated.train.mass_std <= 0.05
+    assert 0.01 <= case_of(['force_gain']).stated.train.force_std <= 0.03
+    assert dict(case_of(['curve']).stated.effects[0].std) == {'coefficient': 80.0}
     # The weighed and reported mass remains the stated one.
-    weighed = [[r.mass for r in s.records if isinstance(r, MassRecord)] for s in (noiseless(case), clean)]
-    assert weighed[0][:100] == weighed[1][:100]
-
-
-def test_a_wrong_force_gain_gives_a_residual_proportional_to_traction() -> None:
-    case = case_of(['force_gain'])
-    ratio = dict(case.true_values)['force_ratio']
-    found = balance(noiseless(case), case.stated)
-    assert abs(ratio - 1.0) > 0.005
-    assert slope(found.residual, found.traction) == pytest.approx(1.0 - ratio, abs=0.002)
-    assert 0.01 <= case.stated.train.force_std <= 0.03
-
-
-def test_a_wrong_curve_coefficient_gives_a_residual_proportional_to_curvature() -> None:
-    case = case_of(['curve'])
-    wrong = dict(case.true_values)['curve_coefficient'] - 400.0
-    found = balance(noiseless(case), case.stated)
-    assert abs(wrong) > 10.0
-    assert slope(found.residual, found.curvature) == pytest.approx(wrong, abs=12.0)
-    assert dict(case.stated.effects[0].std) == {'coefficient': 80.0}
+    weighed = [[record.mass for record in of(MassRecord, day)][:100] for day in (noiseless(case), clean)]
+    assert weighed[0] == weighed[1]
 
 
 def test_late_force_has_later_stamps_and_the_same_values(clean: Simulation) -> None:
     case = case_of(['force_delay'])
     delay_ns = round(dict(case.true_values)['force_delay'] * NS_PER_S)
-    here = [r for r in noiseless(case).records if isinstance(r, ForceRecord)]
-    there = [r for r in clean.records if isinstance(r, ForceRecord)]
+    here, there = of(ForceRecord, noiseless(case)), of(ForceRecord, clean)
     assert [r.force for r in here] == [r.force for r in there]
     assert {a.stamp_ns - b.stamp_ns for a, b in zip(here, there, strict=True)} == {delay_ns}
     assert 0 < delay_ns <= 300_000_000
@@ -248,16 +180,15 @@ def test_late_force_has_later_stamps_and_the_same_values(clean: Simulation) -> N
 def test_a_wrong_wheel_diameter_scales_the_measured_speed(clean: Simulation) -> None:
     case = case_of(['wheels'])
     ratio = dict(case.true_values)['wheel_ratio']
-    here = np.array([r.speed for r in noiseless(case).records if isinstance(r, SpeedRecord)])
-    there = np.array([r.speed for r in clean.records if isinstance(r, SpeedRecord)])
+    here, there = (np.array([r.speed for r in of(SpeedRecord, s)]) for s in (noiseless(case), clean))
     assert 0.0 < abs(ratio - 1.0) <= 0.005
     np.testing.assert_allclose(here, ratio * there, rtol=1e-12)
 
 
 def test_the_map_error_has_the_stated_standard_deviation(clean: Simulation) -> None:
     case = case_of(['map'])
-    here, there = ([r.gradient for r in s.records if isinstance(r, GradientRecord)] for s in (noiseless(case), clean))
-    error = np.array(here) - np.array(there)
+    here, there = (np.array([r.gradient for r in of(GradientRecord, s)]) for s in (noiseless(case), clean))
+    error = here - there
     std = dict(case.true_values)['map_std']
     assert case.stated.line.gradient_std == std
     # 850 m contain only a few independent errors.
@@ -277,27 +208,25 @@ def test_gusts_have_the_true_parameters() -> None:
 def test_speeds_are_multiples_of_the_quantum() -> None:
     case = case_of(['quantum'], runs=1)
     quantum = dict(case.true_values)['speed_quantum']
-    records = simulate(case.scenario, np.random.default_rng(2)).records
-    speeds = np.array([r.speed for r in records if isinstance(r, SpeedRecord)]) / quantum
+    records = of(SpeedRecord, simulate(case.scenario, np.random.default_rng(2)))
+    speeds = np.array([record.speed for record in records]) / quantum
     assert 0.1 <= 3.6 * quantum <= 0.5
     np.testing.assert_allclose(speeds, np.round(speeds), atol=1e-9)
 
 
 def reported_brake(simulation: Simulation, brake: Brake) -> tuple[Floats, Floats]:
     """Return the braking force over the inertia, as reported and as computed from the commands [m/s^2]."""
-    commands, pairs, output, last_ns, mass = CommandHistory(), [], 0.0, simulation.truth.start_ns, 0.0
-    delay_ns = round(brake.delay * NS_PER_S)
+    actuator, pairs, last_ns, mass = BrakeActuator(brake), [], simulation.truth.start_ns, 0.0
     for record in simulation.records:
         if isinstance(record, BrakeRecord):
-            commands.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
+            actuator.commands.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
         elif isinstance(record, MassRecord):
             mass = record.mass
         elif isinstance(record, ForceRecord):
-            for duration, target in commands.segments(last_ns - delay_ns, record.stamp_ns - delay_ns):
-                output = lag_response(output, target, brake.time_constant, duration)
+            actuator.advance(last_ns, record.stamp_ns)
             last_ns = record.stamp_ns
             if record.force < 0.0:
-                pairs.append((record.force / mass / (1.0 + FILE.train.rotary_mass), output))
+                pairs.append((record.force / mass / (1.0 + FILE.train.rotary_mass), actuator.output))
     reported, computed = np.array(pairs).T
     return reported, computed
 
@@ -344,11 +273,7 @@ def test_an_unknown_has_the_same_value_alone_and_among_all() -> None:
     assert field != draw_unknowns(UNKNOWNS, np.random.default_rng(4))
     assert draw_unknowns(['wheels'], np.random.default_rng(3)) == Unknowns(wheel_ratio=field.wheel_ratio)
     assert draw_unknowns((), np.random.default_rng(3)) == Unknowns()
-
-
-@pytest.mark.parametrize('name', UNKNOWNS)
-def test_each_unknown_changes_something(name: str) -> None:
-    assert draw_unknowns([name], np.random.default_rng(3)) != Unknowns()
+    assert all(draw_unknowns([name], np.random.default_rng(3)) != Unknowns() for name in UNKNOWNS)
 
 
 def test_errors_have_the_stated_standard_deviation() -> None:
@@ -359,12 +284,19 @@ def test_errors_have_the_stated_standard_deviation() -> None:
         assert np.abs(scores).max() < 3.0 + 1e-9
 
 
-def test_the_stated_file_differs_from_the_given_one_only_in_standard_deviations() -> None:
-    stated = case_of(UNKNOWNS).stated
+@pytest.mark.parametrize('names', [(), UNKNOWNS])
+def test_the_stated_file_differs_from_the_given_one_only_in_standard_deviations(names: tuple[str, ...]) -> None:
+    stated = case_of(names).stated
     effects = tuple(replace(effect, std=()) for effect in stated.effects)
     assert replace(stated, train=FILE.train, brake=FILE.brake, line=FILE.line, effects=effects) == FILE
-    assert case_of(UNKNOWNS).scenario.stated == stated
-    assert 'mass_std' in dump_train_file(stated)
+    assert case_of(names).scenario.stated == stated
+
+
+def test_a_clean_train_file_states_no_uncertainty_but_that_of_each_weighing() -> None:
+    stated = case_of(()).stated
+    assert (stated.train.mass_std, stated.train.force_std, stated.line.gradient_std) == (0.002, 0.0, 0.0)
+    assert stated.brake.timing_std == 0.01
+    assert all(dict(effect.std) == {'coefficient': 0.0} for effect in stated.effects)
 
 
 def test_each_realism_has_its_unknowns() -> None:

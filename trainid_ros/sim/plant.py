@@ -19,6 +19,7 @@ from bisect import bisect_right
 from copy import copy
 from dataclasses import dataclass
 from enum import Enum
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -44,7 +45,12 @@ STEP_NS: Final = 20_000_000
 
 
 class Plant:
-    """Simulated train; its public attributes are the true state.
+    """Simulated train, at rest at the first stop of the line; its public attributes are the true state.
+
+    ``jerk`` is the maximum rate of change of the traction, as jerk [m/s^3].
+
+    Raises:
+        InputError: An effect is unknown or has invalid parameters.
 
     Attributes:
         now_ns: Time of the state [ns].
@@ -63,17 +69,6 @@ class Plant:
     """
 
     def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
-        """Start at rest at the first stop of the line.
-
-        Args:
-            train_file: The true train.
-            profile: The true line profile for this train.
-            start_ns: Start time [ns].
-            jerk: Maximum rate of change of the traction, as jerk [m/s^3].
-
-        Raises:
-            InputError: An effect is unknown or has invalid parameters.
-        """
         self.profile = profile
         self.now_ns = start_ns
         self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
@@ -83,10 +78,7 @@ class Plant:
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
         self.gust = self.distance_run = self.heat = self.work = 0.0
-        self._train, self._rate_shape = train_file.train, train_file.brake.shape_at
-        self._jerk = jerk
-        self._start_ns = start_ns
-        self._brake = train_file.brake
+        self._train, self._brake, self._jerk, self._start_ns = train_file.train, train_file.brake, jerk, start_ns
         self._actuator = BrakeActuator(self._brake)
         self._terms = resistance_terms(train_file.effects)
         self._tractions, self._brakes = DelayLine(), DelayLine()
@@ -186,10 +178,10 @@ class Plant:
         return 0.5 * (before + self.traction)
 
     def _brake_acceleration(self, dt_ns: int) -> float:
-        """Advance the actuator under its delayed command; return the mean brake acceleration [m/s^2]."""
+        """Advance the actuator; return the mean brake acceleration [m/s^2]."""
         change, dt = self._actuator.advance(self.now_ns, self.now_ns + dt_ns), dt_ns / NS_PER_S
         self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
-        return self.brake_rate * self._rate_shape(self.speed) * change / dt
+        return self.brake_rate * self._brake.shape_at(self.speed) * change / dt
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,19 +193,13 @@ class GustModel:
 
 
 class Gust:
-    """Gust resistance, sampled in equal time steps; ``value`` is the current one [N/kN]."""
+    """Gust resistance in time steps ``dt`` [s], stationary from the start; ``value`` is the current one [N/kN].
+
+    Raises:
+        InputError: A setting is out of range.
+    """
 
     def __init__(self, model: GustModel, dt: float, rng: np.random.Generator) -> None:
-        """Start from the stationary distribution.
-
-        Args:
-            model: Standard deviation and correlation time.
-            dt: Time step [s].
-            rng: Random generator; the process takes ownership.
-
-        Raises:
-            InputError: A setting is out of range.
-        """
         check_settings(model)
         self._rho = math.exp(-dt / model.time_constant)
         self._noise_std = model.std * math.sqrt(1.0 - self._rho**2)
@@ -247,10 +233,10 @@ class DelayLine:
         """Append a value; stamps [ns] must increase."""
         self._stamps.append(stamp_ns)
         self._values.append(value)
-        oldest_ns = stamp_ns - round(MAX_DELAY_S * NS_PER_S)
+        length_ns = round(MAX_DELAY_S * NS_PER_S)
         # Old values are deleted in batches, which is cheaper than one by one.
-        if self._stamps[0] < oldest_ns - round(MAX_DELAY_S * NS_PER_S):
-            count = bisect_right(self._stamps, oldest_ns) - 1
+        if self._stamps[0] < stamp_ns - 2 * length_ns:
+            count = bisect_right(self._stamps, stamp_ns - length_ns) - 1
             del self._stamps[:count], self._values[:count]
 
     def before(self, seconds: float) -> float:
@@ -267,14 +253,6 @@ class DelayLine:
 
 TICK_S: Final = 0.2
 """Time between two decisions of the driver [s]."""
-_LINEAR_M: Final = 1.0
-"""Distance from the stop within which the speed falls in proportion to it [m]."""
-_BRAKE_EXCESS: Final = -0.3
-"""Speed over the allowed one from which the driver brakes [m/s]."""
-_RELEASE_EXCESS: Final = -0.8
-"""Speed over the allowed one below which the driver releases the brake [m/s]."""
-_MAX_GAIN: Final = 1.0
-"""Maximum gain of the regulator times dead time and lag of the brake [1]: more would swing."""
 
 
 class Phase(Enum):
@@ -326,38 +304,28 @@ class StopEvent:
 
 
 class Driver:
-    """Driver with a period of ``TICK_S``; ``phase``, ``stop`` and ``arrivals`` show its progress."""
+    """Driver with a period of ``TICK_S``; ``phase``, ``stop`` and ``arrivals`` show its progress.
+
+    It starts with a dwell at the first stop, and takes the brake of the train file as nominal.
+
+    Raises:
+        InputError: A setting is out of range.
+    """
 
     def __init__(
         self, model: DriverModel, train_file: TrainFile, profile: LineProfile, rng: np.random.Generator
     ) -> None:
-        """Start with a dwell at the first stop.
-
-        Args:
-            model: Parameters of the driver.
-            train_file: The train; its brake is taken as nominal.
-            profile: Line profile for this train.
-            rng: Random generator for dwell and coasting; the driver takes ownership.
-
-        Raises:
-            InputError: A setting is out of range.
-        """
         check_settings(model)
         self.phase = Phase.DWELL
         self.arrivals: list[StopEvent] = []
         self.stop = math.nan
-        self._model = model
-        self._file = train_file
-        self._profile = profile
-        self._rng = rng
+        self._model, self._file, self._profile, self._rng = model, train_file, profile, rng
         self._lead = train_file.brake.delay + train_file.brake.time_constant
-        # Share of the gains that a slow brake allows.
-        self._share = min(1.0, _MAX_GAIN / max(model.brake_gain * self._lead, _MAX_GAIN))
+        # Share of the gains that a slow brake allows: a gain times dead time and lag of more than 1 would swing.
+        self._share = 1.0 / max(model.brake_gain * self._lead, 1.0)
         self._depart_s = 0.5 * self._draw(model.dwell_low, model.dwell_high)
         self._brake = -model.holding
-        self._cruise_left_s = 0.0
-        self._coasting_s = 0.0
-        self._integral = 0.0
+        self._cruise_left_s = self._coasting_s = self._integral = 0.0
         self._rolling = False
 
     def observe(self, _record: Record) -> None:
@@ -412,25 +380,25 @@ class Driver:
             if curve < lowest:
                 lowest, slope = curve, model.deceleration
         left = (self.stop - train.position) * train.direction - run
-        curve, steepness = self._stop_curve(left)
-        return (curve, steepness) if curve < lowest else (lowest, slope)
+        return min((lowest, slope), self._stop_curve(left), key=itemgetter(0))
 
     def _stop_curve(self, left: float) -> tuple[float, float]:
         b = self._model.deceleration
-        if left > _LINEAR_M:
+        if left > 1.0:
             return math.sqrt(2.0 * b * left), b
         # The square root has infinite slope at the stop: the last metre follows a straight line.
-        slope = math.sqrt(2.0 * b / _LINEAR_M)
+        slope = math.sqrt(2.0 * b)
         speed = slope * max(0.0, left)
         return speed, slope * speed
 
     def _choose_phase(self, train: Plant, allowed: float, excess: float) -> None:
         model = self._model
-        if excess > _BRAKE_EXCESS:
+        # Brakes from 0.3 m/s below the allowed speed on, down to 0.8 m/s below it.
+        if excess > -0.3:
             if self.phase is not Phase.BRAKE:
                 self._integral = 0.0
             self.phase = Phase.BRAKE
-        elif self.phase is Phase.BRAKE and excess < _RELEASE_EXCESS:
+        elif self.phase is Phase.BRAKE and excess < -0.8:
             self.phase = Phase.POWER if train.speed < 0.5 else Phase.COAST
             self._coasting_s = 0.0
         elif self.phase is Phase.POWER and train.speed > allowed - model.speed_margin - 0.7:

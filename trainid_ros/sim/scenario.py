@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from operator import attrgetter
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -38,12 +39,8 @@ MAP_STEP_M: Final = 10.0
 """Distance between two values of the map error [m]."""
 MAX_JITTER_NS: Final = 4_000_000
 """Maximum error of a stamp [ns]: topics keep their order, since they are measured a step of 20 ms apart."""
-_SLIP_DURATION_S: Final = (0.6, 2.0)
-"""Range of the duration of a slip or slide [s]."""
 _MIN_ADHESION: Final = 10.0
 """Minimum adhesion, 1 % of the weight: a wheel that transmits less force does not slip [N/kN]."""
-_MAX_SLIP_SHARE: Final = 0.9
-"""Maximum share of slip in the time with a force above the lowest adhesion [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,32 +64,22 @@ class SensorModel:
 
 
 class Sensors:
-    """Turn true values into records; a lost message is None."""
+    """Turn true values into records; a lost message is None.
+
+    ``dt`` is the time between two speed measurements [s], ``extent`` are the ends of the line [m].
+
+    Raises:
+        InputError: A setting is out of range.
+    """
 
     def __init__(self, model: SensorModel, dt: float, extent: tuple[float, float], rng: np.random.Generator) -> None:
-        """Draw the errors that are constant during the simulation.
-
-        Args:
-            model: Errors of the sensors.
-            dt: Time between two speed measurements [s].
-            extent: Lowest and highest position of the line [m].
-            rng: Random generator; the sensors take ownership.
-
-        Raises:
-            InputError: A setting is out of range.
-        """
         check_settings(model)
-        self.model = model
-        self._dt = dt
-        self._rng = rng
-        self._map_start = extent[0]
+        self.model, self._dt, self._rng, self._map_start = model, dt, rng, extent[0]
         count = max(2, math.ceil((extent[1] - extent[0]) / MAP_STEP_M) + 1)
         rho = math.exp(-MAP_STEP_M / model.map_error_length)
         self._map: list[float] = ar1_path(count, model.map_error, rho, rng).tolist()
-        self._position_error = 0.0
-        self._last_position = math.nan
-        self._slip = 0.0
-        self._slip_left_s = 0.0
+        self._position_error, self._last_position = 0.0, math.nan
+        self._slip = self._slip_left_s = 0.0
         self._running_count = self._forced_count = 0
 
     def speed(self, stamp_ns: int, speed: float, position: float, force_per_weight: float) -> SpeedRecord | None:
@@ -112,7 +99,8 @@ class Sensors:
             self._position_error += (model.wheel_ratio - 1.0) * moved
             self._position_error += model.position_drift * math.sqrt(self._dt) * drift
             slip = self._slip_speed(force_per_weight) if model.slip_share > 0.0 else 0.0
-            measured = max(0.0, quantise(model.wheel_ratio * speed + slip + model.speed_noise * noise, model))
+            measured, quantum = model.wheel_ratio * speed + slip + model.speed_noise * noise, model.speed_quantum
+            measured = max(0.0, round(measured / quantum) * quantum if quantum > 0.0 else measured)
         stamp = self._stamp(stamp_ns)
         if self._lost():
             return None
@@ -157,7 +145,7 @@ class Sensors:
 
     def _slip_speed(self, force_per_weight: float) -> float:
         """Return the speed error of the wheel [m/s]: > 0 for slip in traction, < 0 for slide in braking, else 0."""
-        low, high = _SLIP_DURATION_S
+        low, high = 0.6, 2.0  # duration of a burst [s]
         self._slip_left_s -= self._dt
         self._running_count += 1
         if abs(force_per_weight) < _MIN_ADHESION or force_per_weight * self._slip < 0.0:
@@ -168,7 +156,7 @@ class Sensors:
         if self._slip_left_s <= 0.0:
             self._slip = 0.0
             # The share refers to the entire running time, so it is larger in the time with force.
-            share = min(_MAX_SLIP_SHARE, self.model.slip_share * self._running_count / self._forced_count)
+            share = min(0.9, self.model.slip_share * self._running_count / self._forced_count)
             # Bursts end at a sample, on average half a sample late.
             starts = share / (1.0 - share) * self._dt / (0.5 * (low + high + self._dt))
             if float(self._rng.random()) < starts:
@@ -185,22 +173,12 @@ class Sensors:
         return float(self._rng.random()) < self.model.dropout
 
 
-def quantise(speed: float, model: SensorModel) -> float:
-    """Round a speed [m/s] to the resolution of the sensor."""
-    quantum = model.speed_quantum
-    return round(speed / quantum) * quantum if quantum > 0.0 else speed
-
-
 def ar1_path(count: int, std: float, rho: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return a stationary AR(1) sequence, shape (count,), with correlation rho between adjacent values."""
-    noise = rng.standard_normal(count)
-    path = np.empty(count)
-    value = float(noise[0])
+    first, *rest = rng.standard_normal(count).tolist()
     noise_std = math.sqrt(1.0 - rho * rho)
-    for i in range(count):
-        value = value if i == 0 else rho * value + noise_std * float(noise[i])
-        path[i] = std * value
-    return path
+    path = accumulate(rest, lambda value, noise: rho * value + noise_std * noise, initial=first)
+    return std * np.array(list(path))
 
 
 DEFAULT_START_NS: Final = 1_700_000_000 * NS_PER_S
@@ -209,10 +187,6 @@ TICK_NS: Final = round(TICK_S * NS_PER_S)
 """Time between two messages of a topic [ns]."""
 MAX_RUN_S: Final = 3600.0
 """Maximum duration of a run from stop to stop [s]: what takes longer cannot be driven."""
-_MASS_TICKS: Final = 5
-"""Ticks between two masses."""
-_GRADIENT_STEP, _FORCE_STEP, _SPEED_STEP = 5, 7, 8
-"""Steps after a tick at which each topic is measured: topics have different stamps, as on a train."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,13 +254,8 @@ def simulate(
 ) -> Simulation:
     """Simulate a scenario; the same scenario and generator state give the same records.
 
-    Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not
-    change the driving.
-
-    Args:
-        scenario: What to simulate.
-        rng: Random generator.
-        make_driver: Makes who drives; None for the driver of the scenario.
+    Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not change the driving.
+    ``make_driver`` makes who drives, if it is not the driver of the scenario.
 
     Raises:
         InputError: The scenario cannot be driven; the message names the field.
@@ -311,8 +280,7 @@ def check_scenario(scenario: Scenario) -> None:
         raise InputError('changes: their times must increase')
     for change in scenario.changes:
         if change.brake_rate is not None and not change.brake_rate > 0.0:
-            where = f'at {change.time_s:g} s'
-            raise InputError(f'changes: brake rate = {change.brake_rate:g} {where} must be > 0')
+            raise InputError(f'changes: brake rate = {change.brake_rate:g} at {change.time_s:g} s must be > 0')
     check_effects(scenario.train_file.effects)
 
 
@@ -327,9 +295,8 @@ class _Day:
     ) -> None:
         drive, gust, sense, self._load = rng.spawn(4)
         file = scenario.train_file
-        self._scenario = scenario
-        self._effects = file.effects
-        self._profile = LineProfile(file.line, file.train.length)
+        self._scenario, self._effects, length = scenario, file.effects, file.train.length
+        self._profile = LineProfile(file.line, length)
         self._plant = Plant(file, self._profile, scenario.start_ns, scenario.driver.jerk)
         self._driver: TrainDriver
         if make_driver is None:
@@ -337,7 +304,6 @@ class _Day:
         else:
             self._driver = make_driver(self._plant, drive)
         self._gust = Gust(scenario.gust, TICK_S, gust)
-        length = file.train.length
         extent = (file.line.stops[0] - length, file.line.stops[-1] + length)
         self._sensors = Sensors(self._sensor_model(), TICK_S, extent, sense)
         self._records: list[Record] = []
@@ -350,7 +316,10 @@ class _Day:
             self._rate_ratio *= mass_ratios[1] / mass_ratios[0]
         steps = (dict(e.parameters) for e in self._effects if e.name == 'resistance_step')
         self._steps = tuple((step['time'], step['a']) for step in steps)
-        self._pending = self._all_changes()
+        # The initial values, all changes, and an empty change where an effect changes the true values.
+        first = Change(0.0, file.resistance, file.brake.rate)
+        changes = (first, *scenario.changes, *(Change(time_s) for time_s, _ in self._steps))
+        self._pending = sorted(changes, key=attrgetter('time_s'))
         self._weighed = file.train.mass
         self._departed_s = 0.0
 
@@ -370,8 +339,10 @@ class _Day:
 
     def _is_over(self, time_s: float) -> bool:
         if time_s - self._departed_s > MAX_RUN_S:
-            where = f'stop {self._driver.stop:g} m within {MAX_RUN_S:g} s'
-            raise InputError(f'the train does not reach {where}: check train.max_traction_force, line.gradient')
+            raise InputError(
+                f'the train does not reach stop {self._driver.stop:g} m within {MAX_RUN_S:g} s: '
+                'check train.max_traction_force, line.gradient'
+            )
         done = len(self._driver.arrivals) >= self._scenario.runs
         return done and self._driver.may_depart(time_s)
 
@@ -381,15 +352,16 @@ class _Day:
         decision = self._driver.decide(time_s, plant)
         plant.command(decision.brake)
         self._record(sensors.brake(plant.now_ns, decision.brake))
-        if tick % _MASS_TICKS == 0:
+        if tick % 5 == 0:  # once a second
             self._record(sensors.mass(plant.now_ns, self._weighed))
+        # Topics have different stamps, as on a train: each is measured some steps after the tick.
         for step in range(1, TICK_NS // STEP_NS + 1):
             plant.step(decision.traction)
-            if step == _GRADIENT_STEP:
+            if step == 5:
                 self._record(self._gradient())
-            elif step == _FORCE_STEP:
+            elif step == 7:
                 self._record(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
-            elif step == _SPEED_STEP:
+            elif step == 8:
                 force_per_weight = specific_force(plant.reported_force, plant.mass)
                 self._record(sensors.speed(plant.now_ns, plant.speed, plant.position, force_per_weight))
 
@@ -400,15 +372,10 @@ class _Day:
             self._driver.observe(record)
 
     def _gradient(self) -> Record | None:
-        at, direction = self._plant.position, self._plant.direction
-        return self._sensors.gradient(
-            self._plant.now_ns,
-            self._profile.gradient(at, direction),
-            at,
-            direction,
-            radius=self._profile.curve_radius(at, direction),
-            tunnel=self._profile.tunnel(at, direction),
-        )
+        stamp_ns, at, direction = self._plant.now_ns, self._plant.position, self._plant.direction
+        gradient, radius = self._profile.gradient(at, direction), self._profile.curve_radius(at, direction)
+        tunnel = self._profile.tunnel(at, direction)
+        return self._sensors.gradient(stamp_ns, gradient, at, direction, radius=radius, tunnel=tunnel)
 
     def _depart(self, time_s: float) -> None:
         plant = self._plant
@@ -427,13 +394,6 @@ class _Day:
         load = float(self._load.uniform(0.0, 1.0)) * self._scenario.passengers
         self._plant.mass = self._scenario.train_file.train.mass * (1.0 + load)
         self._weighed = self._sensors.weigh(self._plant.mass)
-
-    def _all_changes(self) -> list[Change]:
-        """Return the initial values, all changes, and an empty change where an effect changes the true values."""
-        file = self._scenario.train_file
-        first = Change(0.0, file.resistance, file.brake.rate)
-        steps = [Change(time_s) for time_s, _ in self._steps]
-        return sorted((first, *self._scenario.changes, *steps), key=attrgetter('time_s'))
 
     def _change(self, time_s: float) -> None:
         """Apply all changes due by now and record the true values."""
@@ -459,10 +419,7 @@ class _Day:
         )
 
 
-_Row = TypeVar('_Row', tuple[float, float], tuple[float, float, float, float])
-
-
-def _append(rows: list[_Row], row: _Row) -> None:
+def _append(rows: list[Any], row: tuple[float, ...]) -> None:
     """Append a row of true values; omit one without a change, replace one with the same time."""
     if rows and rows[-1][1:] == row[1:]:
         return

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -39,43 +40,19 @@ _EMU: Final = DriverModel(
     acceleration=0.8, deceleration=0.6, dwell_low=30.0, dwell_high=60.0, cruise_low=15.0, cruise_high=80.0
 )
 _HIGH_SPEED: Final = DriverModel(
-    acceleration=0.5,
-    deceleration=0.5,
-    max_deceleration=1.0,
-    jerk=0.5,
-    dwell_low=60.0,
-    dwell_high=120.0,
-    cruise_low=30.0,
-    cruise_high=200.0,
-)
+    acceleration=0.5, deceleration=0.5, max_deceleration=1.0, jerk=0.5,
+    dwell_low=60.0, dwell_high=120.0, cruise_low=30.0, cruise_high=200.0,
+)  # fmt: skip
 # A brake with 7 s of dead time and lag allows only low gains and stops less accurately.
 _FREIGHT: Final = DriverModel(
-    acceleration=0.3,
-    deceleration=0.15,
-    max_deceleration=0.6,
-    jerk=0.3,
-    dwell_low=60.0,
-    dwell_high=120.0,
-    cruise_low=40.0,
-    cruise_high=200.0,
-    coast_floor=0.85,
-    holding=0.4,
-    brake_gain=0.15,
-    brake_integral=0.005,
-    stop_window=4.0,
-)
+    acceleration=0.3, deceleration=0.15, max_deceleration=0.6, jerk=0.3,
+    dwell_low=60.0, dwell_high=120.0, cruise_low=40.0, cruise_high=200.0, coast_floor=0.85,
+    holding=0.4, brake_gain=0.15, brake_integral=0.005, stop_window=4.0,
+)  # fmt: skip
 _TRAM: Final = DriverModel(
-    acceleration=1.1,
-    deceleration=0.9,
-    max_deceleration=1.6,
-    jerk=1.2,
-    speed_margin=0.5,
-    dwell_low=15.0,
-    dwell_high=30.0,
-    cruise_low=2.0,
-    cruise_high=12.0,
-    coast_floor=0.75,
-)
+    acceleration=1.1, deceleration=0.9, max_deceleration=1.6, jerk=1.2, speed_margin=0.5,
+    dwell_low=15.0, dwell_high=30.0, cruise_low=2.0, cruise_high=12.0, coast_floor=0.75,
+)  # fmt: skip
 WORLDS: Final[Mapping[str, World]] = MappingProxyType(
     {
         'metro': World('yizhuang', 0.25, DriverModel(), 14.0),
@@ -88,22 +65,14 @@ WORLDS: Final[Mapping[str, World]] = MappingProxyType(
 
 
 def find_world(name: str) -> World:
-    """Return a world by its name.
-
-    Raises:
-        InputError: There is no such world.
-    """
+    """Return a world by its name; raise InputError if there is none."""
     if name not in WORLDS:
         raise InputError(f'world {name!r} is not known; {did_you_mean(name, WORLDS)}')
     return WORLDS[name]
 
 
 def world_train(world: World) -> TrainFile:
-    """Return the train file of a world.
-
-    Raises:
-        InputError: The file is not part of this installation.
-    """
+    """Return the train file of a world; raise InputError if it is not part of this installation."""
     return load_train_file(shared_path(f'config/trains/{world.train}.yaml'))
 
 
@@ -118,29 +87,6 @@ def usual_duration(world: World, stops: tuple[float, ...], runs: int) -> float:
 
 
 _CURVE: Final = 'curve_resistance'
-_CURVE_STD: Final = 0.2
-"""Relative standard deviation of a coefficient of curve resistance [1]."""
-_MAX_STDS: Final = 3.0
-"""Maximum error in standard deviations, so that no ratio is negative."""
-_FIRST_CHANGE, _LAST_CHANGE = 0.15, 0.85
-"""Shares of the day between which changes happen [1], so that there are data before and after."""
-
-
-@dataclass(frozen=True, slots=True)
-class ResistanceChange:
-    """From a share of the day on, the initial resistance with a and c multiplied by these ratios [1]."""
-
-    share: float
-    a: float
-    c: float
-
-
-@dataclass(frozen=True, slots=True)
-class BrakeChange:
-    """From a share of the day on, this brake rate (1 = nominal) [1]."""
-
-    share: float
-    rate: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +111,9 @@ class Unknowns:
     brake_delay_error: float = 0.0  # True minus stated dead time of the brake [s]
     brake_time_ratio: float = 1.0  # True over stated time constant of the brake
     davis_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)  # True over stated a, b, c
-    resistance_changes: tuple[ResistanceChange, ...] = ()  # Changes of the resistance during the day
-    brake_changes: tuple[BrakeChange, ...] = ()  # Changes of the brake rate during the day
+    # Changes during the day: the share of it from which on a and c are multiplied by two ratios, or a brake rate holds
+    resistance_changes: tuple[tuple[float, float, float], ...] = ()
+    brake_changes: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,10 +148,10 @@ def make_case(
     """
     unknowns = draw_unknowns(names, rng)
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
-    for effect in extra:
-        if any(effect.name == other.name for other in true.effects):
+    for name in (effect.name for effect in extra):
+        if any(name == other.name for other in true.effects):
             raise InputError(
-                f'effect {effect.name}: the true train has it already, from its train file or from the unknowns drawn'
+                f'effect {name}: the true train has it already, from its train file or from the unknowns drawn'
             )
     true = replace(true, effects=(*true.effects, *extra))
     scenario = Scenario(
@@ -291,11 +238,11 @@ def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
 
 def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change, ...]:
     changes = [
-        Change(change.share * duration, resistance=replace(start, a=change.a * start.a, c=change.c * start.c))
-        for change in unknowns.resistance_changes
+        Change(share * duration, resistance=replace(start, a=a * start.a, c=c * start.c))
+        for share, a, c in unknowns.resistance_changes
     ]
-    changes += [Change(change.share * duration, brake_rate=change.rate) for change in unknowns.brake_changes]
-    return tuple(sorted(changes, key=lambda change: change.time_s))
+    changes += [Change(share * duration, brake_rate=rate) for share, rate in unknowns.brake_changes]
+    return tuple(sorted(changes, key=attrgetter('time_s')))
 
 
 def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:
@@ -320,28 +267,18 @@ def _curve_coefficient(file: TrainFile) -> float:
     return effect_value(file.effects, _CURVE, 'coefficient', 0.0)
 
 
-def _mass(rng: np.random.Generator) -> dict[str, Any]:
-    std = rng.uniform(0.02, 0.05)
-    return {'mass_std': std, 'mass_ratio': _ratio(std, rng)}
-
-
-def _force_gain(rng: np.random.Generator) -> dict[str, Any]:
-    std = rng.uniform(0.01, 0.03)
-    return {'force_std': std, 'force_ratio': _ratio(std, rng)}
-
-
 def _changes_during_day(rng: np.random.Generator) -> dict[str, Any]:
     resistance = tuple(
-        ResistanceChange(share, 1.0 + _signed_uniform(0.1, 0.3, rng), 1.0 + _signed_uniform(0.05, 0.2, rng))
+        (share, 1.0 + _signed_uniform(0.1, 0.3, rng), 1.0 + _signed_uniform(0.05, 0.2, rng))
         for share in _change_shares(rng)
     )
-    brake = tuple(BrakeChange(share, 1.0 + _signed_uniform(0.05, 0.2, rng)) for share in _change_shares(rng))
+    brake = tuple((share, 1.0 + _signed_uniform(0.05, 0.2, rng)) for share in _change_shares(rng))
     return {'resistance_changes': resistance, 'brake_changes': brake}
 
 
 def _ratio(std: float, rng: np.random.Generator) -> float:
-    error = float(rng.standard_normal())
-    return 1.0 + std * min(_MAX_STDS, max(-_MAX_STDS, error))
+    """Return a ratio whose error is within 3 standard deviations, so that it is not negative."""
+    return 1.0 + std * min(3.0, max(-3.0, float(rng.standard_normal())))
 
 
 def _signed_uniform(low: float, high: float, rng: np.random.Generator) -> float:
@@ -350,17 +287,17 @@ def _signed_uniform(low: float, high: float, rng: np.random.Generator) -> float:
 
 
 def _change_shares(rng: np.random.Generator) -> list[float]:
-    """Return one or two shares of the day in increasing order."""
-    shares: list[float] = rng.uniform(_FIRST_CHANGE, _LAST_CHANGE, rng.integers(1, 3)).tolist()
+    """Return one or two shares of the day in increasing order, so that there are data before and after."""
+    shares: list[float] = rng.uniform(0.15, 0.85, rng.integers(1, 3)).tolist()
     return sorted(shares)
 
 
 _DRAWS: Final[Mapping[str, Callable[[np.random.Generator], dict[str, Any]]]] = MappingProxyType(
     {
-        'mass': _mass,
-        'force_gain': _force_gain,
+        'mass': lambda rng: {'mass_std': (std := rng.uniform(0.02, 0.05)), 'mass_ratio': _ratio(std, rng)},
+        'force_gain': lambda rng: {'force_std': (std := rng.uniform(0.01, 0.03)), 'force_ratio': _ratio(std, rng)},
         'force_delay': lambda rng: {'force_delay': rng.uniform(0.0, 0.3)},
-        'curve': lambda rng: {'curve_std': _CURVE_STD, 'curve_ratio': _ratio(_CURVE_STD, rng)},
+        'curve': lambda rng: {'curve_std': 0.2, 'curve_ratio': _ratio(0.2, rng)},
         'map': lambda rng: {'map_std': rng.uniform(0.1, 0.5), 'map_length': rng.uniform(100.0, 500.0)},
         'wheels': lambda rng: {'wheel_ratio': 1.0 + rng.uniform(-0.005, 0.005)},
         'gusts': lambda rng: {'gust_std': rng.uniform(0.1, 0.4), 'gust_time_constant': rng.uniform(3.0, 12.0)},
