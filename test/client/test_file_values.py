@@ -26,6 +26,7 @@ from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile, l
 
 TRAINS = sorted((Path(__file__).parents[2] / 'config' / 'trains').glob('*.yaml'))
 FILE = TrainFile(Train(mass=200e3), Davis(1.5, 0.02, 0.003))
+TABLE = Brake(rate_table=((2.0, 1.2), (22.0, 0.4)))
 
 
 def values(file: TrainFile) -> FileValues:
@@ -52,24 +53,22 @@ def test_a_resistance_moves_at_most_a_quarter_faster_than_stated_at_any_speed(pa
 
 
 def test_without_effects_the_brake_rate_has_the_rows_of_the_train_file() -> None:
-    table = ((2.0, 1.2), (22.0, 0.4))
-    for brake in (Brake(), Brake(rate_table=table)):
-        shape = values(TrainFile(FILE.train, FILE.resistance, brake)).stop_shape(1)
+    for brake in (Brake(), TABLE):
+        shape = values(replace(FILE, brake=brake)).stop_shape(1)
         assert list(zip(shape.speeds, shape.rates, strict=True)) == list(brake.rate_table)
         assert shape.resistances == []
 
 
 def test_effects_scale_the_rows_of_the_brake_rate() -> None:
     heavy = parse_effects(['mass_error:ratio=1.25'])
-    table = TrainFile(FILE.train, FILE.resistance, Brake(rate_table=((2.0, 1.2), (22.0, 0.4))), effects=heavy)
-    assert values(table).stop_shape(1).rates == pytest.approx([0.96, 0.32])
-    one = values(TrainFile(FILE.train, FILE.resistance, effects=heavy)).stop_shape(-1)
+    assert values(replace(FILE, brake=TABLE, effects=heavy)).stop_shape(1).rates == pytest.approx([0.96, 0.32])
+    one = values(replace(FILE, effects=heavy)).stop_shape(-1)
     assert one.speeds == [0.0]
     assert one.rates == pytest.approx([0.8])
 
 
 def test_a_wind_gives_each_direction_its_resistance() -> None:
-    windy = values(TrainFile(FILE.train, FILE.resistance, effects=parse_effects(['headwind:speed=5'])))
+    windy = values(replace(FILE, effects=parse_effects(['headwind:speed=5'])))
     for direction in (1, -1):
         shape = windy.stop_shape(direction)
         for v in (0.0, 4.125, 20.0, 150.0):
@@ -79,7 +78,7 @@ def test_a_wind_gives_each_direction_its_resistance() -> None:
 STOPS = tuple(1400.0 * k for k in range(6))
 # All runs are in one direction, as a wind cannot be absorbed in both.
 LINE = Line(stops=STOPS, gradient=((0.0, 0.0), (1900.0, 12.0), (2400.0, -8.0), (3600.0, 3.0)), gradient_std=0.1)
-ON_LINE = TrainFile(Train(mass=200e3, rotary_mass=0.08), Davis(1.5, 0.02, 0.003), Brake(), LINE)
+ON_LINE = replace(FILE, line=LINE)
 # Kinds that need more than a speed, as docs/client_reference.md names them, with parameters that would be seen.
 NOT_OF_A_SPEED = (
     'bearing_warmup:value=3,distance=5000',
@@ -152,8 +151,8 @@ def test_stated_effects_give_the_answers_of_estimates_that_absorb_them(effects: 
 
 def test_a_stated_mass_weakens_the_brake_and_raises_the_force() -> None:
     plain, heavy = model(), model('mass_error:ratio=1.2')
-    assert heavy.brake_rate().value == pytest.approx(1.0 / 1.2)
-    assert heavy.brake_rate(10.0).value == pytest.approx(1.0 / 1.2)
+    for speed in (None, 10.0):
+        assert heavy.brake_rate(speed).value == pytest.approx(1.0 / 1.2)
     for wanted in (0.5, -0.5):
         force = plain.feed_forward(10.0, 0.0, wanted).value
         assert heavy.feed_forward(10.0, 0.0, wanted).value == pytest.approx(1.2 * force)
@@ -175,10 +174,8 @@ def test_a_traction_scale_does_not_change_the_brake() -> None:
 def test_a_resistance_over_speed_counts_in_every_answer() -> None:
     plain, windy = model(), model('headwind:speed=10')
     v, extra = 20.0, 0.003 * (30.0**2 - 20.0**2)
-    assert windy.resistance(v).value - plain.resistance(v).value == pytest.approx(extra)
-    assert windy.resistance(v, direction=-1).value - plain.resistance(v).value == pytest.approx(
-        0.003 * (10.0**2 - 20.0**2)
-    )
+    for way, more in ((1, extra), (-1, 0.003 * (10.0**2 - 20.0**2))):
+        assert windy.resistance(v, direction=way).value - plain.resistance(v).value == pytest.approx(more)
     for name, arguments in (('feed_forward', (0.4,)), ('brake_command', (-0.6,))):
         against = getattr(windy, name)(v, 3.0, *arguments)
         assert against.value == pytest.approx(getattr(plain, name)(v, 3.0 + extra, *arguments).value)
@@ -216,11 +213,11 @@ def test_effects_that_leave_no_brake_are_named() -> None:
 
 @pytest.mark.parametrize('text', [*NOT_OF_A_SPEED, *ON_RECORDS])
 def test_an_effect_that_needs_more_than_a_speed_adds_nothing(text: str) -> None:
-    with_it, without = model(text), model()
-    assert with_it.resistance(15.0) == without.resistance(15.0)
-    assert with_it.feed_forward(15.0, 0.0, 0.5) == without.feed_forward(15.0, 0.0, 0.5)
-    assert with_it.brake_rate(15.0) == without.brake_rate(15.0)
-    assert with_it.stopping_distance(15.0) == without.stopping_distance(15.0)
+    with_it, without = (
+        (m.resistance(15.0), m.feed_forward(15.0, 0.0, 0.5), m.brake_rate(15.0), m.stopping_distance(15.0))
+        for m in (model(text), model())
+    )
+    assert with_it == without
 
 
 def test_the_page_names_every_effect() -> None:

@@ -20,8 +20,17 @@ from trainid_ros.client.live_estimate import (
 from trainid_ros.interface.results import Status
 
 FILE = Normal((1.0,), (0.04,))
-LIVE = {'rate': Normal((0.8,), (1e-4,))}
+LEARNED = Normal((0.8,), (1e-4,))
+LIVE = {'rate': LEARNED}
 UNSURE = {'rate': Normal((0.3,), (0.04,))}
+
+
+SUSPECTED = 'CONVERGING, the last valid value as uncertain as that of the train file'
+SILENT = 'train file: no new estimate for more than 0.75 s'
+
+
+def rate(value: float, variance: float = 1e-4) -> dict[str, Normal]:
+    return {'rate': Normal((value,), (variance,))}
 
 
 def estimate(until_s: float = 0.0) -> LiveEstimate:
@@ -35,18 +44,18 @@ def estimate(until_s: float = 0.0) -> LiveEstimate:
 def test_the_train_file_applies_until_an_estimate_comes() -> None:
     new = estimate()
     new.go_on(5.0)
-    assert (new.normal('rate'), new.is_live) == (FILE, False)
-    assert new.reason() == 'train file: no estimate yet'
+    assert new.normal('rate') == FILE
+    assert new.state() == (False, 'train file: no estimate yet')
 
 
 def test_an_estimate_is_approached_and_then_followed() -> None:
     one = estimate(1.0)
     assert 0.8 < one.normal('rate').mean[0] < 1.0
-    assert one.reason() == 'VALID, moving to the live value'
+    assert one.state() == (True, 'VALID, moving to the live value')
     one = estimate(10.0)
-    assert (one.normal('rate'), one.is_live, one.reason()) == (LIVE['rate'], True, 'VALID')
+    assert (one.normal('rate'), one.state()) == (LEARNED, (True, 'VALID'))
     one.take(Status.HOLDING, LIVE, 10.2)
-    assert one.reason() == 'HOLDING'
+    assert one.state() == (True, 'HOLDING')
 
 
 @pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.STALE, Status.FAULT])
@@ -54,7 +63,7 @@ def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Stat
     one = estimate(10.0)
     one.take(status, LIVE, 10.2)
     assert not one.is_live
-    assert one.reason().startswith(f'train file: {status.name}, ')
+    assert one.state()[1].startswith(f'train file: {status.name}, ')
     one.go_on(10.2 + FALL_BACK_S)
     assert one.normal('rate') == FILE
 
@@ -63,11 +72,10 @@ def test_a_suspected_estimate_stands_with_the_uncertainty_of_the_train_file() ->
     one = estimate(10.0)
     for k in range(1, 4):
         one.take(Status.CONVERGING, UNSURE, 10.0 + 0.2 * k)
-    assert one.is_live
-    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    assert one.state() == (True, SUSPECTED)
     assert one.normal('rate') == Normal((0.8,), FILE.covariance)
     one.take(Status.VALID, LIVE, 10.8)
-    assert one.reason() == 'VALID, moving to the live value'
+    assert one.state() == (True, 'VALID, moving to the live value')
     one.take(Status.CONVERGING, LIVE, 11.0)
     one.take(Status.STALE, LIVE, 11.2)
     one.go_on(11.2 + FALL_BACK_S)
@@ -98,7 +106,7 @@ def test_a_late_joiner_gets_the_last_valid_value_whatever_came_first(*, suspecte
         assert not one.is_live
     one.take_latched(Status.VALID, LIVE, 0.01)
     one.take(Status.CONVERGING, UNSURE, 0.02)
-    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    assert one.state() == (True, SUSPECTED)
     for k in range(1, 30):
         one.take(Status.CONVERGING, UNSURE, 0.2 * k)
     assert one.normal('rate') == Normal((0.8,), FILE.covariance)
@@ -109,22 +117,22 @@ def test_a_latched_estimate_does_not_count_beside_what_was_heard(status: Status)
     one, other = estimate(), estimate()
     for item in (one, other):
         item.take(status, LIVE, 0.0)
-    assert not one.take_latched(Status.VALID, {'rate': Normal((0.5,), (1e-4,))}, 0.1)
+    assert not one.take_latched(Status.VALID, rate(0.5), 0.1)
     one.go_on(20.0)
     other.go_on(20.0)
-    assert (one.reason(), one.normal('rate')) == (other.reason(), other.normal('rate'))
+    assert (one.state(), one.normal('rate')) == (other.state(), other.normal('rate'))
 
 
 def test_the_small_moves_of_each_estimate_are_not_said() -> None:
     one = estimate(10.0)
     for k in range(1, 30):
-        one.take(Status.VALID, {'rate': Normal((0.8 + 0.02 * (k % 2),), (1e-4,))}, 10.0 + 0.2 * k)
-        assert one.reason() == 'VALID'
-    one.take(Status.VALID, {'rate': Normal((1.0,), (1e-4,))}, 16.0)
+        one.take(Status.VALID, rate(0.8 + 0.02 * (k % 2)), 10.0 + 0.2 * k)
+        assert one.state() == (True, 'VALID')
+    one.take(Status.VALID, rate(1.0), 16.0)
     said = []
     for k in range(1, 30):
-        one.take(Status.VALID, {'rate': Normal((1.0 - 0.02 * (k % 2),), (1e-4,))}, 16.0 + 0.2 * k)
-        said.append(one.reason())
+        one.take(Status.VALID, rate(1.0 - 0.02 * (k % 2)), 16.0 + 0.2 * k)
+        said.append(one.state()[1])
     assert said == sorted(said, reverse=True)  # moving first, then VALID, once
     assert {said[0], said[-1]} == {'VALID, moving to the live value', 'VALID'}
 
@@ -133,7 +141,7 @@ def test_an_estimate_that_was_never_valid_is_not_used() -> None:
     one = estimate()
     one.take(Status.CONVERGING, LIVE, 0.0)
     one.go_on(0.5)
-    assert (one.normal('rate'), one.reason()) == (FILE, 'train file: CONVERGING, not fit to use')
+    assert (one.normal('rate'), one.state()) == (FILE, (False, 'train file: CONVERGING, not fit to use'))
 
 
 @pytest.mark.parametrize('asked_at', [(10.7, 10.8, 10.85), (10.85,)])
@@ -141,19 +149,20 @@ def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: t
     one = estimate(10.0)
     for time_s in asked_at:
         one.go_on(time_s)
-    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+    assert one.state() == (False, SILENT)
     assert one.normal('rate').mean[0] == pytest.approx(0.8 + 0.2 * 0.5)
     one.go_on(10.0 + MAX_AGE_S + FALL_BACK_S)
     assert one.normal('rate') == FILE
     assert MAX_AGE_S + FALL_BACK_S <= 1.0
 
 
-def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate() -> None:
+@pytest.mark.parametrize('lost_s', [10.1, 20.0])  # before and after the silence is noticed
+def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate(lost_s: float) -> None:
     one = estimate(10.0)
-    one.mark_lost('its node is gone', 10.1)
-    one.go_on(11.0)
-    assert (one.normal('rate'), one.reason()) == (FILE, 'train file: its node is gone')
-    one.take(Status.VALID, LIVE, 12.0)
+    one.mark_lost('its node is gone', lost_s)
+    one.go_on(lost_s + 0.9)
+    assert (one.normal('rate'), one.state()) == (FILE, (False, 'train file: its node is gone'))
+    one.take(Status.VALID, LIVE, 22.0)
     assert (one.is_live, one.normal('rate').mean) == (True, FILE.mean)
 
 
@@ -171,15 +180,15 @@ def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate(
 )
 def test_an_impossible_value_is_not_used(value: float, variance: float, said: str) -> None:
     one = estimate(10.0)
-    one.take(Status.VALID, {'rate': Normal((value,), (variance,))}, 10.2)
+    one.take(Status.VALID, rate(value, variance), 10.2)
     one.go_on(11.0)
     assert one.normal('rate') == FILE
-    assert one.reason() == f'train file: rate = {said} is not possible'
+    assert one.state() == (False, f'train file: rate = {said} is not possible')
 
 
 def test_a_step_of_a_live_value_is_gradual_too() -> None:
     one = estimate(10.0)
-    one.take(Status.VALID, {'rate': Normal((0.6,), (1e-4,))}, 10.2)
+    one.take(Status.VALID, rate(0.6), 10.2)
     now = one.normal('rate')
     assert now.mean == (0.8,)
     assert math.sqrt(now.covariance[0]) == pytest.approx(math.hypot(0.2, 0.01))
@@ -188,7 +197,7 @@ def test_a_step_of_a_live_value_is_gradual_too() -> None:
 def test_a_clock_that_goes_back_stands_still() -> None:
     one = estimate(10.0)
     one.go_on(9.0)
-    assert one.normal('rate') == LIVE['rate']
+    assert one.normal('rate') == LEARNED
     assert one.is_heard(10.0)
     assert not one.is_heard(10.0 + MAX_AGE_S + 0.1)
 
@@ -196,15 +205,14 @@ def test_a_clock_that_goes_back_stands_still() -> None:
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -> None:
     one = estimate(10.0)
-    one.take(Status.CONVERGING, {'rate': Normal((0.8 + side * 0.029,), (1e-4,))}, 10.2)
-    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    one.take(Status.CONVERGING, rate(0.8 + side * 0.029), 10.2)
+    assert one.state() == (True, SUSPECTED)
     for k in range(1, 5):
-        one.take(Status.CONVERGING, {'rate': Normal((0.8 + side * 0.031,), (1e-4,))}, 10.2 + 0.2 * k)
-        assert not one.is_live
-        assert one.reason() == 'train file: CONVERGING, the present estimate refutes the last valid value'
+        one.take(Status.CONVERGING, rate(0.8 + side * 0.031), 10.2 + 0.2 * k)
+        assert one.state() == (False, 'train file: CONVERGING, the present estimate refutes the last valid value')
     assert one.normal('rate') == FILE
-    one.take(Status.VALID, {'rate': Normal((0.83,), (1e-4,))}, 11.2)
-    assert one.reason() == 'VALID, moving to the live value'
+    one.take(Status.VALID, rate(0.83), 11.2)
+    assert one.state() == (True, 'VALID, moving to the live value')
     one.go_on(11.2 + MAX_AGE_S)
     assert 1.0 - MAX_RATE * MAX_AGE_S * 0.2 <= one.normal('rate').mean[0] < 0.98
 
@@ -212,7 +220,7 @@ def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -
 @pytest.mark.parametrize('variance', [-1e-4, math.nan, math.inf])
 def test_an_impossible_estimate_refutes_nothing(variance: float) -> None:
     one = estimate(10.0)
-    one.take(Status.CONVERGING, {'rate': Normal((0.3,), (variance,))}, 10.2)
+    one.take(Status.CONVERGING, rate(0.3, variance), 10.2)
     assert one.is_live
 
 
@@ -228,22 +236,26 @@ def test_a_resistance_is_refuted_at_any_speed_of_its_probes() -> None:
 def test_a_lost_publisher_does_not_end_what_another_one_sends() -> None:
     one = estimate(10.0)
     one.mark_lost('its node is gone', 10.1)
-    assert (one.is_live, one.reason()) == (True, 'VALID')
+    assert one.state() == (True, 'VALID')
     one.take(Status.VALID, LIVE, 10.2)
     one.go_on(11.5)
-    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+    assert one.state() == (False, SILENT)
 
 
-def test_a_repeated_stamp_is_no_news() -> None:
+@pytest.mark.parametrize('status', [Status.VALID, Status.CONVERGING])
+def test_a_repeated_stamp_is_no_news(status: Status) -> None:
     one = estimate()
-    for k in range(20):
-        one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=7)
+    one.take_new(Status.VALID, LIVE, 0.0, stamp_ns=7)
+    one.take_new(status, LIVE, 0.2, stamp_ns=7)  # a suspicion says that the last must not be used any more
+    assert one.state()[1].startswith(status.name)
+    for k in range(2, 20):
+        one.take_new(status, LIVE, 0.2 * k, stamp_ns=7)
     one.go_on(3.9)
-    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+    assert one.state() == (False, SILENT)
     one.take_new(Status.VALID, LIVE, 4.0, stamp_ns=8)
     assert one.is_live
     one.take_new(Status.FAULT, LIVE, 4.1, stamp_ns=8)
-    assert one.reason() == 'train file: FAULT, the node has failed'
+    assert one.state() == (False, 'train file: FAULT, the node has failed')
 
 
 def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
@@ -258,18 +270,6 @@ def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
     assert min(bounds) > bounds[-1] - 0.02
 
 
-def test_a_repeated_suspicion_is_no_news() -> None:
-    one = estimate()
-    one.take_new(Status.VALID, LIVE, 0.0, stamp_ns=7)
-    one.take_new(Status.CONVERGING, LIVE, 0.2, stamp_ns=7)  # says that the last must not be used any more
-    assert one.reason().startswith('CONVERGING')
-    for k in range(2, 20):
-        one.take_new(Status.CONVERGING, LIVE, 0.2 * k, stamp_ns=7)
-    one.go_on(3.9)
-    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
-
-
-LEARNED = Normal((0.8,), (1e-4,))
 PROBES = ((1.0, 0.0), (1.0, 20.0))
 DAVIS_FILE = Normal((1.5, 0.02), (0.64, 0.0, 0.0, 4e-4))
 DAVIS_LIVE = Normal((2.0, 0.03), (0.01, -4e-4, -4e-4, 2e-5))
@@ -359,30 +359,30 @@ def test_a_move_may_have_a_longest_duration() -> None:
     assert values.at(5.2) == Normal((3.0,), (0.04,))
 
 
-@pytest.mark.parametrize('bad', [((math.nan,), (1.0,)), ((1.0,), (math.inf,)), ((1.0,), (-1.0,)), ((1e9,), (1.0,))])
-def test_absurd_numbers_are_not_possible(bad: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
-    assert not Normal(*bad).is_possible()
-    assert not Normal((1.0, 2.0), (1.0,)).is_possible()
-    assert FILE.is_possible()
-
-
 @pytest.mark.parametrize(
-    'bad',
+    ('covariance', 'is_possible'),
     [
-        (1.0, 1.5, 1.5, 1.0),  # a correlation above 1: the difference has a negative variance
-        (1.0, 0.5, -0.5, 1.0),
-        (0.0, 0.1, 0.1, 1.0),
-        (1e-320, 1e-3, 1e-3, 1.0),
-        (1.0, -0.9, -0.9, -0.9, 1.0, -0.9, -0.9, -0.9, 1.0),  # each pair alone could be
+        ((math.inf,), False),
+        ((-1.0,), False),
+        ((1.0, 2.0), False),
+        ((1.0, 1.0, 1.0, 1.0), True),  # known together
+        ((0.0, 0.0, 0.0, 0.0), True),
+        ((4e-9, -2e-6, -2e-6, 1e-3), True),
+        ((1.0, 1.5, 1.5, 1.0), False),  # a correlation above 1: the difference has a negative variance
+        ((1.0, 0.5, -0.5, 1.0), False),
+        ((0.0, 0.1, 0.1, 1.0), False),
+        ((1e-320, 1e-3, 1e-3, 1.0), False),
+        ((1.0, -0.9, -0.9, -0.9, 1.0, -0.9, -0.9, -0.9, 1.0), False),  # each pair alone could be
     ],
 )
-def test_a_matrix_that_is_no_covariance_is_not_possible(bad: tuple[float, ...]) -> None:
-    assert not Normal((0.0,) * round(len(bad) ** 0.5), bad).is_possible()
+def test_a_matrix_that_is_no_covariance_is_not_possible(covariance: tuple[float, ...], is_possible: bool) -> None:
+    assert Normal((0.0,) * round(len(covariance) ** 0.5), covariance).is_possible() is is_possible
 
 
-@pytest.mark.parametrize('good', [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0), (4e-9, -2e-6, -2e-6, 1e-3)])
-def test_a_covariance_of_parameters_that_are_known_together_is_possible(good: tuple[float, ...]) -> None:
-    assert Normal((0.0, 0.0), good).is_possible()
+@pytest.mark.parametrize('mean', [math.nan, 1e9])
+def test_absurd_numbers_are_not_possible(mean: float) -> None:
+    assert not Normal((mean,), (1.0,)).is_possible()
+    assert Parameter(FILE, ((1.0,),), 0.01, 10.0).problem('rate', FILE) == ''
 
 
 @pytest.mark.parametrize(('correlation', 'is_possible'), [(-0.49, True), (-0.51, False)])
@@ -391,13 +391,3 @@ def test_parameters_of_small_and_large_units_are_judged_alike(correlation: float
     stds = (1e-4, 1.0, 1e2)
     P = tuple(a * b * (1.0 if i == k else correlation) for i, a in enumerate(stds) for k, b in enumerate(stds))
     assert Normal((0.0, 0.0, 0.0), P).is_possible() is is_possible
-
-
-def test_a_possible_estimate_has_no_problem() -> None:
-    assert Parameter(FILE, ((1.0,),), 0.01, 10.0).problem('rate', LIVE['rate']) == ''
-
-
-def test_a_publisher_that_is_lost_after_a_silence_is_the_reason() -> None:
-    one = estimate(10.0)
-    one.mark_lost('the node is gone', 20.0)
-    assert one.reason() == 'train file: the node is gone'

@@ -20,7 +20,6 @@ from trainid_ros.client.stopping import (
     PARAMETERS,
     RATE,
     Braking,
-    MinDeceleration,
     RateShape,
     StoppingBounds,
     StopPosterior,
@@ -337,21 +336,21 @@ def test_another_iteration_of_the_design_point_does_not_lengthen_a_bound() -> No
     assert bounds.design_point_step(10.0, bound.gradient).distance == pytest.approx(bound.distance, rel=1e-8)
 
 
-def test_a_train_that_does_not_slow_down_between_two_knots_is_found() -> None:
-    """The resistance is least at 17 m/s, far from the knots 5 and 40 m/s."""
-    davis = (1.5, -1.0, 0.03)
+def weak(davis: tuple[float, float, float], command: float) -> StoppingBounds:
+    """Return the bounds of a train of which everything is known."""
     known = StopPosterior((0.9, 0.0, 0.0, *davis, 0.0, 0.6, 0.4), (0.0,) * 9, (0.0,) * 9)
-    weak = MinDeceleration(shape(), known, 0.06, 1.645)
-    assert weak.is_positive(5.0)
-    assert not weak.is_positive(40.0)
-    assert MinDeceleration(shape(), known, 0.2, 1.645).is_positive(40.0)
+    return StoppingBounds(shape(), known, command, 0.0, 0.95)
+
+
+@pytest.mark.parametrize(('command', 'speed', 'stops'), [(0.06, 5.0, True), (0.06, 40.0, False), (0.2, 40.0, True)])
+def test_a_train_that_does_not_slow_down_between_two_knots_is_found(command: float, speed: float, stops: bool) -> None:
+    """The resistance is least at 17 m/s, far from the knots 5 and 40 m/s."""
+    assert math.isfinite(weak((1.5, -1.0, 0.03), command).at(speed).distance) is stops
 
 
 def test_no_speed_at_which_the_train_might_not_slow_down_is_left_out() -> None:
-    def slowest_at(speed: float) -> MinDeceleration:
-        davis = (speed**2 - 30.0, -2.0 * speed, 1.0)
-        known = StopPosterior((0.9, 0.0, 0.0, *davis, 0.0, 0.6, 0.4), (0.0,) * 9, (0.0,) * 9)
-        return MinDeceleration(shape(), known, 0.2, 1.645)
+    def slowest_at(speed: float) -> StoppingBounds:
+        return weak((speed**2 - 30.0, -2.0 * speed, 1.0), 0.2)
 
     for speed in slowest_at(0.0)._grid:
-        assert not slowest_at(speed).is_positive(MAX_SPEED)
+        assert not slowest_at(speed)._slows_down(MAX_SPEED)

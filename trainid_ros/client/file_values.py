@@ -10,6 +10,7 @@ is the worst case of a bound.
 from __future__ import annotations
 
 import math
+from operator import sub
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 # Traction or braking force for which shares are calculated: effects are (nearly) linear in it [N/kN].
 _REFERENCE: Final = 100.0
-# Distance after which any bearing is warm [m], and heat with which any brake fades fully [J/kg].
-_FAR: Final = 1e12
-_HOT: Final = 1e6
 
 
 class StatedEffects:
@@ -37,12 +35,8 @@ class StatedEffects:
 
     ``brake_scale`` and ``brake_delay`` are part of the brake, see ``brake_rate.motion_model.true_brake``.
 
-    Args:
-        train_file: The train file.
-
     Raises:
         InputError: An effect is not known or cannot be evaluated.
-
     """
 
     def __init__(self, train_file: TrainFile) -> None:
@@ -58,19 +52,18 @@ class StatedEffects:
     def traction_share(self, speed: float, direction: int) -> float:
         """Return the share of the reported traction that they leave [1]."""
         before, after = self._values(speed, direction), self._values(speed, direction, traction=_REFERENCE)
-        return 1.0 - math.fsum(map(_difference, after, before)) / _REFERENCE
+        return 1.0 - math.fsum(map(sub, after, before)) / _REFERENCE
 
     def brake_share(self, speed: float, *, hot: bool = False) -> float:
         """Return the share of the brake force that they leave [1]: of a cold brake, or of a hot one if that is less.
 
         Raises:
             InputError: They leave nothing.
-
         """
         shares = []
-        for heat in (0.0, _HOT) if hot else (0.0,):
+        for heat in (0.0, 1e6) if hot else (0.0,):  # J/kg: with the latter any brake fades fully
             before, after = self._values(speed, 1, heat=heat), self._values(speed, 1, brake=-_REFERENCE, heat=heat)
-            shares.append(1.0 + math.fsum(map(_difference, after, before)) / _REFERENCE)
+            shares.append(1.0 + math.fsum(map(sub, after, before)) / _REFERENCE)
         share = min(shares)
         if share <= 0.0:
             raise InputError(
@@ -90,7 +83,7 @@ class StatedEffects:
             direction=direction,
             speed=speed,
             length=self._length,
-            distance_run=_FAR,
+            distance_run=1e12,  # any bearing is warm
             traction=traction,
             brake=brake,
             heat=heat,
@@ -101,17 +94,10 @@ class StatedEffects:
         return [term(self._davis, point) for term in self._terms]
 
 
-def _difference(x: float, y: float) -> float:
-    return x - y
-
-
 DAVIS: Final = 'a, b, c'  # name of the running resistance among the parameters [N/kN, v in m/s]
 FORCE_SCALE: Final = 'force scale'  # name of the actual over the reported force [1]
 BRAKE_RATE: Final = 'brake rate'  # name of the brake rate, or of the factor on its table [1]
-# No a, b or c of a train is outside these [N/kN and per m/s, (m/s)^2], nor its resistance or the std of that [N/kN].
-_MIN_DAVIS, _MAX_DAVIS = -20.0, 200.0
-# Actual over reported force, whichever reads wrong [1].
-MIN_SCALE, _MAX_SCALE = 0.1, 10.0
+MIN_SCALE: Final = 0.1  # least actual over reported force, whichever reads wrong [1]
 # Speeds at which moves of the resistance are measured, and changes of the brake by effects, as shares of the highest.
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -126,7 +112,6 @@ class FileValues:
         effects: Its other effects.
         config: Settings of the brake rate estimator.
         timing_stds: Standard deviations of dead time and time constant [s].
-
     """
 
     def __init__(self, train_file: TrainFile, prior: PriorSettings, config: BrakeRateConfig) -> None:
@@ -167,9 +152,10 @@ class FileValues:
         davis = Normal((w.a, w.b, w.c), (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
         scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
         probes = tuple((1.0, v, v * v) for v in self._speeds)
+        # No a, b or c of a train is outside -20 to 200 [N/kN and per m/s, (m/s)^2], nor is its resistance [N/kN].
         return {
-            DAVIS: Parameter(davis, probes, _MIN_DAVIS, _MAX_DAVIS, _MAX_DAVIS),
-            FORCE_SCALE: Parameter(scale, ((1.0,),), MIN_SCALE, _MAX_SCALE),
+            DAVIS: Parameter(davis, probes, -20.0, 200.0, max_std=200.0),
+            FORCE_SCALE: Parameter(scale, ((1.0,),), MIN_SCALE, 10.0),
         }
 
     def brake_rate(self) -> dict[str, Parameter]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import mul, sub
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,15 +32,11 @@ from trainid_ros.interface.results import Status
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
 
 ABSURD: Final = 1e6
 """Larger magnitudes are treated as invalid."""
-# A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
-_MIN_SHARE: Final = 0.01
 # Keeps divisors above zero.
 _TINY: Final = 1e-9
 # A correlation may be wrong by this much [1].
@@ -48,63 +45,38 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Normal distribution of n parameters.
+    """Normal distribution of n parameters."""
 
-    Attributes:
-        mean: Shape (n,).
-        covariance: Shape (n, n), row-major.
-
-    """
-
-    mean: tuple[float, ...]
-    covariance: tuple[float, ...]
+    mean: tuple[float, ...]  # shape (n,)
+    covariance: tuple[float, ...]  # shape (n, n), row-major
 
     def along(self, direction: Sequence[float]) -> tuple[float, float]:
         """Return mean and variance of the parameters' sum with these weights, shape (n,)."""
         n = len(self.mean)
-        mean = math.fsum(map(_product, direction, self.mean))
-        row = (math.fsum(map(_product, self.covariance[n * i : n * i + n], direction)) for i in range(n))
-        return mean, max(0.0, math.fsum(map(_product, row, direction)))
+        mean = math.fsum(map(mul, direction, self.mean))
+        row = (math.fsum(map(mul, self.covariance[n * i : n * i + n], direction)) for i in range(n))
+        return mean, max(0.0, math.fsum(map(mul, row, direction)))
 
     def is_possible(self) -> bool:
         """Return whether no number is absurd, NaN included, and no weighted sum has a negative variance."""
         n = len(self.mean)
-        numbers = all(abs(x) < ABSURD for x in (*self.mean, *self.covariance))
-        return numbers and len(self.covariance) == n * n and _is_covariance(np.reshape(self.covariance, (n, n)))
-
-
-def _is_covariance(P: NDArray[np.float64]) -> bool:
-    """Return whether a matrix is symmetric and positive semidefinite, but for rounding."""
-    variances = np.diag(P)
-    if variances.min() < 0.0:
-        return False
-    stds = np.sqrt(variances)
-    most = np.outer(stds, stds)
-    if np.any(np.abs(P) > (1.0 + _ROUNDING) * most) or np.any(np.abs(P - P.T) > _ROUNDING * most):
-        return False
-    units = np.where(most > 0.0, most, 1.0)
-    return bool(np.linalg.eigvalsh(P / units)[0] >= -_ROUNDING)
-
-
-def _product(x: float, y: float) -> float:
-    return x * y
-
-
-def _difference(x: float, y: float) -> float:
-    return x - y
-
-
-def _difference_of(start: Normal, target: Normal) -> tuple[float, ...]:
-    return tuple(map(_difference, start.covariance, target.covariance))
+        if len(self.covariance) != n * n or not all(abs(x) < ABSURD for x in (*self.mean, *self.covariance)):
+            return False
+        P = np.reshape(self.covariance, (n, n))
+        if np.diag(P).min() < 0.0:
+            return False
+        stds = np.sqrt(np.diag(P))
+        most = np.outer(stds, stds)
+        if np.any(np.abs(P) > (1.0 + _ROUNDING) * most) or np.any(np.abs(P - P.T) > _ROUNDING * most):
+            return False
+        units = np.where(most > 0.0, most, 1.0)
+        return bool(np.linalg.eigvalsh(P / units)[0] >= -_ROUNDING)
 
 
 class RateLimitedValue:
-    """Follows the newest distribution.
+    """Follows the newest distribution, from that of the train file on.
 
-    Args:
-        start: Distribution of the train file, until there is another.
-        probes: Directions in which a move is measured: its duration is that of the slowest.
-
+    The duration of a move is that of the slowest of the directions ``probes``.
     """
 
     def __init__(self, start: Normal, probes: Sequence[Sequence[float]]) -> None:
@@ -125,10 +97,11 @@ class RateLimitedValue:
         start = self.at(time_s)
         self._to, self._begin_s = target, time_s
         self._duration_s = min(self._longest_way(start, target) / MAX_RATE, max_duration_s)
-        self._way = tuple(map(_difference, target.mean, start.mean))
+        self._way = tuple(map(sub, target.mean, start.mean))
         self._power = 2 if math.isinf(max_duration_s) else 1
         if self._duration_s > 0.0:
-            self._excess = self._uncovered(start) if self._power == 2 else _difference_of(start, target)
+            straight = tuple(map(sub, start.covariance, target.covariance))
+            self._excess = self._uncovered(start) if self._power == 2 else straight
 
     def at(self, time_s: float) -> Normal:
         """Return the distribution at a time [s], which is not before the last :meth:`go_to`."""
@@ -155,7 +128,8 @@ class RateLimitedValue:
         for probe in self._probes:
             (before, old), (after, new), unit = (x.along(probe) for x in (start, target, self._file))
             change = max(abs(after - before), math.sqrt(old) - math.sqrt(new))
-            longest = max(longest, change / max(math.sqrt(unit[1]), _MIN_SHARE * abs(unit[0]), _TINY))
+            # A train file may state a value without any uncertainty: moves are measured in 1 % of it then.
+            longest = max(longest, change / max(math.sqrt(unit[1]), 0.01 * abs(unit[0]), _TINY))
         return longest
 
 
@@ -170,68 +144,43 @@ _WORDS: Final = {
     Status.STALE: 'STALE, inputs of the node are missing',
     Status.FAULT: 'FAULT, the node has failed',
 }
-SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
-"""Reason for using the train file."""
-REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
-"""Reason for using the train file."""
-NOT_YET: Final = 'no estimate yet'  # reason for using the train file
-# A longer move to the live value is reported, until the rest takes less than FALL_BACK_S [s].
-_LONG_WAY_S: Final = 1.0
-# Standard deviations of the present estimate at which it refutes another value [1].
-_REFUTED: Final = 3.0
+_REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Parameters that are estimated together.
+    """Parameters that are estimated together."""
 
-    Attributes:
-        file: Their distribution by the train file.
-        probes: Directions in which their moves are measured.
-        minimum: Least possible value of a parameter, and of a weighted sum along a probe.
-        maximum: Largest one.
-        max_std: Largest possible standard deviation along a probe.
-
-    """
-
-    file: Normal
-    probes: tuple[tuple[float, ...], ...]
-    minimum: float = -ABSURD
-    maximum: float = ABSURD
-    max_std: float = ABSURD
+    file: Normal  # their distribution by the train file
+    probes: tuple[tuple[float, ...], ...]  # directions in which their moves are measured
+    minimum: float = -ABSURD  # least possible value of a parameter, and of a weighted sum along a probe
+    maximum: float = ABSURD  # largest one
+    max_std: float = ABSURD  # largest possible standard deviation along a probe
 
     def problem(self, name: str, found: Normal) -> str:
         """Return what is not possible of an estimate; empty if it is."""
-        if found.is_possible() and self._is_within(found):
-            return ''
+        if found.is_possible():
+            sums = [found.along(probe) for probe in self.probes]
+            values = (*found.mean, *(value for value, _ in sums))
+            stds_fit = all(variance <= self.max_std * self.max_std for _, variance in sums)
+            if stds_fit and self.minimum <= min(values) and max(values) <= self.maximum:
+                return ''
         if len(found.mean) > 1:
             return f'{name} or their covariance are not possible'
         std = math.copysign(math.sqrt(abs(found.covariance[0])), found.covariance[0])
         return f'{name} = {found.mean[0]:g} with a std of {std:g} is not possible'
 
-    def _is_within(self, found: Normal) -> bool:
-        sums = [found.along(probe) for probe in self.probes]
-        values = (*found.mean, *(value for value, _ in sums))
-        stds_fit = all(variance <= self.max_std * self.max_std for _, variance in sums)
-        return stds_fit and self.minimum <= min(values) and max(values) <= self.maximum
-
     def is_refuted(self, value: Normal, present: Normal) -> bool:
-        """Return whether the present estimate contradicts a value along any probe."""
+        """Return whether a value is more than 3 standard deviations of the present estimate from it along any probe."""
         for probe in self.probes:
             now, variance = present.along(probe)
-            if abs(value.along(probe)[0] - now) > _REFUTED * math.sqrt(variance):
+            if abs(value.along(probe)[0] - now) > 3.0 * math.sqrt(variance):
                 return True
         return False
 
 
 class LiveEstimate:
-    """Parameters of one estimate, by name.
-
-    Args:
-        parameters: Parameters of the train file.
-        max_age_s: Time without a new estimate after which the last one is not used any more [s].
-
-    """
+    """Parameters of one estimate by name; not used any more after ``max_age_s`` [s] without a new one."""
 
     def __init__(self, parameters: Mapping[str, Parameter], max_age_s: float) -> None:
         self._parameters = parameters
@@ -243,7 +192,7 @@ class LiveEstimate:
         self._stamp_ns = -1
         self._lost = ''
         self._status = Status.UNINITIALIZED
-        self._problem = NOT_YET
+        self._problem = 'no estimate yet'
 
     @property
     def is_live(self) -> bool:
@@ -269,13 +218,16 @@ class LiveEstimate:
         self.go_on(time_s)
         self._heard_s, before, self._status, self._lost = time_s, self._status, status, ''
         if status is Status.CONVERGING and self.is_live:
-            if self._is_refuted(values):
-                self._fall_back(REFUTED, time_s)
+            refuted = (self._parameters[name].is_refuted(self._valid[name], now) for name, now in values.items())
+            if not self._find_problem(values) and any(refuted):
+                self._fall_back(_REFUTED, time_s)
             elif before is not status:
-                self._suspect()
+                # Keep the last valid values, or the way to them, with the uncertainty of the train file.
+                for name, value in self._values.items():
+                    value.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
         elif status not in USABLE:
-            is_known = status is Status.CONVERGING and self._problem == REFUTED
-            self._fall_back(REFUTED if is_known else _WORDS[status], time_s)
+            is_known = status is Status.CONVERGING and self._problem == _REFUTED
+            self._fall_back(_REFUTED if is_known else _WORDS[status], time_s)
         elif problem := self._find_problem(values):
             self._fall_back(problem, time_s)
         else:
@@ -283,7 +235,10 @@ class LiveEstimate:
             self._valid = {name: values.get(name, self._file[name]) for name in self._file}
             for name, value in self._values.items():
                 value.go_to(self._valid[name], self._now_s)
-            self._note_move()
+            # A move that takes more than a second is reported, until the rest takes less than FALL_BACK_S.
+            left_s = max(value.left_s(self._now_s) for value in self._values.values())
+            if left_s > 1.0 or self._now_s < self._moving_until_s:
+                self._moving_until_s = self._now_s + left_s - FALL_BACK_S
 
     def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
         """Take in the last valid estimate, of which a copy is kept for those who join later; return if it counts.
@@ -301,22 +256,6 @@ class LiveEstimate:
     def _find_problem(self, values: Mapping[str, Normal]) -> str:
         found = (self._parameters[name].problem(name, normal) for name, normal in values.items())
         return next(filter(None, found), '')
-
-    def _is_refuted(self, values: Mapping[str, Normal]) -> bool:
-        """Return whether a CONVERGING estimate, if it is possible, contradicts the last valid values."""
-        refuted = (self._parameters[name].is_refuted(self._valid[name], now) for name, now in values.items())
-        return not self._find_problem(values) and any(refuted)
-
-    def _note_move(self) -> None:
-        """Note until when values move to the live ones; small moves, as of each estimate, are none."""
-        left_s = max(value.left_s(self._now_s) for value in self._values.values())
-        if left_s > _LONG_WAY_S or self._now_s < self._moving_until_s:
-            self._moving_until_s = self._now_s + left_s - FALL_BACK_S
-
-    def _suspect(self) -> None:
-        """Keep the last valid values, or the way to them, with the uncertainty of the train file."""
-        for name, value in self._values.items():
-            value.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
 
     def mark_lost(self, reason: str, time_s: float) -> None:
         """Say why estimates will not come any more; the train file applies once the next one is overdue.
@@ -345,11 +284,11 @@ class LiveEstimate:
         """Return a parameter now."""
         return self._values[name].at(self._now_s)
 
-    def reason(self) -> str:
-        """Return why the values are those of the train file, or how the live ones are."""
+    def state(self) -> tuple[bool, str]:
+        """Return whether the values are live, and how they are or why they are those of the train file."""
         if not self.is_live:
-            return f'train file: {self._problem}'
+            return False, f'train file: {self._problem}'
         if self._status is Status.CONVERGING:
-            return SUSPECTED
+            return True, 'CONVERGING, the last valid value as uncertain as that of the train file'
         moving = self._now_s < self._moving_until_s
-        return f'{self._status.name}, moving to the live value' if moving else self._status.name
+        return True, f'{self._status.name}, moving to the live value' if moving else self._status.name

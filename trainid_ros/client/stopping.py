@@ -39,6 +39,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
+from operator import mul
 from statistics import NormalDist
 from typing import Final
 
@@ -58,43 +59,27 @@ PARAMETERS: Final = 9  # number of parameters
 
 EXTRA_STEP: Final = 0.25
 """Step of the speeds at which x(v) is given [m/s]."""
-# Longest step during the dead time [s], and the steps while the brake builds up, in time constants.
-_MAX_STEP_S: Final = 0.8
-_BUILD_UP: Final = (0.0, 0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
+# Steps while the brake builds up, in time constants.
+_BUILD_UP: Final = (0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
 # Gauss-Legendre nodes and weights on (0, 1), order 10.
 _NODES: Final = (0.04691007703066802, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332)
 _WEIGHTS: Final = (
     0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454
 )  # fmt: skip
-# Largest ratio of the decelerations at the ends of an interval, and how often one is halved to meet it: near a speed at
-# which the train hardly slows down, distance by speed has a pole.
-_MAX_RATIO: Final = 2.0
-_MAX_HALVINGS: Final = 12
 # Half the step of the derivative by speed [m/s].
 _SPEED_STEP: Final = 0.01
-# A train that becomes faster than this does not stop [m/s].
-_RUNAWAY: Final = 400.0
 
 
 @dataclass
 class RateShape:
-    """Brake rate over speed of a train file: r(v) is linear between the knots but for its table.
+    """Brake rate over speed of a train file: r(v) is linear between the knots but for its table."""
 
-    Attributes:
-        speeds: Speeds of the table [m/s], increasing; empty without one.
-        rates: Its rates [1].
-        max_speed: Speed from which p is constant [m/s].
-        blend_speed: Speed of the changeover between brakes [m/s].
-        k: Deceleration by a resistance of 1 N/kN [m/s^2].
-        resistances: x(v) at 0, ``EXTRA_STEP``, ... [N/kN], linear between them; empty if it is zero.
-
-    """
-
-    speeds: list[float]
-    rates: list[float]
-    max_speed: float
-    blend_speed: float
-    k: float
+    speeds: list[float]  # speeds of the table [m/s], increasing; empty without one
+    rates: list[float]  # its rates [1]
+    max_speed: float  # speed from which p is constant [m/s]
+    blend_speed: float  # speed of the changeover between brakes [m/s]
+    k: float  # deceleration by a resistance of 1 N/kN [m/s^2]
+    # x(v) at 0, EXTRA_STEP, ... [N/kN], linear between them; empty if it is zero
     resistances: list[float] = field(default_factory=list)
 
     def table(self, v: float) -> float:
@@ -151,20 +136,15 @@ class Stop:
 
 
 class Braking:
-    """A brake application with known parameters.
+    """A brake application with known parameters ``theta``, in the order of ``RATE`` to ``LAG``.
 
-    Args:
-        shape: Brake rate over speed.
-        theta: The parameters, in the order of ``RATE`` to ``LAG``.
-        command: u1, the brake target from now on [m/s^2, > 0].
-        applied: u0, the brake target that acts until then [m/s^2, >= 0].
-
+    ``command`` is u1, the brake target from now on [m/s^2, > 0], ``applied`` is u0, that which acts until then.
     """
 
     def __init__(self, shape: RateShape, theta: list[float], command: float, applied: float) -> None:
         self._shape, self._theta = shape, theta
         self._command, self._applied = command, applied
-        self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / _MAX_STEP_S)
+        self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / 0.8)  # of at most 0.8 s
 
     def stop(self, speed: float) -> Stop:
         """Return the stop from a speed [m/s, >= 0]."""
@@ -195,7 +175,7 @@ class Braking:
         times, count = [0.0], self._dead_steps
         times.extend([delay * k / count for k in range(1, count + 1)])
         if lag > 0.0:
-            times.extend([delay + lag * x for x in _BUILD_UP[1:]])
+            times.extend([delay + lag * x for x in _BUILD_UP])
         return times
 
     def _build_up(self, out: Stop, times: list[float], speeds: list[float]) -> None:
@@ -214,7 +194,7 @@ class Braking:
             v = after
             if v <= 0.0:
                 return
-            if v > _RUNAWAY:
+            if v > 400.0:  # a train that becomes so fast does not stop [m/s]
                 out.distance = math.inf
                 return
 
@@ -235,7 +215,7 @@ class Braking:
             x = low + (high - low) * above / (above - below)
             y = self._step(t, v, x)[0]
             if abs(y) < 1e-13 or high - low < 1e-13:
-                return x
+                break
             if y > 0.0:
                 low, above, below = x, y, below * 0.5
             else:
@@ -246,7 +226,8 @@ class Braking:
         """Add the stop with the brake built up; return l at its start [s]."""
         target, knots = self._command, self._shape.knots(speed)
         for k in range(1, len(knots)):
-            self._hold_between(out, knots[k - 1], knots[k], _MAX_HALVINGS)
+            # Near a speed at which the train hardly slows down, distance by speed has a pole.
+            self._hold_between(out, knots[k - 1], knots[k], halvings=12)
             if math.isinf(out.distance):
                 return 0.0
         return speed / self._deceleration(speed, target)
@@ -258,7 +239,7 @@ class Braking:
         if min(below, above) <= 0.0:
             out.distance = math.inf
             return
-        if halvings > 0 and max(below, above) > _MAX_RATIO * min(below, above):
+        if halvings > 0 and max(below, above) > 2.0 * min(below, above):
             middle = 0.5 * (low + high)
             self._hold_between(out, low, middle, halvings - 1)
             if not math.isinf(out.distance):
@@ -321,52 +302,29 @@ class Braking:
 
 MAX_SPEED: Final = 150.0
 """Largest speed of an argument or an answer [m/s]."""
-_DAVIS: Final = (A, B, C)
-# Growth of the distance by one iteration at which the design point is found [1], and most iterations.
-_RELATIVE_TOLERANCE: Final = 1e-9
-_MAX_ITERATIONS: Final = 200
-# Places between two knots of the brake rate at which the deceleration is checked [1].
-_BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
-# Distance of a bound from the wanted one at which the speed is found [m], and most iterations.
-_TOLERANCE_M: Final = 1e-9
-_MAX_SPEED_ITERATIONS: Final = 100
-# Speeds up to this count as standstill, and slowest one from which a train must be able to stop [m/s].
-_STANDSTILL: Final = 1e-9
-_MIN_SPEED: Final = 1e-3
 NO_BRAKE: Final = 1e-3
 """Brake rates below this count as no brake [1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopPosterior:
-    """What is known of the parameters of a stop: independent but for a, b and c.
+    """What is known of the parameters of a stop: independent but for a, b and c."""
 
-    Attributes:
-        mean: In the order of ``stopping.RATE`` to ``LAG``.
-        variances: Of each in its squared unit; those of a, b and c are in ``davis``.
-        davis: Covariance of (a, b, c), 3x3, row-major.
-
-    """
-
-    mean: tuple[float, ...]
-    variances: tuple[float, ...]
-    davis: tuple[float, ...]
+    mean: tuple[float, ...]  # in the order of RATE to LAG
+    variances: tuple[float, ...]  # of each in its squared unit; those of a, b and c are in ``davis``
+    davis: tuple[float, ...]  # covariance of (a, b, c), 3x3, row-major
 
     def spread(self, gradient: list[float]) -> list[float]:
         """Return the covariance times a gradient, shape (9,)."""
         out = [variance * slope for variance, slope in zip(self.variances, gradient, strict=True)]
-        for i, place in enumerate(_DAVIS):
+        for i in range(3):
             row = self.davis[3 * i : 3 * i + 3]
-            out[place] = row[0] * gradient[A] + row[1] * gradient[B] + row[2] * gradient[C]
+            out[A + i] = row[0] * gradient[A] + row[1] * gradient[B] + row[2] * gradient[C]
         return out
 
     def std(self, gradient: list[float]) -> float:
         """Return the standard deviation along a gradient."""
-        return math.sqrt(max(0.0, math.fsum(map(_product, self.spread(gradient), gradient))))
-
-
-def _product(x: float, y: float) -> float:
-    return x * y
+        return math.sqrt(max(0.0, math.fsum(map(mul, self.spread(gradient), gradient))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,55 +338,8 @@ class Bound:
     gradient: list[float]
 
 
-class MinDeceleration:
-    """Whether the built-up brake decelerates at all speeds up to one, at a confidence.
-
-    Args:
-        shape: Brake rate over speed.
-        posterior: What is known of the parameters.
-        command: Brake target [m/s^2, > 0].
-        z: Standard deviations of the confidence.
-
-    """
-
-    def __init__(self, shape: RateShape, posterior: StopPosterior, command: float, z: float) -> None:
-        self._shape, self._posterior, self._command, self._z = shape, posterior, command, z
-        knots = shape.knots(MAX_SPEED)
-        self._grid = [0.0]
-        for k in range(1, len(knots)):
-            self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in _BETWEEN])
-        # Number of these speeds that are known to be good.
-        self._good = 0
-
-    def is_positive(self, speed: float) -> bool:
-        """Return whether the train slows down at all speeds up to one [m/s]."""
-        last = bisect_right(self._grid, speed)
-        while self._good < last:
-            if self._lower_bound(self._grid[self._good]) <= 0.0:
-                return False
-            self._good += 1
-        return self._lower_bound(speed) > 0.0
-
-    def _lower_bound(self, v: float) -> float:
-        """Return the deceleration at a speed less z standard deviations [m/s^2]."""
-        shape, k = self._shape, self._shape.k
-        rate = shape.table(v) * self._command
-        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
-        mean = math.fsum(map(_product, gradient, self._posterior.mean)) + k * shape.extra(v)
-        return mean - self._z * self._posterior.std(gradient)
-
-
 class StoppingBounds:
-    """Bounds of the stopping distance for one brake command.
-
-    Args:
-        shape: Brake rate over speed.
-        posterior: What is known of the parameters.
-        command: Brake target from now on [m/s^2, > 0].
-        applied: Brake target until it acts [m/s^2, >= 0].
-        confidence: Probability that the train stops within the bound, in [0.5, 1).
-
-    """
+    """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1)."""
 
     def __init__(
         self, shape: RateShape, posterior: StopPosterior, command: float, applied: float, confidence: float
@@ -437,22 +348,44 @@ class StoppingBounds:
         self._command, self._applied = command, applied
         self._z = NormalDist().inv_cdf(confidence)
         self._at_mean = Braking(shape, list(posterior.mean), command, applied)
-        self._deceleration_bound = MinDeceleration(shape, posterior, command, self._z)
+        # Speeds at which the deceleration is checked [m/s], and the number of them at which it is known to be positive.
+        knots = shape.knots(MAX_SPEED)
+        self._grid = [0.0]
+        for k in range(1, len(knots)):
+            self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in (0.25, 0.5, 0.75, 1.0)])
+        self._good = 0
 
     def at(self, speed: float) -> Bound:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
         at_mean = self._at_mean.stop(speed)
-        if math.isinf(at_mean.distance) or not self._deceleration_bound.is_positive(speed):
+        if math.isinf(at_mean.distance) or not self._slows_down(speed):
             return Bound(math.inf, math.inf, math.inf, [])
         std = self._posterior.std(at_mean.gradient)
         found = self.design_point_step(speed, at_mean.gradient)
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(200):
             if math.isinf(found.distance):
                 break
             before, found = found.distance, self.design_point_step(speed, found.gradient)
-            if abs(found.distance - before) <= _RELATIVE_TOLERANCE * before:
+            if abs(found.distance - before) <= 1e-9 * before:
                 return Bound(found.distance, std, found.dD_dv, found.gradient)
         return Bound(math.inf, std, math.inf, [])
+
+    def _slows_down(self, speed: float) -> bool:
+        """Return whether the built-up brake decelerates the train at all speeds up to one [m/s]."""
+        last = bisect_right(self._grid, speed)
+        while self._good < last:
+            if self._min_deceleration(self._grid[self._good]) <= 0.0:
+                return False
+            self._good += 1
+        return self._min_deceleration(speed) > 0.0
+
+    def _min_deceleration(self, v: float) -> float:
+        """Return the deceleration at a speed less z standard deviations [m/s^2]."""
+        shape, k = self._shape, self._shape.k
+        rate = shape.table(v) * self._command
+        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
+        mean = math.fsum(map(mul, gradient, self._posterior.mean)) + k * shape.extra(v)
+        return mean - self._z * self._posterior.std(gradient)
 
     def design_point_step(self, speed: float, gradient: list[float]) -> Stop:
         """Return the stop z standard deviations from the mean along a gradient."""
@@ -473,20 +406,24 @@ class StoppingBounds:
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
-
         """
         low, high, speed = 0.0, MAX_SPEED, min(self._first_guess(distance), MAX_SPEED)
         found = self.at(speed)
-        for _ in range(_MAX_SPEED_ITERATIONS):
+        for _ in range(100):
             excess = found.distance - distance
-            if abs(excess) <= _TOLERANCE_M or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
+            if abs(excess) <= 1e-9 or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
             found = self.at(speed)
         if math.isinf(found.distance):
             speed, found = low, self.at(low)
-        return self._checked(speed, found)
+        if speed > 1e-9:  # else it counts as standstill
+            # For unphysical drag the sign of the derivative is unreliable.
+            return speed, found.std / abs(found.dD_dv)
+        if math.isinf(self.at(1e-3).distance):  # not even the slowest train may stop
+            raise NoAnswerError(self.no_answer())
+        return 0.0, 0.0
 
     @staticmethod
     def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
@@ -495,14 +432,6 @@ class StoppingBounds:
         if following >= high == MAX_SPEED:
             return MAX_SPEED
         return following if low < following < high else 0.5 * (low + high)
-
-    def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
-        if speed > _STANDSTILL:
-            # For unphysical drag the sign of the derivative is unreliable.
-            return speed, found.std / abs(found.dD_dv)
-        if math.isinf(self.at(_MIN_SPEED).distance):
-            raise NoAnswerError(self.no_answer())
-        return 0.0, 0.0
 
     def _first_guess(self, distance: float) -> float:
         """Return the speed of a constant deceleration after dead time and time constant [m/s]."""

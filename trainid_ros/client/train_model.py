@@ -47,7 +47,6 @@ class Argument:
 
         Raises:
             InputError: It is not a number, not finite or out of range.
-
         """
         if not isinstance(value, (float, Real)):  # float first, because an abstract class takes long
             raise InputError(f'{self.name} = {shown(value)} must be a number in {self.unit or "1"}')
@@ -91,12 +90,8 @@ _TIME: Final = Argument('clock()', 's', -1e12, 1e12)
 class ForwardClock:
     """The time of a clock [s] plus all that it has gone back: it goes on from where the clock jumped.
 
-    Args:
-        clock: Present time [s].
-
     Raises:
         InputError: The clock is not callable, or does not return a number.
-
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -140,20 +135,12 @@ _BRAKE: Final = GsmaConfig()
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """An answer.
+    """An answer."""
 
-    Attributes:
-        value: The value, in the unit of the method that gave it.
-        std: Its standard deviation, in the same unit.
-        live: Whether it is from live estimates; False: from the train file.
-        reason: Status of the estimates, or why they are not used.
-
-    """
-
-    value: float
-    std: float
-    live: bool
-    reason: str
+    value: float  # the value, in the unit of the method that gave it
+    std: float  # its standard deviation, in the same unit
+    live: bool  # whether it is from live estimates; False: from the train file
+    reason: str  # status of the estimates, or why they are not used
 
 
 class TrainModel:
@@ -169,8 +156,7 @@ class TrainModel:
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
     Raises:
-        InputError: The train file or an argument cannot be used.
-
+        InputError: The train file cannot be used, or an argument, also of a method, is not finite or out of range.
     """
 
     def __init__(
@@ -208,7 +194,6 @@ class TrainModel:
 
         Raises:
             InputError: The train file cannot be used.
-
         """
         now = 0.0
         model = cls(None, train_file, max_age=MAX_AGE.high, clock=lambda: now)
@@ -252,10 +237,6 @@ class TrainModel:
 
         x is that of the train file's effects. In all methods, ``direction`` is 1 where positions increase on the way,
         -1 where they decrease; of the effects built in, only ``headwind`` depends on it.
-
-        Raises:
-            InputError: An argument is not a finite number or out of range.
-
         """
         v, direction = SPEED.checked(speed), checked_direction(direction)
         with self._lock:
@@ -263,12 +244,7 @@ class TrainModel:
             return self._resistance_at(v, direction)
 
     def brake_rate(self, speed: float | None = None) -> Value:
-        """Return the brake rate [1] (1 = nominal) at a speed [m/s]; without one, the factor on the table over speed.
-
-        Raises:
-            InputError: The speed is not a finite number or out of range.
-
-        """
+        """Return the brake rate [1] (1 = nominal) at a speed [m/s]; without one, the factor on the table over speed."""
         v = None if speed is None else SPEED.checked(speed)
         with self._lock:
             self._go_on()
@@ -290,10 +266,6 @@ class TrainModel:
             acceleration: dv/dt [m/s^2].
             mass: M [kg], as weighed; without it that of the train file.
             direction: As of :meth:`resistance`.
-
-        Raises:
-            InputError: An argument is not a finite number or out of range.
-
         """
         v, i, wanted = _motion(speed, gradient, acceleration)
         direction, train = checked_direction(direction), self._file.train_file.train
@@ -319,15 +291,7 @@ class TrainModel:
 
         ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g0 / (1000 (1 + gamma))``; 0 where no brake is needed.
 
-        Args:
-            speed: v [m/s].
-            gradient: i [per mille], + uphill in the direction of travel, and other resistance [N/kN] that is known.
-            acceleration: dv/dt [m/s^2].
-            direction: As of :meth:`resistance`.
-
-        Raises:
-            InputError: An argument is not a finite number or out of range.
-
+        The arguments are those of :meth:`feed_forward`.
         """
         v, i, wanted = _motion(speed, gradient, acceleration)
         direction = checked_direction(direction)
@@ -364,9 +328,7 @@ class TrainModel:
             direction: As of :meth:`resistance`.
 
         Raises:
-            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop at all.
-
         """
         v = SPEED.checked(speed)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
@@ -387,20 +349,10 @@ class TrainModel:
     ) -> Value:
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
-        It is the inverse of :meth:`stopping_distance`, and at most 150 m/s.
-
-        Args:
-            distance: Distance to the stop [m].
-            gradient: Mean gradient on the way to the stop [per mille], + uphill in the direction of travel.
-            command: Brake command from now on [m/s^2, < 0].
-            confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
-            applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
-            direction: As of :meth:`resistance`.
+        It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s.
 
         Raises:
-            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop from any speed.
-
         """
         away = DISTANCE.checked(distance)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
@@ -422,9 +374,7 @@ class TrainModel:
         For the rest see :meth:`braking_speed`.
 
         Raises:
-            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop from any speed.
-
         """
         end, direction = STOP.checked(stop), checked_direction(direction)
         distances = [distance_to(end, position, direction) for position in positions]
@@ -440,7 +390,7 @@ class TrainModel:
         with self._lock:
             self._go_on()
             posterior = self._posterior(i)
-            live, reason = _both(_state(self._resistance), _state(self._brake_rate))
+            live, reason = _both(self._resistance.state(), self._brake_rate.state())
         return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
     def _posterior(self, gradient: float) -> StopPosterior:
@@ -455,7 +405,7 @@ class TrainModel:
     def _resistance_at(self, speed: float, direction: int) -> Value:
         w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
         extra = self._file.effects.resistance(speed, direction)
-        live, reason = _state(self._resistance)
+        live, reason = self._resistance.state()
         low, high = self._learned_speeds
         if live and not low <= speed <= high:
             reason = f'{reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s'
@@ -465,7 +415,7 @@ class TrainModel:
         table, over_speed = self._file.rate_direction(speed)
         factor, variance = self._brake_rate.normal(BRAKE_RATE).along((1.0,))
         std = table * math.hypot(math.sqrt(variance), over_speed)
-        return Value(table * factor, std, *_state(self._brake_rate))
+        return Value(table * factor, std, *self._brake_rate.state())
 
     def _go_on(self) -> None:
         now = self._clock.now()
@@ -477,11 +427,6 @@ def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, 
     """Return speed [m/s], gradient [per mille] and acceleration [m/s^2], checked."""
     wanted = ACCELERATION.checked(acceleration)
     return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
-
-
-def _state(estimate: LiveEstimate) -> tuple[bool, str]:
-    """Return whether the values of an estimate are live, and its reason."""
-    return estimate.is_live, estimate.reason()
 
 
 def _both(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
