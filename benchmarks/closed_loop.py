@@ -49,26 +49,15 @@ class Trial:
 
     @property
     def line(self) -> str:
-        """Name of the line in the tables."""
         return self.world + _SHAPED * self.shaped
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it was driven.
-
-    Attributes:
-        drive: The drive.
-        after: Errors of the first stops after each sudden change of the brake [m].
-        unknown: For each bound, whether the brake has changed since the last stop, which nobody can know yet.
-        surprised: For each stop, whether the brake has changed while the train braked to it.
-
-    """
-
-    drive: Drive
-    after: tuple[float, ...]
-    unknown: tuple[bool, ...]
-    surprised: tuple[bool, ...]
+    drive: Drive  # The drive
+    after: tuple[float, ...]  # Errors of the first stops after each sudden change of the brake [m]
+    unknown: tuple[bool, ...]  # For each bound, whether the brake has changed since the last stop, unknown to all
+    surprised: tuple[bool, ...]  # For each stop, whether the brake has changed while the train braked to it
 
 
 def measure(seeds: int) -> tuple[Table | Plot, ...]:
@@ -87,7 +76,6 @@ def measure(seeds: int) -> tuple[Table | Plot, ...]:
 
 
 def run(trial: Trial) -> Outcome:
-    """Drive a day."""
     plan = plan_day(trial.world, trial.runs, np.random.default_rng(trial.seed), shaped=trial.shaped)
     return outcome_of(plan, drive_day(plan, trial.controller, trial.seed))
 

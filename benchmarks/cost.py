@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import gc
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,16 +22,13 @@ from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline import SharedRecord, share_streams
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.results import Rejection
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from benchmarks.days import TickOfRecords
     from trainid_ros.estimators.pipeline import EstimatorPipeline
@@ -38,33 +36,37 @@ if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
+    Array = NDArray[np.float64]
+
 _SEED: Final = 1
 _BLOCK: Final = 400
+_NAMES: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 # Particles for which the project has a target.
 _MANY: Final = 500
 _REFERENCE: Final = 'reference: plain RLS, 3 parameters'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Subject:
     """A function to time, with the argument of each call."""
 
     name: str
     items: Sequence[Any]
     call: Callable[[Any], object]
+    spent_ns: list[int] = field(default_factory=list)  # CPU time of each call so far
+    accepted: list[bool] = field(default_factory=list)  # Whether its sample was not rejected
 
+    def time_block(self, start: int) -> None:
+        call, clock = self.call, time.thread_time_ns
+        for item in self.items[start : start + _BLOCK]:
+            before = clock()
+            result = call(item)
+            self.spent_ns.append(clock() - before)
+            self.accepted.append(not isinstance(result, Rejection))
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """CPU time of one call [us]; ``accepted_...`` over the calls whose sample was not rejected."""
-
-    name: str
-    calls: int
-    mean: float
-    p50: float
-    p99: float
-    accepted_share: float
-    accepted_p50: float
+    def spent_us(self, overhead_ns: float) -> Array:
+        """Return the CPU time of each call without that of the clock [us]."""
+        return np.maximum(np.array(self.spent_ns, dtype=np.float64) - overhead_ns, 0.0) / 1e3
 
 
 class PlainRls:
@@ -75,7 +77,6 @@ class PlainRls:
         self.P = np.eye(3) * 1e3
 
     def step(self, sample: Sample) -> float:
-        """Process one sample; return its innovation."""
         phi = np.array([1.0, sample.speed, sample.speed * sample.speed])
         K = self.P @ phi / (1.0 + phi @ self.P @ phi)
         error = float(sample.gradient_mean - phi @ self.theta)
@@ -85,21 +86,28 @@ class PlainRls:
 
 
 def measure() -> tuple[Table, ...]:
-    """Time all subjects; return the table."""
-    costs = time_in_turns(_subjects())
-    reference = next(cost for cost in costs if cost.name == _REFERENCE)
+    subjects = _subjects()
+    overhead_ns = _clock_cost_ns()
+    gc.disable()
+    for start in range(0, max(len(subject.items) for subject in subjects), _BLOCK):
+        for subject in subjects:
+            subject.time_block(start)
+        gc.collect()
+    gc.enable()
+    us = {subject.name: subject.spent_us(overhead_ns) for subject in subjects}
+    rows = []
+    for subject in subjects:
+        spent, good = us[subject.name], np.array(subject.accepted)
+        p50, p99 = np.percentile(spent, (50.0, 99.0))
+        numbers = (spent.mean(), p50, p99, spent.mean() / us[_REFERENCE].mean())
+        accepted = (f'{good.mean():.0%}', f'{np.median(spent[good]):.1f}')
+        rows.append((subject.name, str(len(spent)), *(f'{value:.1f}' for value in numbers), *accepted))
     header = ('us of CPU time', 'calls', 'mean', 'p50', 'p99', 'mean / reference', 'accepted', 'p50 accepted')
-    rows = tuple(_row(cost, reference) for cost in costs)
     note = (
         f'Day of seed {_SEED}. "accepted": calls whose sample was not rejected (at standstill, brake on or off). '
         'A tick is the four or five records that complete one sample.'
     )
-    return (Table('CPU time of one call', header, rows, note),)
-
-
-def _row(cost: Cost, reference: Cost) -> tuple[str, ...]:
-    numbers = (f'{value:.1f}' for value in (cost.mean, cost.p50, cost.p99, cost.mean / reference.mean))
-    return cost.name, str(cost.calls), *numbers, f'{cost.accepted_share:.0%}', f'{cost.accepted_p50:.1f}'
+    return (Table('CPU time of one call', header, tuple(rows), note),)
 
 
 def _subjects() -> tuple[Subject, ...]:
@@ -107,27 +115,21 @@ def _subjects() -> tuple[Subject, ...]:
     records = simulated_day(_SEED).records
     ticks = ticks_of(records)
     samples = [tick.sample for tick in ticks]
-    steps = (
-        Subject('filter bank step, per sample', samples, resistance_pipeline(train, settings).estimator.step),
-        Subject('AM-VFF-RLS step, per sample', samples, speed_model_pipeline(train, settings).estimator.step),
-        Subject('GSMA step, per sample', samples, brake_rate_pipeline(train, settings).estimator.step),
-    )
-    pipelines = (
-        Subject('filter bank pipeline, per tick', ticks, _push_all(resistance_pipeline(train, settings).push)),
-        Subject('AM-VFF-RLS pipeline, per tick', ticks, _push_all(speed_model_pipeline(train, settings).push)),
-        Subject('GSMA pipeline, per tick', ticks, _push_all(brake_rate_pipeline(train, settings).push)),
-    )
+    steps, pipelines = list[Subject](), list[Subject]()
+    for name, kind in zip(_NAMES, KINDS, strict=True):
+        step, push = kind.pipeline(train, settings).estimator.step, kind.pipeline(train, settings).push
+        steps.append(Subject(f'{name} step, per sample', samples, step))
+        pipelines.append(Subject(f'{name} pipeline, per tick', ticks, partial(_push_all, push)))
     aligner = Subject('Aligner push, per record', records, Aligner(AlignmentConfig()).push)
     live = Subject('live tick, target 30: three pipelines on one stream', ticks, _push_to_three(train, settings))
     many = Gsma(train, GsmaConfig(particles=_MANY), np.random.default_rng(_SEED))
-    step = Subject(f'GSMA step with {_MANY} particles, target 130 where accepted', samples, many.step)
-    return (Subject(_REFERENCE, samples, PlainRls().step), *steps, step, aligner, *pipelines, live)
+    crowd = Subject(f'GSMA step with {_MANY} particles, target 130 where accepted', samples, many.step)
+    return (Subject(_REFERENCE, samples, PlainRls().step), *steps, crowd, aligner, *pipelines, live)
 
 
 def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[TickOfRecords], object]:
     """Return a function that takes in a tick as the nodes of ``trainid run`` do, estimates included."""
-    makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
-    pipelines: list[EstimatorPipeline[Any]] = [maker(train, settings) for maker in makers]
+    pipelines: list[EstimatorPipeline[Any]] = [kind.pipeline(train, settings) for kind in KINDS]
     share_streams(pipelines)
 
     def call(tick: TickOfRecords) -> object:
@@ -141,45 +143,10 @@ def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[T
     return call
 
 
-def _push_all(push: Callable[[Any], object]) -> Callable[[TickOfRecords], object]:
-    def call(tick: TickOfRecords) -> object:
-        return [push(record) for record in tick.records]
-
-    return call
+def _push_all(push: Callable[[Any], object], tick: TickOfRecords) -> object:
+    return [push(record) for record in tick.records]
 
 
-def time_in_turns(subjects: Sequence[Subject]) -> tuple[Cost, ...]:
-    """Time every call of all subjects, taking turns block by block."""
-    times: list[list[int]] = [[] for _ in subjects]
-    accepted: list[list[bool]] = [[] for _ in subjects]
-    longest = max(len(subject.items) for subject in subjects)
-    overhead = _clock_cost()
-    gc.disable()
-    for start in range(0, longest, _BLOCK):
-        for subject, spent, accepted_calls in zip(subjects, times, accepted, strict=True):
-            _time_block(subject, start, spent, accepted_calls)
-        gc.collect()
-    gc.enable()
-    results = zip(subjects, times, accepted, strict=True)
-    return tuple(_summary(subject.name, spent, accepted_calls, overhead) for subject, spent, accepted_calls in results)
-
-
-def _time_block(subject: Subject, start: int, spent: list[int], accepted_calls: list[bool]) -> None:
-    call, clock = subject.call, time.thread_time_ns
-    for item in subject.items[start : start + _BLOCK]:
-        before = clock()
-        result = call(item)
-        spent.append(clock() - before)
-        accepted_calls.append(not isinstance(result, Rejection))
-
-
-def _clock_cost() -> float:
+def _clock_cost_ns() -> float:
     clock = time.thread_time_ns
     return float(np.median([-(clock() - clock()) for _ in range(20_000)]))
-
-
-def _summary(name: str, spent: list[int], accepted_calls: list[bool], overhead: float) -> Cost:
-    us = np.maximum(np.array(spent, dtype=np.float64) - overhead, 0.0) / 1e3
-    good = np.array(accepted_calls)
-    p50, p99 = np.percentile(us, (50.0, 99.0))
-    return Cost(name, len(us), float(us.mean()), float(p50), float(p99), float(good.mean()), float(np.median(us[good])))

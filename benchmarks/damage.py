@@ -7,8 +7,6 @@ said. Damage outside the messages, such as in the index, need not be said if no 
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
 
-from benchmarks.tables import Table, as_text
+from benchmarks.tables import Table, columns
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, RecordFile
@@ -59,8 +57,6 @@ class Damaged:
 
 @dataclass(slots=True)
 class Score:
-    """Outcome of many damaged files."""
-
     files: int = 0
     rejected: int = 0
     wrong: int = 0
@@ -105,13 +101,11 @@ def _chunks(path: Path) -> Iterator[tuple[int, int]]:
 
 
 def cut(content: bytes, rng: np.random.Generator) -> Damaged:
-    """Cut a file at a random byte."""
     place = int(rng.integers(len(MAGIC) + 1, len(content)))
     return Damaged(content[:place], place, len(content))
 
 
 def flip(content: bytes, rng: np.random.Generator) -> Damaged:
-    """Flip one random bit."""
     place, changed = int(rng.integers(len(content))), bytearray(content)
     changed[place] ^= 1 << int(rng.integers(8))
     return Damaged(bytes(changed), place, place)
@@ -157,7 +151,6 @@ def judge(original: Original, damaged: Damaged, path: Path, score: Score) -> Non
 
 
 def campaign(files: int, folder: Path, compression: CompressionType, kind: str, seed: int = _SEED) -> Score:
-    """Return the score of random damage of one kind."""
     rng, score = np.random.default_rng(seed), Score()
     original = write_original(folder, compression)
     for _ in range(files):
@@ -166,39 +159,18 @@ def campaign(files: int, folder: Path, compression: CompressionType, kind: str, 
 
 
 def measure(files: int) -> tuple[Table, ...]:
-    """Damage many files in every way; return the table."""
-    header = (
-        'damage',
-        'files',
-        'rejected',
-        'intact messages read',
-        'files with a wrong value',
-        'loss not said',
-        'longest s',
+    header = columns(
+        'damage | files | rejected | intact messages read | files with a wrong value | loss not said | longest s'
     )
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for kind in KINDS:
             for compression in CompressionType:
                 score = campaign(files, Path(folder), compression, kind)
-                counts = (
-                    str(score.files),
-                    str(score.rejected),
-                    f'{score.share:.3%}',
-                    str(score.wrong),
-                    str(score.unsaid),
-                )
-                rows.append((f'{kind}, {compression.name.lower()}', *counts, f'{score.longest_s:.2f}'))
+                counts = (score.files, score.rejected, f'{score.share:.3%}', score.wrong, score.unsaid)
+                rows.append((f'{kind}, {compression.name.lower()}', *map(str, counts), f'{score.longest_s:.2f}'))
     note = (
         f'Bags of {_MESSAGES} messages in chunks of {_CHUNK_BYTES} bytes with checksums. Rejected: although a chunk '
         'was intact. Intact: in chunks that the damage does not touch.'
     )
     return (Table('Damaged bags', header, tuple(rows), note),)
-
-
-if __name__ == '__main__':
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--files', type=int, default=1000, metavar='N', help='files of each kind (default 1000)')
-    for table in measure(parser.parse_args().files):
-        print(as_text(table))
-    sys.exit(0)

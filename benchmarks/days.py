@@ -40,8 +40,17 @@ def assumed_train() -> TrainFile:
 
 @cache
 def simulated_day(seed: int) -> Simulation:
-    """Return one simulated day; equal seeds give equal days."""
     return simulate(yizhuang_day(assumed_train()), np.random.default_rng(seed))
+
+
+def write_bag(path: Path, records: Iterable[Record]) -> Path:
+    """Write records as a bag; return its path."""
+    from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415 (not all that use this module have it)
+
+    with BagWriter(path) as writer:
+        for record in records:
+            writer.write_record(record)
+    return path
 
 
 def ticks_of(records: Iterable[Record]) -> tuple[TickOfRecords, ...]:
@@ -57,5 +66,4 @@ def ticks_of(records: Iterable[Record]) -> tuple[TickOfRecords, ...]:
 
 
 def samples_of(records: Iterable[Record]) -> tuple[Sample, ...]:
-    """Return the aligned samples of records."""
     return tuple(tick.sample for tick in ticks_of(records))

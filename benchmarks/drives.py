@@ -79,7 +79,6 @@ class ManoeuvreDriver:
         return self._phase == 'dwell' and time_s >= self._depart_s
 
     def depart(self, stop: float) -> None:
-        """Depart on the next manoeuvre."""
         self.stop, self._phase, self._held_s = stop, 'pull', 0.0
 
     def decide(self, time_s: float, train: Plant) -> Decision:
@@ -110,18 +109,11 @@ class ManoeuvreDriver:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A suggested drive, and the standard deviation reached over the promised one of all quantities by name [1].
+    """A suggested drive, and the standard deviation reached over the promised one of all quantities by name [1]."""
 
-    Attributes:
-        drive: The drive.
-        ratios: In the simulator.
-        predicted: For some drives whose innovations are drawn as the filter bank predicts them; none of V-MILS.
-
-    """
-
-    drive: SuggestedDrive
-    ratios: dict[str, float]
-    predicted: tuple[dict[str, float], ...] = ()
+    drive: SuggestedDrive  # The drive
+    ratios: dict[str, float]  # In the simulator
+    predicted: tuple[dict[str, float], ...] = ()  # In drives with innovations as the filter bank predicts them
 
 
 def try_drive(world: str, realism: str, algorithm: str, seed: int) -> Trial | None:
@@ -206,14 +198,13 @@ def kept_share(ratios: Sequence[float]) -> float:
 
 def summary(trials: Sequence[Trial]) -> tuple[str, ...]:
     """Return the number of trials, and median ratio and share kept of a, b, c, and of what was promised first."""
-    return _summary([(trial.drive, trial.ratios) for trial in trials])
+    columns = [[trial.ratios[name] for trial in trials] for name in 'abc']
+    columns.append([trial.ratios[trial.drive.least_known.wanted.name] for trial in trials])
+    return (str(len(trials)), *map(_kept, columns))
 
 
-def _summary(found: Sequence[tuple[SuggestedDrive, dict[str, float]]]) -> tuple[str, ...]:
-    columns = [[ratios[name] for _, ratios in found] for name in 'abc']
-    columns.append([ratios[drive.least_known.wanted.name] for drive, ratios in found])
-    cells = (f'{np.median(ratios):.2f} ({100.0 * kept_share(ratios):.0f} %)' for ratios in columns)
-    return (str(len(found)), *cells)
+def _kept(ratios: Sequence[float]) -> str:
+    return f'{np.median(ratios):.2f} ({100.0 * kept_share(ratios):.0f} %)'
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
@@ -223,7 +214,6 @@ def measure(seeds: int) -> tuple[Table, ...]:
 
 
 def measured(seeds: Iterable[int]) -> Table:
-    """Return how often promises were kept over these seeds."""
     cells = list(product(ALGORITHMS, WORLDS, REALISMS, seeds))
     found = zip(cells, over_seeds(_try, cells, 'drives'), strict=True)
     groups: dict[tuple[str, str, str], list[Trial]] = {cell[:3]: [] for cell in cells}
@@ -235,8 +225,8 @@ def measured(seeds: Iterable[int]) -> Table:
         trials = [trial for group, of_group in groups.items() if group[0] == algorithm for trial in of_group]
         if trials:
             rows.append((algorithm, 'all', '', *summary(trials)))
-        if predicted := [(trial.drive, ratios) for trial in trials for ratios in trial.predicted]:
-            rows.append((algorithm, 'all', 'predicted', *_summary(predicted)))
+        if predicted := [Trial(trial.drive, ratios) for trial in trials for ratios in trial.predicted]:
+            rows.append((algorithm, 'all', 'predicted', *summary(predicted)))
     header = ('algorithm', 'line', 'realism', 'drives', 'a', 'b', 'c', 'least known')
     note = (
         'Each trial holds a speed for four minutes, asks what to drive, and drives that. Median of the standard '
@@ -260,7 +250,7 @@ def measured_brakings(seeds: Iterable[int]) -> Table:
     for world in (*WORLDS, 'all'):
         ratios = [trial.ratios['brake rate'] for cell, trial in found if trial and world in (cell[0], 'all')]
         if ratios:
-            rows.append((world, str(len(ratios)), f'{np.median(ratios):.2f} ({100.0 * kept_share(ratios):.0f} %)'))
+            rows.append((world, str(len(ratios)), _kept(ratios)))
     note = (
         f'Each trial brakes once from {_WALK.start / KM_H:.0f} km/h, asks what to drive, and drives that. As '
         'above, for the brake rate.'

@@ -4,19 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import GustModel
 from trainid_ros.sim.scenario import Scenario, SensorModel, Simulation, simulate
 from trainid_ros.sim.worlds import WORLDS, world_train
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 WORLD: Final = WORLDS['metro']
 FAULTS: Final = ('dragging_brake', 'worn_pads', 'wheel_diameter', 'wrong_weighing')
@@ -72,7 +68,6 @@ def stated_train() -> TrainFile:
 
 
 def draw_train(seed: int, number: int) -> FleetTrain:
-    """Draw what is true of a train."""
     rng = np.random.default_rng((seed, 1, number))
     mass, force, rate = (1.0 + std * float(np.clip(rng.standard_normal(), -2, 2)) for std in (0.02, 0.01, 0.03))
     delay, wheel, dead = rng.uniform(0.0, 0.2), rng.uniform(-0.005, 0.005), rng.uniform(-0.2, 0.2)
@@ -151,10 +146,3 @@ def _true_gradient(seed: int, file: TrainFile) -> tuple[tuple[float, float], ...
     errors = np.random.default_rng((seed, 4)).standard_normal(len(file.line.gradient))
     pairs = zip(file.line.gradient, errors.tolist(), strict=True)
     return tuple((at, permille + _MAP_STD * error) for (at, permille), error in pairs)
-
-
-def write_bag(path: Path, simulation: Simulation) -> None:
-    """Write a drive as a bag."""
-    with BagWriter(path) as writer:
-        for record in simulation.records:
-            writer.write_record(record)

@@ -13,26 +13,25 @@ import tempfile
 import threading
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks.days import TRAIN_FILE, simulated_day
+from benchmarks.graph import Peer
 from benchmarks.tables import Table
 from trainid_ros.cli.processes import free_domain
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
-from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
+from trainid_ros.interface.records import NS_PER_S, stamp_of
+from trainid_ros.ros.topics import message_from_record
 from trainid_ros.setup.checkpoint import Checkpoint, parse_checkpoint
 from trainid_ros.setup.pipelines import KINDS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from trainid_ros.interface.records import OutputTopic
 
 _SEED: Final = 1
 _PERIOD_S: Final = 0.2
@@ -46,40 +45,21 @@ _RUN: Final = 'import sys; from trainid_ros.cli.main import main; sys.exit(main(
 
 @dataclass(slots=True)
 class Outcome:
-    """What the kills have left behind.
-
-    Attributes:
-        kills: Number of kills.
-        active: Those that met nodes which had published for more than two periods.
-        age_s: Age of the checkpoint of each of these nodes at the kill [s].
-        lost_s: Time covered by the estimates of each of these nodes after its checkpoint [s].
-        lost_at_stop: Estimates that came after the checkpoint of a process which was asked to end.
-        torn: Files that could not be read.
-        parts: Names of interrupted writes.
-        most_parts: The most of them at a time.
-        strays: Files of any other name at the end.
-        rejected: Starts that did not continue from the checkpoint on disk.
-        backward: Checkpoints older than the one before.
-        unsaved: Warnings that a checkpoint could not be written.
-
-    """
-
-    kills: int = 0
-    active: int = 0
-    age_s: list[float] = field(default_factory=list)
-    lost_s: list[float] = field(default_factory=list)
-    lost_at_stop: int = 0
-    torn: int = 0
-    parts: set[str] = field(default_factory=set)
-    most_parts: int = 0
-    strays: set[str] = field(default_factory=set)
-    rejected: int = 0
-    backward: int = 0
-    unsaved: int = 0
+    kills: int = 0  # Number of kills
+    active: int = 0  # Those that met nodes which had published for more than two periods
+    age_s: list[float] = field(default_factory=list)  # Age of the checkpoint of each of these nodes at the kill [s]
+    lost_s: list[float] = field(default_factory=list)  # Time covered by their estimates after the checkpoint [s]
+    lost_at_stop: int = 0  # Estimates that came after the checkpoint of a process which was asked to end
+    torn: int = 0  # Files that could not be read
+    parts: set[str] = field(default_factory=set)  # Names of interrupted writes
+    most_parts: int = 0  # The most of them at a time
+    strays: set[str] = field(default_factory=set)  # Files of any other name at the end
+    rejected: int = 0  # Starts that did not continue from the checkpoint on disk
+    backward: int = 0  # Checkpoints older than the one before
+    unsaved: int = 0  # Warnings that a checkpoint could not be written
 
 
 def measure(kills: int) -> tuple[Table, ...]:
-    """Run the campaign; return its table."""
     with tempfile.TemporaryDirectory() as folder:
         outcome = Campaign(Path(folder)).run(kills)
     rows = (
@@ -110,8 +90,6 @@ def _spread(values: list[float]) -> str:
 
 
 class Campaign:
-    """Starts and kills the nodes, and reads their files."""
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._states = folder / 'states'
@@ -140,12 +118,9 @@ class Campaign:
         self._outcome.strays = names - {f'{kind.node_name}.json' for kind in KINDS}
         return self._outcome
 
-    def _start(self) -> Nodes:
-        return Nodes(self._folder / 'log.txt', self._domain, self._params)
-
     def _kill_after(self, delay_s: float, *, of_active: bool) -> None:
         before, start_ns = self._read(), time.time_ns()
-        nodes = self._start()
+        nodes = Nodes(self._folder / 'log.txt', self._domain, self._params)
         if of_active:
             self._wait_for_estimates(nodes)
         time.sleep(delay_s)
@@ -156,7 +131,7 @@ class Campaign:
         self._judge(nodes, start_ns, killed_ns, before, self._read())
 
     def _stop(self) -> None:
-        nodes = self._start()
+        nodes = Nodes(self._folder / 'log.txt', self._domain, self._params)
         self._wait_for_estimates(nodes)
         nodes.process.terminate()
         nodes.close()
@@ -165,11 +140,9 @@ class Campaign:
             self._outcome.lost_at_stop += sum(stamp > after[name].stamp_ns for stamp in stamps)
 
     def _wait_for_estimates(self, nodes: Nodes) -> None:
-        nodes.wait_until_active()
+        _wait_until(lambda: len(nodes.active) == len(KINDS))
         self._train.take()
-        deadline = time.monotonic() + _PATIENCE_S
-        while not self._train.is_heard and time.monotonic() < deadline:
-            time.sleep(0.02)
+        _wait_until(lambda: self._train.is_heard)
 
     def _read(self) -> dict[str, Checkpoint]:
         found = {}
@@ -206,6 +179,13 @@ class Campaign:
                 outcome.lost_s.append(_SAMPLE_S * sum(stamp > after[name].stamp_ns for stamp in stamps))
 
 
+def _wait_until(holds: Callable[[], bool]) -> None:
+    """Wait for something, but not for ever."""
+    deadline = time.monotonic() + _PATIENCE_S
+    while not holds() and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
 class Nodes:
     """The process of the three nodes, and the names of those that have become active."""
 
@@ -234,14 +214,7 @@ class Nodes:
             if line.endswith(' is active\n'):
                 self.active.add(line.split()[0])
 
-    def wait_until_active(self) -> None:
-        """Wait until all nodes are active."""
-        deadline = time.monotonic() + _PATIENCE_S
-        while len(self.active) < len(KINDS) and time.monotonic() < deadline:
-            time.sleep(0.02)
-
     def close(self) -> None:
-        """Wait for the end."""
         self.process.wait(_PATIENCE_S)
         self._reader.join()
         if self.process.stdout is not None:
@@ -249,30 +222,21 @@ class Nodes:
         self._errors.close()
 
 
-class Train:
+class Train(Peer):
     """Publishes the records of a simulated day in real time, stamped with the time of day, and hears the estimates."""
 
     def __init__(self, domain: int) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self._node = rclpy.create_node('train', context=self._context)
-        self._publishers: dict[type, Any] = {
-            topic.record: self._node.create_publisher(message_class(topic), topic.name, source_qos())
-            for topic in INPUT_TOPICS
-        }
+        super().__init__('train', domain)
+        self._inputs = self.publishers()
         self._estimates: dict[str, list[int]] = {}
-        for kind in KINDS:
-            self._node.create_subscription(
-                message_class(kind.topic), kind.topic.name, partial(self._note, kind.node_name), estimate_qos()
-            )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._names = {kind.topic: kind.node_name for kind in KINDS}
+        self.hear(self._note)
         self._end = threading.Event()
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._publish, self._receive)]
+        self._sender = threading.Thread(target=self._publish, daemon=True)
 
-    def _note(self, name: str, message: Any) -> None:
+    def _note(self, topic: OutputTopic, message: Any) -> None:
         if message.status != message.STALE:  # as before the first sample
-            self._estimates.setdefault(name, []).append(stamp_of(message))
+            self._estimates.setdefault(self._names[topic], []).append(stamp_of(message))
 
     @property
     def is_heard(self) -> bool:
@@ -284,23 +248,14 @@ class Train:
         taken, self._estimates = self._estimates, {}
         return taken
 
-    def _receive(self) -> None:
-        while not self._end.is_set():
-            self._executor.spin_once(timeout_sec=0.1)
-
-    def __enter__(self) -> None:
-        """Begin."""
-        for thread in self._threads:
-            thread.start()
+    def __enter__(self) -> Self:
+        self._sender.start()
+        return super().__enter__()
 
     def __exit__(self, *_: object) -> None:
-        """End."""
         self._end.set()
-        for thread in self._threads:
-            thread.join()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        self._sender.join()
+        super().__exit__()
 
     def _publish(self) -> None:
         records: Sequence[Any] = simulated_day(_SEED).records
@@ -311,4 +266,4 @@ class Train:
                 return
             message = message_from_record(record)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
-            self._publishers[type(record)].publish(message)
+            self._inputs[type(record)].publish(message)

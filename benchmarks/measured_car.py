@@ -25,7 +25,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from benchmarks.days import REPOSITORY
-from benchmarks.tables import Table, as_text
+from benchmarks.tables import Table, as_text, columns
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.interface.results import Status
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, resistance_pipeline
@@ -93,43 +93,28 @@ class Regression:
     masses: dict[str, float]
     windows: int
 
+    def __str__(self) -> str:
+        return f'{self.force:.0f} ± {self.std:.0f}'
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of an algorithm on the trips of a season.
+    """Result of an algorithm on the trips of a season."""
 
-    Attributes:
-        force: Resistance at 20 m/s [N of the nominal mass] after the last trip.
-        std: Its reported standard deviation [N].
-        scale: Force scale with its standard deviation, NaN if not estimated.
-        to_valid: Time in motion with the pedal pressed until the estimate is first VALID [min], infinite if never.
-        valid: Share of the samples in motion with the pedal pressed at which it is.
-        trips: Resistance at 20 m/s after each trip, with its standard deviation [N].
-
-    """
-
-    force: float
-    std: float
-    scale: tuple[float, float]
-    to_valid: float
-    valid: float
-    trips: dict[str, tuple[float, float]]
+    scale: tuple[float, float]  # Force scale with its standard deviation, NaN if not estimated
+    to_valid: float  # Time in motion with the pedal pressed until the estimate is first VALID [min], infinite if never
+    valid: float  # Share of the samples in motion with the pedal pressed at which it is
+    trips: dict[str, tuple[float, float]]  # Resistance at 20 m/s after each trip, with its standard deviation [N]
 
     @property
     def mean(self) -> float:
         """Mean of the resistances at 20 m/s after the trips [N], weighted by their variances."""
         weights = [1.0 / (std * std) for _, std in self.trips.values()]
-        return math.fsum(w * force for w, (force, _) in zip(weights, self.trips.values(), strict=True)) / math.fsum(
-            weights
-        )
+        weighted = (w * force for w, (force, _) in zip(weights, self.trips.values(), strict=True))
+        return math.fsum(weighted) / math.fsum(weights)
 
     def rms_error(self, reference: float) -> float:
-        """Return the root mean square of the errors after the trips, in their standard deviations [1].
-
-        Args:
-            reference: Resistance at 20 m/s that is right [N].
-
-        """
+        """Return the rms of the errors after the trips from the right value [N], in their standard deviations [1]."""
         errors = [(force - reference) / std for force, std in self.trips.values()]
         return math.sqrt(math.fsum(error * error for error in errors) / len(errors))
 
@@ -147,7 +132,6 @@ def trip_names(folder: Path, season: str) -> tuple[str, ...]:
 
 
 def load_trip(folder: Path, name: str) -> Trip:
-    """Read a trip."""
     with (folder / 'trips.csv').open(encoding='utf-8', newline='') as file:
         start = next(row['start'] for row in csv.DictReader(file) if row['trip'] == name)
     with np.load(folder / f'{name}.npz') as data:
@@ -266,14 +250,7 @@ def _rows(part: Array, index: int, trips: int) -> Array:
 
 
 def identify(trips: Sequence[Trip], algorithm: str, **changes: float) -> Outcome:
-    """Run a resistance algorithm over the trips as one stream of records, with the real gaps between them.
-
-    Args:
-        trips: The trips, by date.
-        algorithm: Name of the algorithm.
-        **changes: Settings other than the defaults.
-
-    """
+    """Run a resistance algorithm with changed settings over trips by date, as one stream of records with real gaps."""
     settings = EstimatorSettings(resistance=RESISTANCE.choose(algorithm, **changes))
     pipeline = resistance_pipeline(stated_car(), settings)
     moving = valid = 0
@@ -291,8 +268,7 @@ def identify(trips: Sequence[Trip], algorithm: str, **changes: float) -> Outcome
                     to_valid = moving / (60.0 / SAMPLE_PERIOD)
         after[trip.name] = force_at(pipeline.estimator.estimate(_SPEED))
     estimate = pipeline.estimator.estimate(_SPEED)
-    scale = estimate.force_scale, estimate.force_scale_std
-    return Outcome(*force_at(estimate), scale, to_valid, valid / max(moving, 1), after)
+    return Outcome((estimate.force_scale, estimate.force_scale_std), to_valid, valid / max(moving, 1), after)
 
 
 def force_at(estimate: ResistanceEstimate) -> tuple[float, float]:
@@ -314,23 +290,26 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
         trips = [load_trip(folder, name) for name in trip_names(folder, letter)]
         regression, found, default = regress(trips), identify(trips, algorithm, **WANTED), identify(trips, algorithm)
         halves = regress(trips[: len(trips) // 2]), regress(trips[len(trips) // 2 :])
-        rows.append(_row(season, reference, regression, halves, found, default))
-        for name, (force, std) in found.trips.items():
-            mass = regression.masses.get(name, math.nan)
-            trip_rows.append((name, f'{force:.0f} ± {std:.0f}', f'{mass:.0f}'))
-    header = (
-        'season',
-        'reference, N',
-        'regression, N',
-        'of the halves, N',
-        f'{algorithm}, last, N',
-        'mean, N',
-        'rms error in std',
-        'force scale',
-        'to VALID at 10 %, min',
-        'VALID',
-        'at 5 %, min',
-        'VALID',
+        after = {name: f'{force:.0f} ± {std:.0f}' for name, (force, std) in found.trips.items()}
+        scale, scale_std = found.scale
+        rows.append(
+            (
+                season,
+                f'{reference:.0f}',
+                str(regression),
+                ', '.join(map(str, halves)),
+                list(after.values())[-1],
+                f'{found.mean:.0f}',
+                f'{found.rms_error(reference):.2f}',
+                '-' if math.isnan(scale) else f'{scale:.3f} ± {scale_std:.3f}',
+                *_fitness(found),
+                *_fitness(default),
+            )
+        )
+        trip_rows += [(name, text, f'{regression.masses.get(name, math.nan):.0f}') for name, text in after.items()]
+    header = columns(
+        f'season | reference, N | regression, N | of the halves, N | {algorithm}, last, N | mean, N | '
+        'rms error in std | force scale | to VALID at 10 %, min | VALID | at 5 %, min | VALID'
     )
     note = (
         'Resistance at 20 m/s. Minutes and shares count samples in motion with the accelerator pedal pressed; VALID '
@@ -343,38 +322,10 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
     return Table('Measured car', header, tuple(rows), note), Table('By trip', trip_header, tuple(trip_rows))
 
 
-def _row(
-    season: str,
-    reference: float,
-    regression: Regression,
-    halves: tuple[Regression, ...],
-    found: Outcome,
-    default: Outcome,
-) -> tuple[str, ...]:
-    scale, std = found.scale
-    return (
-        season,
-        f'{reference:.0f}',
-        f'{regression.force:.0f} ± {regression.std:.0f}',
-        ', '.join(f'{half.force:.0f} ± {half.std:.0f}' for half in halves),
-        f'{found.force:.0f} ± {found.std:.0f}',
-        f'{found.mean:.0f}',
-        f'{found.rms_error(reference):.2f}',
-        '-' if math.isnan(scale) else f'{scale:.3f} ± {std:.3f}',
-        *_fitness(found),
-        *_fitness(default),
-    )
-
-
 def _fitness(found: Outcome) -> tuple[str, str]:
     """Return time until VALID [min] and share of VALID."""
     return '-' if math.isinf(found.to_valid) else f'{found.to_valid:.1f}', f'{found.valid:.0%}'
 
 
-def main() -> None:
-    """Print the tables."""
-    print('\n\n'.join(as_text(table) for table in measure(*sys.argv[1:3])))
-
-
 if __name__ == '__main__':
-    main()
+    print('\n\n'.join(as_text(table) for table in measure(*sys.argv[1:3])))

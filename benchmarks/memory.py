@@ -7,23 +7,15 @@ The records of one simulated day are repeated with shifted stamps; no bag is inv
 from __future__ import annotations
 
 import gc
-import resource
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from benchmarks.days import assumed_train, simulated_day
+from benchmarks.processes import open_files, resident_kb
+from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,11 +25,9 @@ if TYPE_CHECKING:
 _SEED: Final = 1
 _HOURS: Final = (0.1, 1.0, 6.0, 24.0)
 _SECONDS_PER_HOUR: Final = 3600
-_ESTIMATORS: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """Memory of the process [kB], its open files, and sizes of the saved states [bytes] after some hours of input."""
 
     hours: float
@@ -49,47 +39,38 @@ class Reading:
 
 def measure() -> tuple[Table, ...]:
     """Run 24 h of input in a separate process; return the table."""
-    with ProcessPoolExecutor(1, mp_context=get_context('spawn')) as pool:
-        readings = pool.submit(read_memory).result()
-    first = readings[0].resident_kb
-    header = (
-        'after',
-        'samples',
-        'resident MB',
-        'grown kB',
-        'open files',
-        *(f'{name} state, bytes' for name in _ESTIMATORS),
-    )
+    (readings,) = over_seeds(read_memory, [_SEED])
+    states = (f'{name} state, bytes' for name in ('filter bank', 'AM-VFF-RLS', 'GSMA'))
+    header = ('after', 'samples', 'resident MB', 'grown kB', 'open files', *states)
     rows = tuple(
         (
-            f'{reading.hours:g} h',
-            str(reading.samples),
-            f'{reading.resident_kb / 1024:.1f}',
-            str(reading.resident_kb - first),
-            str(reading.open_files),
-            *(str(size) for size in reading.state_bytes),
+            f'{hours:g} h',
+            str(samples),
+            f'{memory_kb / 1024:.1f}',
+            str(memory_kb - readings[0].resident_kb),
+            str(files),
+            *map(str, sizes),
         )
-        for reading in readings
+        for hours, samples, memory_kb, files, sizes in readings
     )
     note = 'The process holds the records of one day throughout; growth is relative to the first reading.'
     return (Table('Memory of three pipelines over 24 h at 5 Hz', header, rows, note),)
 
 
-def read_memory() -> tuple[Reading, ...]:
-    """Push 24 h of records and read the memory at intervals."""
+def read_memory(seed: int) -> tuple[Reading, ...]:
+    """Push 24 h of records of a day and read the memory at intervals."""
     train, settings = assumed_train(), EstimatorSettings()
-    pipelines: tuple[EstimatorPipeline[Any], ...] = (
-        resistance_pipeline(train, settings),
-        speed_model_pipeline(train, settings),
-        brake_rate_pipeline(train, settings),
-    )
-    day = simulated_day(_SEED)
-    start_ns, due, readings = day.records[0].stamp_ns, list(_HOURS), []
+    pipelines = [kind.pipeline(train, settings) for kind in KINDS]
+    day = simulated_day(seed)
+    start_ns, due, readings = day.records[0].stamp_ns, list(_HOURS), list[Reading]()
     for record in repeated(day.records, round(day.duration_s * NS_PER_S)):
         for pipeline in pipelines:
             pipeline.push(record)
         if record.stamp_ns - start_ns >= due[0] * _SECONDS_PER_HOUR * NS_PER_S:
-            readings.append(_read(due.pop(0), pipelines))
+            gc.collect()
+            sizes = tuple(len(pipeline.estimator.save().encode()) for pipeline in pipelines)
+            memory = resident_kb('self'), open_files('self')
+            readings.append(Reading(due.pop(0), pipelines[0].samples, *memory, sizes))
             # Printed at once, because the last reading takes minutes and the run may be interrupted.
             print(readings[-1], flush=True)
             if not due:
@@ -104,20 +85,3 @@ def repeated(records: tuple[Record, ...], period_ns: int) -> Iterator[Record]:
         for record in records:
             yield replace(record, stamp_ns=record.stamp_ns + shift_ns)
         shift_ns += period_ns
-
-
-def _read(hours: float, pipelines: tuple[EstimatorPipeline[Any], ...]) -> Reading:
-    gc.collect()
-    sizes = tuple(len(pipeline.estimator.save().encode()) for pipeline in pipelines)
-    return Reading(hours, pipelines[0].samples, resident_kb('self'), open_files('self'), sizes)
-
-
-def resident_kb(process: int | str) -> int:
-    """Return the memory of a process [kB]."""
-    pages = int(Path(f'/proc/{process}/statm').read_text(encoding='ascii').split()[1])
-    return pages * resource.getpagesize() // 1024
-
-
-def open_files(process: int | str) -> int:
-    """Return the number of open file descriptors of a process."""
-    return sum(1 for _ in Path(f'/proc/{process}/fd').iterdir())

@@ -4,16 +4,15 @@
 A mutant has one comparison, operator, constant, condition, returned value or statement changed. It is written into a
 copy of the repository and tested there without compiled modules, until the first failure. All tests of the folder that
 need no ROS graph, and the golden outputs, first have to pass without a mutant; that run also notes which functions each
-test calls. Those that call the changed function then run, the fastest first, the slowest not at all. Other tests of the
-suite, such as those of the commands, are left out.
-
-``python -m benchmarks.mutation [--mutants N] [--seed K] [--folders NAME ...]``
+test calls, by the hooks below as a plug-in of pytest. Those that call the changed function then run, the fastest first,
+the slowest not at all. Other tests of the suite, such as those of the commands, are left out.
 """
 
 from __future__ import annotations
 
-import argparse
 import ast
+import cProfile
+import json
 import math
 import os
 import random
@@ -22,19 +21,24 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import pytest
 from pytest import ExitCode
 
-from benchmarks.called import Called, read_calls
-from benchmarks.days import REPOSITORY
-from benchmarks.tables import Table, as_text
+from benchmarks.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+    from types import CodeType
 
 # Folders by the name under which they are counted, and the least share of mutants that their tests should kill [%].
 FOLDERS: Final = {
@@ -44,6 +48,8 @@ FOLDERS: Final = {
     'explain': (('explain',), 80),
     'bag': (('bag',), 80),
 }
+# Of its own: in a copy of the repository nothing else of it is imported.
+REPOSITORY: Final = Path(__file__).resolve().parents[1]
 _SEED: Final = 1
 _JOBS: Final = 2
 # Parts in which the tests of a folder run without a mutant.
@@ -76,7 +82,6 @@ class Mutant:
     after: str
 
     def __str__(self) -> str:
-        """Return place and change."""
         return f'{self.path}:{self.line}: {self.before} -> {self.after}'
 
 
@@ -143,14 +148,14 @@ def _replacement(node: ast.expr | ast.stmt) -> ast.AST | None:
     return new
 
 
-def sample(count: int, seed: int, names: Sequence[str] = tuple(FOLDERS)) -> dict[str, list[Mutant]]:
+def sample(count: int, seed: int) -> dict[str, list[Mutant]]:
     """Return as many mutants of each folder; equal seeds give equal ones of equal sources."""
     chosen = {}
-    for name in names:
-        paths = [path for part in FOLDERS[name][0] for path in (REPOSITORY / 'trainid_ros' / part).rglob('*.py')]
+    for name, (parts, _) in FOLDERS.items():
+        paths = [path for part in parts for path in (REPOSITORY / 'trainid_ros' / part).rglob('*.py')]
         texts = [(str(path.relative_to(REPOSITORY)), path.read_bytes()) for path in sorted(paths)]
         every = [mutant for path, source in texts for mutant in mutants_of(path, source)]
-        chosen[name] = random.Random(f'{seed} {name}').sample(every, min(len(every), -(-count // len(names))))
+        chosen[name] = random.Random(f'{seed} {name}').sample(every, min(len(every), -(-count // len(FOLDERS))))
     return chosen
 
 
@@ -179,7 +184,6 @@ def order_of(mutant: Mutant, tests: Sequence[Called]) -> list[Called]:
 
 @contextmanager
 def _copied() -> Iterator[Path]:
-    """Return a copy of the repository."""
     with tempfile.TemporaryDirectory() as name:
         root = Path(name) / 'copy'
         root.mkdir()
@@ -200,7 +204,7 @@ def called(files: Sequence[str]) -> list[Called]:
     """
     with _copied() as root:
         out = root.parent / 'called.jsonl'
-        if output := failure_of(['-p', 'benchmarks.called', '--called', str(out), *files], root):
+        if output := failure_of(['-p', 'benchmarks.mutation', '--called', str(out), *files], root):
             raise RuntimeError(f'tests fail without a mutant: {" ".join(files)}\n{output}')
         return read_calls(out)
 
@@ -219,10 +223,7 @@ def is_killed(mutant: Mutant, tests: Sequence[str], cpu_s: float) -> bool:
 def failure_of(arguments: Sequence[str], root: Path, cpu_s: float = math.inf) -> str:
     """Return what tests print that fail, cannot be imported or take too long; empty if they pass or none is selected.
 
-    Args:
-        arguments: Tests, as pytest takes them.
-        root: Copy of the repository.
-        cpu_s: CPU time that they take without a mutant [s].
+    They run in a copy of the repository, and take a CPU time [s] without a mutant.
 
     Raises:
         RuntimeError: pytest itself fails, is interrupted or is called wrongly.
@@ -253,17 +254,16 @@ def failure_of(arguments: Sequence[str], root: Path, cpu_s: float = math.inf) ->
     raise RuntimeError(f'exit code {done.returncode}: {" ".join(command)}\n{output}')
 
 
-def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDERS)) -> tuple[Table, ...]:
+def measure(mutants: int) -> tuple[Table, ...]:
     """Test a sample of mutants; return their number by folder, and those that no test noticed.
 
     Raises:
         RuntimeError: Tests fail without a mutant.
 
     """
-    chosen = sample(mutants, seed, names)
     rows, survivors = [], []
     with ProcessPoolExecutor(_JOBS, mp_context=get_context('spawn')) as pool:
-        for name, some in chosen.items():
+        for name, some in sample(mutants, _SEED).items():
             files = tests_of(name)
             parts = [part for k in range(_PARTS) if (part := files[k::_PARTS])]
             tests = [test for part in pool.map(called, parts) for test in part]
@@ -278,16 +278,72 @@ def measure(mutants: int, seed: int = _SEED, names: Sequence[str] = tuple(FOLDER
             rows.append((name, str(sum(killed)), str(len(some)), f'{share:.0f} %', f'>= {FOLDERS[name][1]} %'))
             survivors += [(str(mutant),) for mutant, is_dead in zip(some, killed, strict=True) if not is_dead]
             print(*rows[-1], flush=True)
-    note = f'Sample of seed {seed}; tests of the folder of each module and golden outputs, without ROS graph.'
+    note = f'Sample of seed {_SEED}; tests of the folder of each module and golden outputs, without ROS graph.'
     header = ('folder', 'killed', 'mutants', 'share', 'target')
     return Table('Mutants killed', header, tuple(rows), note), Table('Survivors', ('change',), tuple(survivors))
 
 
-if __name__ == '__main__':
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--mutants', type=int, default=300, metavar='N', help='number of mutants (default 300)')
-    parser.add_argument('--seed', type=int, default=_SEED, metavar='K')
-    parser.add_argument('--folders', nargs='+', choices=FOLDERS, default=tuple(FOLDERS))
-    args = parser.parse_args()
-    for table in measure(args.mutants, args.seed, args.folders):
-        print(as_text(table))
+@dataclass(frozen=True, slots=True)
+class Called:
+    """A test, and what it calls; what a fixture calls counts for all tests of the file, which may share it."""
+
+    name: str
+    cpu_s: float
+    functions: frozenset[tuple[str, int]]  # File and first line of each function
+
+
+def read_calls(path: Path) -> list[Called]:
+    """Read what the plug-in has written."""
+    rows = [json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
+    by_fixtures = defaultdict[str, set[tuple[str, int]]](set)
+    cpu_s, by_test = Counter[str](), defaultdict[str, set[tuple[str, int]]](set)
+    for name, phase, seconds, found in rows:
+        cpu_s[name] += seconds
+        (by_fixtures[_file(name)] if phase == 'setup' else by_test[name]).update(map(tuple, found))
+    return [Called(name, cpu_s[name], frozenset(by_test[name] | by_fixtures[_file(name)])) for name in cpu_s]
+
+
+def _file(name: str) -> str:
+    return name.partition('::')[0]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption('--called', type=Path, required=True, help='file in which to note what each test calls')
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
+    with _noted(item, 'setup'):
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    with _noted(item, 'call'):
+        yield
+
+
+@contextmanager
+def _noted(item: pytest.Item, phase: str) -> Iterator[None]:
+    """Write a line on a phase of a test."""
+    profile = cProfile.Profile(subcalls=False, builtins=False)
+    begin = time.process_time()
+    profile.enable()
+    try:
+        yield
+    finally:
+        profile.disable()
+        codes = (entry.code for entry in profile.getstats())
+        found = [place for code in codes if (place := _place(code, item.config.rootpath))]
+        line = json.dumps([item.nodeid, phase, time.process_time() - begin, found])
+        with item.config.getoption('--called').open('a', encoding='utf-8') as file:
+            file.write(line + '\n')
+
+
+def _place(code: CodeType | str, root: Path) -> tuple[str, int] | None:
+    """Return file and first line of a function of the package, None of any other."""
+    if isinstance(code, str):  # of an extension
+        return None
+    path = Path(code.co_filename)
+    inside = path.is_relative_to(root / 'trainid_ros')
+    return (str(path.relative_to(root)), code.co_firstlineno) if inside else None

@@ -54,7 +54,6 @@ class Relay:
 
 
 def main() -> None:
-    """Relay until SIGTERM."""
     rclpy.init()
     try:
         node = rclpy.create_node('relay')

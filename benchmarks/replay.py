@@ -17,18 +17,13 @@ from typing import TYPE_CHECKING, Any, Final
 from rosbags.highlevel import AnyReader
 
 from benchmarks.days import REPOSITORY
-from benchmarks.tables import Table
+from benchmarks.tables import Table, columns
 from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import typestore
 from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline import PipelineGroup
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.train.train_file import load_train_file
 
@@ -42,7 +37,7 @@ _BAGS: Final = ('yizhuang_day', 'altrios_manifest')
 _ROUNDS: Final = 5
 _TICK_S: Final = 0.2
 _SETTINGS: Final = EstimatorSettings()
-_MAKERS: Final = {'filter bank': resistance_pipeline, 'AM-VFF-RLS': speed_model_pipeline, 'GSMA': brake_rate_pipeline}
+_MAKERS: Final = {name: kind.pipeline for name, kind in zip(('filter bank', 'AM-VFF-RLS', 'GSMA'), KINDS, strict=True)}
 # What the project wants: CPU time over that of rosbags deserialising, and times real time.
 _MAX_RATIO: Final = 1.0
 _MIN_PACE: Final = 5000.0
@@ -68,7 +63,6 @@ class Times:
 
 
 def measure() -> tuple[Table, ...]:
-    """Time all bags; return the tables."""
     times = [_times(REPOSITORY / 'bags' / name) for name in _BAGS]
     return _pace_table(times), _stage_table(times)
 
@@ -86,16 +80,9 @@ def _pace_table(times: list[Times]) -> Table:
             f'{item.duration_s / item.by_sources:.0f}',
         )
         rows.append((item.bag, str(item.messages), f'{item.duration_s:.0f}', *numbers))
-    header = (
-        'CPU s',
-        'messages',
-        'recorded s',
-        'rosbags deserialises',
-        'and reads',
-        'trainid replay',
-        'over deserialising',
-        'x real time',
-        'its sources, x real time',
+    header = columns(
+        'CPU s | messages | recorded s | rosbags deserialises | and reads | trainid replay | over deserialising | '
+        'x real time | its sources, x real time'
     )
     kind = 'Nothing was compiled.' if uses_sources() else 'With compiled modules, but for the last column.'
     note = f'{kind} Targets: at most {_MAX_RATIO:.1f} times deserialising, and at least {_MIN_PACE:.0f} x real time.'
@@ -133,9 +120,8 @@ def _times(bag: Path) -> Times:
         'rows': lambda: _rows(bag),
         'stream': lambda: _stream(bag, train),
         'replay': lambda: paced(bag),
+        **{name: partial(_alone, bag, maker, train) for name, maker in _MAKERS.items()},
     }
-    for name, maker in _MAKERS.items():
-        subjects[name] = partial(_alone, bag, maker, train)
     spent = dict.fromkeys(subjects, float('inf'))
     for _ in range(_ROUNDS):
         for name, run in subjects.items():

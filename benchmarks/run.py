@@ -29,18 +29,9 @@ REPOSITORY: Final = Path(__file__).resolve().parents[1]
 
 
 class Part(NamedTuple):
-    """A part of the results.
-
-    Attributes:
-        measure: Module and function that measure it.
-        seeds: Number of seeds, or of what else it repeats, if no other is asked for; 0 if it has no such number.
-        minutes: Time expected with these on two idle cores [min]; 0 if the whole run leaves it out.
-
-    """
-
-    measure: str
-    seeds: int
-    minutes: float
+    measure: str  # Module and function that measure it
+    seeds: int  # Number of seeds, or of what else it repeats, if no other is asked for; 0 if it has no such number
+    minutes: float  # Time expected with these on two idle cores [min]; 0 if the whole run leaves it out
 
 
 PARTS: Final[Mapping[str, Part]] = {

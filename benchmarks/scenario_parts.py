@@ -10,7 +10,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -48,7 +49,6 @@ class Quantity(NamedTuple):
 
 
 def values_of(scores: Sequence[Score], name: str) -> Array:
-    """Return one field of scores."""
     return np.array([getattr(score, name) for score in scores])
 
 
@@ -85,6 +85,11 @@ _LONGEST: Final = (
     Quantity('longest, s', lambda scores: f'{values_of(scores, "longest_s").max():.1f}'),
     Quantity('with HOLDING > 3 std', share('held', 2)),
 )
+_STATUS: Final = (_COVER, _VALID, _FIRST, _WRONG)
+_STRETCHES: Final = (
+    'Longest: longest stretch of VALID outputs beyond three standard deviations of each drive. Steps are '
+    'abrupt: on the Yizhuang days a grows by 0.5 N/kN and later c by 20 %. '
+)
 _NOTE: Final = (
     '{drives} per train, mean ± standard error over drives. Errors of the resistance count where the train moves and '
     'has moved for 300 s since the start and since the last change of resistance, for w at the true speed; those of '
@@ -102,10 +107,12 @@ def _of(results: Results, method: Method, train: str, seeds: Sequence[int], *whi
     return [results[Scenario(train, seed, *which)][method] for seed in seeds]  # type: ignore[arg-type]
 
 
-def _rows(
-    names: Sequence[str], scores: Sequence[Sequence[Score]], columns: Sequence[Quantity]
-) -> tuple[tuple[str, ...], ...]:
-    return tuple((name, *(column.cell(some) for column in columns)) for name, some in zip(names, scores, strict=True))
+def _score_table(
+    title: str, corner: str, rows: Mapping[str, Sequence[Score]], columns: Sequence[Quantity], drives: str
+) -> Table:
+    """Return a table of quantities, with a row for some scores."""
+    cells = tuple((name, *(column.cell(scores) for column in columns)) for name, scores in rows.items())
+    return Table(title, (corner, *(column.name for column in columns)), cells, _NOTE.format(drives=drives))
 
 
 def accuracy(seeds: int) -> tuple[Table, ...]:
@@ -116,13 +123,10 @@ def accuracy(seeds: int) -> tuple[Table, ...]:
     results = results_of([Scenario(DAY, seed, methods=methods) for seed in chosen], 'accuracy')
     tables = []
     for job, some in jobs.items():
-        columns = (_BRAKE_ERROR if job == 'brake_rate' else _ERROR, _COVER, _VALID, _FIRST, _WRONG)
-        scores = [_of(results, method, DAY, chosen) for method in some]
-        rows = _rows([method.name for method in some], scores, columns)
+        rows = {method.name: _of(results, method, DAY, chosen) for method in some}
         title = f'On days with an exact train file: {job.replace("_", " ")}'
-        tables.append(
-            Table(title, ('algorithm', *(c.name for c in columns)), rows, _NOTE.format(drives=f'{seeds} days'))
-        )
+        columns = (_BRAKE_ERROR if job == 'brake_rate' else _ERROR, *_STATUS)
+        tables.append(_score_table(title, 'algorithm', rows, columns, f'{seeds} days'))
     return tuple(tables)
 
 
@@ -147,16 +151,13 @@ def real_trains_scenarios(seeds: Sequence[int]) -> list[Scenario]:
 def world_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
     """Return one table per quantity, algorithms by worlds, in the field and clean."""
     note = _NOTE.format(drives=f'{len(seeds)} drives') + _INFORMED_NOTE
-    chosen = {'field': (_ERROR, _COVER, _VALID, _FIRST, _WRONG), 'clean': (_ERROR, _COVER)}
+    chosen = {'field': (_ERROR, *_STATUS), 'clean': (_ERROR, _COVER)}
     tables = []
     for condition, quantities in chosen.items():
         for quantity in quantities:
             rows = tuple(
-                (
-                    method.name,
-                    *(quantity.cell(_of(results, method, w, seeds, CONDITIONS[condition])) for w in WORLDS),
-                )
-                for method in RESISTANCES
+                (one.name, *(quantity.cell(_of(results, one, w, seeds, CONDITIONS[condition])) for w in WORLDS))
+                for one in RESISTANCES
             )
             title = f'Resistance on real trains, {condition}: {quantity.name}'
             tables.append(Table(title, ('algorithm', *WORLDS), rows, note if quantity is _ERROR else ''))
@@ -186,15 +187,12 @@ def brake_worlds(seeds: int) -> tuple[Table, ...]:
     places = [(unknowns, world) for unknowns in CONDITIONS.values() for world in WORLDS]
     scenarios = [Scenario(w, seed, unknowns, methods=BRAKES) for seed in chosen for unknowns, w in places]
     results = results_of(scenarios, 'brake_worlds')
-    columns = (_BRAKE_ERROR, _COVER, _VALID, _FIRST, _WRONG)
-    header = ('algorithm', *(column.name for column in columns))
-    note = _NOTE.format(drives=f'{seeds} drives')
     tables = []
     for condition, unknowns in CONDITIONS.items():
         pairs = [(world, method) for world in WORLDS for method in BRAKES]
-        scores = [_of(results, method, world, chosen, unknowns) for world, method in pairs]
-        rows = _rows([f'{world}, {method.name}' for world, method in pairs], scores, columns)
-        tables.append(Table(f'Brake rate in five worlds: {condition}', header, rows, note))
+        rows = {f'{world}, {one.name}': _of(results, one, world, chosen, unknowns) for world, one in pairs}
+        title = f'Brake rate in five worlds: {condition}'
+        tables.append(_score_table(title, 'algorithm', rows, (_BRAKE_ERROR, *_STATUS), f'{seeds} drives'))
     return tuple(tables)
 
 
@@ -206,7 +204,6 @@ def unknowns(seeds: int) -> tuple[Table, ...]:
 
 
 def unknowns_scenarios(seeds: Sequence[int]) -> list[Scenario]:
-    """Return all drives to simulate, without duplicates."""
     sets = [unknown for unknown, _ in costs().values()]
     return [Scenario(world, seed, unknown, methods=PAIRS[0]) for seed in seeds for unknown in sets for world in WORLDS]
 
@@ -219,8 +216,6 @@ def costs() -> dict[str, tuple[frozenset[str], frozenset[str]]]:
 
 
 def cost_table(results: Results, seeds: Sequence[int], method: Method) -> Table:
-    """Return the error that each unknown adds."""
-
     def cell(world: str, unknown: frozenset[str], reference: frozenset[str]) -> str:
         error = values_of(_of(results, method, world, seeds, unknown), 'error')
         if unknown == reference:
@@ -244,12 +239,10 @@ def rates(seeds: int) -> tuple[Table, ...]:
 
 
 def rates_scenarios(seeds: Sequence[int]) -> list[Scenario]:
-    """Return all drives to simulate."""
     return [Scenario('metro', seed, FIELD, rate, methods=RESISTANCES) for seed in seeds for rate in RATES.values()]
 
 
 def rate_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
-    """Return the effect of the topic rates."""
     header = ('rate', *(method.name for method in RESISTANCES))
     note = f'{len(seeds)} drives, the same motion in all rows. Samples are 0.2 s apart, or further if the speeds are.'
     tables = []
@@ -273,12 +266,8 @@ def integrity(seeds: int) -> tuple[Table, ...]:
     tables = []
     for method, error in zip(methods, (_ERROR, _BRAKE_ERROR), strict=True):
         columns = (_VALID, _WRONG, *_LONGEST, error, _COVER)
-        scores = [_of(results, method, train, some) for train, some in chosen.items()]
-        rows = _rows([f'{train}, {len(some)}' for train, some in chosen.items()], scores, columns)
-        note = (
-            'Longest: longest stretch of VALID outputs beyond three standard deviations of each drive. Steps are '
-            'abrupt: on the Yizhuang days a grows by 0.5 N/kN and later c by 20 %. ' + _NOTE.format(drives='As many')
-        )
+        rows = {f'{train}, {len(some)}': _of(results, method, train, some) for train, some in chosen.items()}
         title = f'VALID and wrong: {method.job.replace("_", " ")}'
-        tables.append(Table(title, ('train, drives', *(column.name for column in columns)), rows, note))
+        table = _score_table(title, 'train, drives', rows, columns, 'As many')
+        tables.append(replace(table, note=_STRETCHES + table.note))
     return tuple(tables)

@@ -68,8 +68,6 @@ _MINUTE_S: Final = 60.0
 
 
 class Method(NamedTuple):
-    """An algorithm: what it estimates, and its name."""
-
     job: str
     name: str
 
@@ -110,22 +108,13 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """A drive: what the engineer states, the rows of its records, and the truth.
+    """A drive: what the engineer states, the rows of its records, and the truth."""
 
-    Attributes:
-        train_file: The stated train.
-        rows: Rows in the order of their arrival.
-        changes: Times of the changes of the resistance [s].
-        known: Returns the truth at times since the first row [s].
-        truth: Truth of a world, None of a day.
-
-    """
-
-    train_file: TrainFile
-    rows: tuple[Row, ...]
-    changes: tuple[float, ...]
-    known: Callable[[Array], Known]
-    truth: Truth | None = None
+    train_file: TrainFile  # The stated train
+    rows: tuple[Row, ...]  # Rows in the order of their arrival
+    changes: tuple[float, ...]  # Times of the changes of the resistance [s]
+    known: Callable[[Array], Known]  # Returns the truth at times since the first row [s]
+    truth: Truth | None = None  # Truth of a world, None of a day
 
     @property
     def start_ns(self) -> int:
@@ -141,7 +130,6 @@ def ride(
     rates: Rates = EVERY_TOPIC_5_HZ,
     duration: float | None = None,
 ) -> Ride:
-    """Return a day, or a drive of a world."""
     return _day(seed) if train == DAY else _drive(train, seed, unknowns, rates, duration)
 
 
@@ -291,30 +279,18 @@ def publish(source: Ride, rows: Sequence[Row], methods: Sequence[Method], seed: 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Outputs of one algorithm beside the truth, as arrays.
+    """Outputs of one algorithm beside the truth, as arrays."""
 
-    Attributes:
-        time_s: Time since the first row [s].
-        moving: The train moves.
-        moved_s: Time in motion so far [s].
-        status: Status of each output.
-        error: |error| of w at the true speed [N/kN], or of the brake rate [1].
-        std: Stated standard deviation of it.
-        counted: Where errors count: settled, or while the brake acts.
-
-    """
-
-    time_s: Array
-    moving: Mask
-    moved_s: Array
-    status: NDArray[np.int_]
-    error: Array
-    std: Array
-    counted: Mask
+    time_s: Array  # Time since the first row [s]
+    moving: Mask  # The train moves
+    moved_s: Array  # Time in motion so far [s]
+    status: NDArray[np.int_]  # Status of each output
+    error: Array  # |error| of w at the true speed [N/kN], or of the brake rate [1]
+    std: Array  # Stated standard deviation of it
+    counted: Mask  # Where errors count: settled, or while the brake acts
 
     @property
     def valid(self) -> Mask:
-        """Where the estimate was VALID."""
         return np.asarray(self.status == Status.VALID)
 
     @property
@@ -324,7 +300,6 @@ class Course:
 
     @property
     def wrong(self) -> Mask:
-        """Where the error was beyond three standard deviations."""
         return np.asarray(self.error > FAR * self.std)
 
 
@@ -365,28 +340,16 @@ def motion_since_change(time_s: Array, moved_s: Array, changes: Sequence[float])
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of one algorithm on one drive; NaN where there was nothing to score.
+    """Score of one algorithm on one drive; NaN where there was nothing to score."""
 
-    Attributes:
-        error: Mean |error| where it counts.
-        std: Median standard deviation there.
-        cover: Share of these errors within 1.96 standard deviations.
-        valid: Share of the time in motion with status VALID.
-        first_valid_min: Time in motion to the first VALID [min], infinite if there is none.
-        wrong: Share of the VALID outputs in motion that are beyond 3 standard deviations.
-        held: The same of VALID and HOLDING ones.
-        longest_s: Longest stretch of VALID outputs in motion beyond 3 standard deviations [s].
-
-    """
-
-    error: float
-    std: float
-    cover: float
-    valid: float
-    first_valid_min: float
-    wrong: float
-    held: float
-    longest_s: float
+    error: float  # Mean |error| where it counts
+    std: float  # Median standard deviation there
+    cover: float  # Share of these errors within 1.96 standard deviations
+    valid: float  # Share of the time in motion with status VALID
+    first_valid_min: float  # Time in motion to the first VALID [min], infinite if there is none
+    wrong: float  # Share of the VALID outputs in motion that are beyond 3 standard deviations
+    held: float  # The same of VALID and HOLDING ones
+    longest_s: float  # Longest stretch of VALID outputs in motion beyond 3 standard deviations [s]
 
 
 def score(course: Course) -> Score:
@@ -416,7 +379,6 @@ def _longest(marks: Mask) -> int:
 
 
 def run(scenario: Scenario) -> dict[Method, Score]:
-    """Simulate a drive and score all algorithms on it."""
     source = ride(scenario.train, scenario.seed, scenario.unknowns, scenario.rates, scenario.duration)
     published = publish(source, source.rows, scenario.methods, scenario.seed)
     return {

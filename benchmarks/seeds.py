@@ -18,13 +18,13 @@ T = TypeVar('T')
 _SHOWN_EVERY: Final = 20
 
 
-def over_seeds(run: Callable[[S], T], seeds: Iterable[S], progress: str = '') -> list[T]:
+def over_seeds(run: Callable[[S], T], seeds: Iterable[S], progress: str = '', jobs: int | None = None) -> list[T]:
     """Return the results of a module-level function for each seed (or trial), in order, run on all cores.
 
     Child processes are spawned, because a fork of a process with threads may hang. Progress is printed if named.
     """
     trials, results = list(seeds), list[T]()
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context('spawn')) as pool:
+    with ProcessPoolExecutor(jobs or os.cpu_count(), mp_context=get_context('spawn')) as pool:
         for result in pool.map(run, trials):
             results.append(result)
             if progress and not len(results) % _SHOWN_EVERY:

@@ -36,7 +36,6 @@ class Sending(NamedTuple):
 
 
 def write_rows(path: Path, sendings: Iterable[Sending]) -> None:
-    """Write rows with their times to a file."""
     path.write_text(json.dumps(list(sendings)), encoding='utf-8')
 
 
@@ -64,7 +63,6 @@ def main() -> None:
 
 
 def _publisher(node: Any, sendings: Iterable[Sending], *, best_effort: bool, wrong_type: bool) -> Any:
-    """Return what publishes a row."""
     profile = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT) if best_effort else source_qos()
     places = {row[0] for _, row in sendings}
     publishers = {

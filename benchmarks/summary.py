@@ -42,11 +42,8 @@ def revisions(text: str) -> list[str]:
 def missing_quotes(document: str, results: str, folder: Path) -> list[str]:
     """Return the figures in blocks marked ``<!-- quoted from PART -->`` that no figure of the part rounds to.
 
-    Args:
-        document: Text of a document; a block ends at a blank line.
-        results: Text of RESULTS.md.
-        folder: Folder of the full tables, for blocks marked ``<!-- quoted from results/PART -->``.
-
+    A block ends at a blank line. ``results`` is the text of RESULTS.md; for blocks marked ``<!-- quoted from
+    results/PART -->`` the full tables in a folder count.
     """
     return [
         f'{name}: {figure}'

@@ -34,6 +34,11 @@ class Plot:
     note: str
 
 
+def columns(text: str) -> tuple[str, ...]:
+    """Return the header that a text names, with `` | `` between the columns."""
+    return tuple(text.split(' | '))
+
+
 def spread(values: NDArray[np.float64], unit: float = 1.0, digits: int = 3, sign: str = '') -> str:
     """Return the mean and its standard error; values that are not finite are left out."""
     finite = unit * values[np.isfinite(values)]

@@ -41,16 +41,9 @@ GUST: Final = 0.1
 
 
 def yizhuang_day(stated: TrainFile, *, runs: int = RUNS, start_ns: int = DEFAULT_START_NS) -> Scenario:
-    """Return the scenario of the day.
+    """Return the scenario of the day, with the true train file, for the stated ``config/trains/yizhuang.yaml``.
 
-    Args:
-        stated: The train file ``config/trains/yizhuang.yaml``.
-        runs: Number of runs from stop to stop.
-        start_ns: Stamp of the start [ns].
-
-    Returns:
-        A scenario with the true train file.
-
+    It has a number of runs from stop to stop and begins at a stamp [ns].
     """
     brake = replace(stated.brake, rate=WEAR_RATE[0])
     true = replace(stated, resistance=DRY, brake=brake)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.hidden_cases.hidden import G
+from benchmarks.hidden_cases.effects import G
 from benchmarks.hidden_cases.motion import STEP
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.hidden_cases.motion import Log
-    from benchmarks.hidden_cases.track import Track
-    from benchmarks.hidden_cases.world import Nuisance
+    from benchmarks.hidden_cases.world import Nuisance, Track
 
     Array = NDArray[np.float64]
 

@@ -273,6 +273,5 @@ _WISHES: Final = {
 
 
 def wish_for(names: tuple[str, ...]) -> Wish:
-    """Return the combined requirements of all effects."""
     wishes = [_WISHES.get(name, Wish()) for name in names]
     return Wish(*(any(getattr(w, key) for w in wishes) for key in Wish.__slots__))

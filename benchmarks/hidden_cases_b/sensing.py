@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of a case: accuracy, wheel slip, odometer drift, gradient of the map."""
+"""Sensors of a case, and the records that they give of the log of a day."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden_cases_b.motion import LEG, NOM, PULL, WAY, WEIGHED, V, X
-from benchmarks.hidden_cases_b.quirks import Quirks
+from benchmarks.hidden_cases_b.motion import CMD, GRAV, LEG, NOM, PULL, REAL, WAY, WEIGHED, Quirks, T, V, X
 from benchmarks.hidden_cases_b.scene import Scene
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 Array = NDArray[np.float64]
+_STRAIGHT: Final = 1e-4  # 1/m
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,3 +127,112 @@ def map_gradient(scene: Scene, front: Array, way: Array, *, point: bool = False)
         return ground.signed_mean_under(ground.climb, front, way, length)
     middle = front - way * 0.5 * length
     return way * (ground.at(ground.climb, middle + 1.0) - ground.at(ground.climb, middle - 1.0)) / 2.0
+
+
+def sense(rng: np.random.Generator, scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> list[list[Record]]:
+    """Return the records of every bag in the order of their stamps."""
+    share, speed = (kit.slip_share, kit.slip_speed) if kit.slip_share else (quirks.slip_share, quirks.slip_speed)
+    slip = slip_bursts(np.random.default_rng([kit.base_ns % 2**31, 5]), log, share, speed)
+    error = odometer_error(rng, log, kit, quirks.wheel, slip)
+    bag_of = np.array([leg.bag for leg in scene.legs])[log[:, LEG].astype(int)]
+    bags = []
+    for bag in range(int(bag_of.max()) + 1):
+        rows = np.flatnonzero(bag_of == bag)
+        recorder = _Recorder(rng, scene, quirks, kit, log[rows], error[rows], slip[rows])
+        records = [*recorder.speed(), *recorder.force(), *recorder.track(), *recorder.brake(), *recorder.mass()]
+        bags.append(sorted(records, key=lambda record: record.stamp_ns))
+    return bags
+
+
+@dataclass(frozen=True, slots=True)
+class _Recorder:
+    """Records of one bag; the methods share one random generator, so their order matters."""
+
+    rng: np.random.Generator
+    scene: Scene
+    quirks: Quirks
+    kit: Instruments
+    log: Array
+    odometer: Array  # measured minus true position [m]
+    slip: Array  # [m/s]
+
+    def speed(self) -> list[Record]:
+        kit, rng = self.kit, self.rng
+        at = self._grid(kit.period, float(rng.uniform(0.0, 0.04)))
+        true = self._of(V, at)
+        raw = self.quirks.wheel * true + self._between(self.slip, at) + kit.speed_noise * rng.standard_normal(len(at))
+        outlier = rng.random(len(at)) < kit.outliers
+        raw = np.where(outlier, raw + rng.choice([-1.0, 1.0], len(at)) * rng.uniform(1.0, 8.0, len(at)), raw)
+        seen = np.maximum(np.round(raw / kit.quantum) * kit.quantum, 0.0)
+        seen = np.where((true <= 0.0) & ~outlier, 0.0, seen)
+        place = self._of(X, at) + self._between(self.odometer, at)
+        ok = self._kept(at)
+        rows = zip(self._stamps(at), seen.tolist(), place.tolist(), ok, strict=True)
+        return [SpeedRecord(s, v, x) for s, v, x, k in rows if k]
+
+    def force(self) -> list[Record]:
+        kit, rng = self.kit, self.rng
+        at = self._fast_grid()
+        then = at - self.quirks.force_late
+        mass = self._held(WEIGHED, then)
+        effort = self._of(REAL if kit.force_carries_delay else NOM, then)
+        force = self._of(PULL, then) + mass * (1.0 + self.scene.stocks[0].gamma) * effort
+        force = force + kit.force_noise * mass * GRAV / 1000.0 * rng.standard_normal(len(at))
+        force = force * (1.0 + 0.002 * rng.standard_normal(len(at)))
+        ok = self._kept(at)
+        return [ForceRecord(s, f) for s, f, k in zip(self._stamps(at), force.tolist(), ok, strict=True) if k]
+
+    def track(self) -> list[Record]:
+        kit, ground, length = self.kit, self.scene.ground, self.scene.stocks[0].length
+        at = self._fast_grid()
+        way = self._held(WAY, at)
+        front = self._of(X, at) + (self._between(self.odometer, at) if kit.lookup_measured else 0.0)
+        slope = map_gradient(self.scene, front + way * self.quirks.map_ahead, way, point=kit.point_gradient)
+        behind = front - way * kit.flags_late
+        bend = ground.mean_under(ground.bend, behind, way, length)
+        radius = np.where(bend > _STRAIGHT, 1.0 / np.maximum(bend, _STRAIGHT), 0.0)
+        dark = ground.mean_under(ground.bore, behind, way, length) >= 0.5
+        ok = self._kept(at)
+        rows = zip(self._stamps(at), slope.tolist(), radius.tolist(), dark.tolist(), ok, strict=True)
+        return [GradientRecord(s, g, r, d) for s, g, r, d, k in rows if k]
+
+    def brake(self) -> list[Record]:
+        at = self._grid(self.kit.period, 0.0)
+        ok = self._kept(at)
+        command = self._held(CMD, at) + 0.0
+        rows = zip(self._stamps(at, exact=True), command.tolist(), ok, strict=True)
+        return [BrakeRecord(s, u, emergency=False) for s, u, k in rows if k]
+
+    def mass(self) -> list[Record]:
+        if not self.scene.mass_topic:
+            return []
+        at = self._grid(1.0, float(self.rng.uniform(0.0, 0.5)))
+        ok = self._kept(at)
+        weighed = self._held(WEIGHED, at)
+        return [MassRecord(s, m) for s, m, k in zip(self._stamps(at), weighed.tolist(), ok, strict=True) if k]
+
+    def _grid(self, period: float, phase: float) -> Array:
+        return np.arange(float(self.log[0, T]) + phase, float(self.log[-1, T]) - 0.01, period)
+
+    def _fast_grid(self) -> Array:
+        return self._grid(self.kit.period, float(self.rng.uniform(0.0, 0.19)) % self.kit.period)
+
+    def _stamps(self, at: Array, *, exact: bool = False) -> list[int]:
+        if not exact:
+            at = at + np.clip(self.kit.stamp_jitter * self.rng.standard_normal(len(at)), -0.004, 0.004)
+        return [self.kit.base_ns + int(ns) for ns in np.round(at * 1e9).tolist()]
+
+    def _kept(self, at: Array) -> list[bool]:
+        kept: list[bool] = (self.rng.random(len(at)) >= self.kit.dropouts).tolist()
+        return kept
+
+    def _of(self, column: int, at: Array) -> Array:
+        return self._between(self.log[:, column], at)
+
+    def _between(self, signal: Array, at: Array) -> Array:
+        return np.interp(at, self.log[:, T], signal)
+
+    def _held(self, column: int, at: Array) -> Array:
+        row = np.clip(np.searchsorted(self.log[:, T], at + 1e-6, side='right') - 1, 0, len(self.log) - 1)
+        picked: Array = self.log[row, column]
+        return picked

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from benchmarks.worlds.unknowns import Errors
-    from benchmarks.worlds.vehicles import Vehicle
+    from benchmarks.worlds.unknowns import Errors, Vehicle
 
 Coefficients = tuple[float, float, float]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate one drive: records, train file and truth."""
+"""Simulate one drive: records, train file with the assumed parameters, and truth."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from benchmarks.worlds.conditions import draw_brake_rate, draw_gusts, draw_loads, draw_resistance
-from benchmarks.worlds.driving import HABITS, TICK
-from benchmarks.worlds.motion import STEPS_PER_TICK, Motion, Plan, simulate
-from benchmarks.worlds.sensing import EPOCH_NS, Rates, Sensors, draw_map_error, draw_weighed, sense
-from benchmarks.worlds.stated import stated_dead_time, stated_file
+from benchmarks.worlds.motion import HABITS, STEPS_PER_TICK, TICK, Motion, Plan, simulate
+from benchmarks.worlds.sensing import EPOCH_NS, MAP_PIECE, Rates, Sensors, draw_map_error, draw_weighed, sense
 from benchmarks.worlds.tracks import lay_way, track_of
-from benchmarks.worlds.truth import Truth
-from benchmarks.worlds.unknowns import FIELD, draw_errors, random_of
-from benchmarks.worlds.vehicles import KINDS, draw_vehicle
+from benchmarks.worlds.unknowns import FIELD, KINDS, draw_errors, draw_vehicle, random_of
+from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from numpy.typing import NDArray
 
-    from benchmarks.worlds.motion import Log
+    from benchmarks.worlds.motion import Log, Plan
+    from benchmarks.worlds.sensing import MapError
+    from benchmarks.worlds.tracks import Pairs, Track
     from trainid_ros.interface.records import Record
     from trainid_ros.train.train_file import TrainFile
 
@@ -32,6 +31,95 @@ DURATIONS: Final = {'metro': 3700.0, 'emu': 3500.0, 'high_speed': 3200.0, 'freig
 # Upper limit of the time that the last run needs to reach its stop after the duration is over [s].
 SPARE: Final = 7200.0
 MAX_RUNS: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """True values on a grid of 0.2 s."""
+
+    time_ns: NDArray[np.int64]  # Stamps of the grid [ns]
+    speed: NDArray[np.float64]  # True speed [m/s]
+    a: NDArray[np.float64]  # True Davis coefficients [N/kN of the true weight, v the true speed in m/s]
+    b: NDArray[np.float64]
+    c: NDArray[np.float64]
+    mass: NDArray[np.float64]  # True mass [kg]
+    brake_rate: NDArray[np.float64]  # True brake deceleration over that of a nominal brake of the same timing [1]
+    braking: NDArray[np.bool_]  # The brake acts at more than 0.1 m/s^2
+    moving: NDArray[np.bool_]  # The train moves
+    traction: NDArray[np.float64]  # True tractive effort [N]
+    force_scale: NDArray[np.float64]  # True over reported tractive effort, times reported over true mass [1]
+    changes: tuple[float, ...]  # Times of the steps of resistance [s]
+    brake_changes: tuple[float, ...]  # Times at which steps and ramps of the brake rate begin [s]
+    force_delay: float  # Delay of the reported force relative to its stamp [s]
+    brake_delay_error: float  # True minus stated dead time of the brake [s]
+    wheel_ratio: float  # Measured over true speed [1]
+    gust_std: float  # Standard deviation of the gusts [N/kN]
+    gust_time: float  # Their correlation time [s]
+    map_std: float  # Standard deviation of the gradient error [per mille]
+    map_length: float  # Its correlation length [m]
+    stop_errors: tuple[float, ...]  # Distance of each stop beyond its stopping point [m]
+
+
+def stated_file(
+    plan: Plan, track: Track, map_error: MapError, unknowns: Collection[str], world: str, seed: int
+) -> TrainFile:
+    vehicle, errors = plan.vehicle, plan.errors
+    train = Train(
+        mass=float(np.mean(plan.masses)) * (1.0 + errors.mass),
+        rotary_mass=vehicle.kind.rotary_mass,
+        length=round(vehicle.length, 1),
+        cars=vehicle.kind.cars,
+        max_traction_force=vehicle.max_force,
+        max_traction_power=vehicle.max_power,
+        max_speed=vehicle.kind.max_speed,
+        mass_std=0.03 if 'mass' in unknowns else 0.002,
+        force_std=0.02 if 'force_gain' in unknowns else 0.002,
+    )
+    line = Line(
+        stops=track.stops,
+        gradient=_gradients(track, map_error) if 'map' in unknowns else track.gradient,
+        curve=track.radius,
+        speed_limit=track.limit,
+        gradient_std=0.3 if 'map' in unknowns else 0.02,
+    )
+    return TrainFile(train, _davis(plan, world, seed), _brake(plan), line, (_curve(plan, unknowns),))
+
+
+def stated_dead_time(plan: Plan) -> float:
+    """Return the stated dead time [s], at least 0.05 s."""
+    return max(plan.vehicle.brake_delay - plan.errors.brake_delay, 0.05)
+
+
+def _davis(plan: Plan, world: str, seed: int) -> Davis:
+    """Return Davis coefficients, each 15 to 30 % too high or too low."""
+    rng = random_of(world, seed, 'believed resistance')
+    a, b, c = (
+        value * (1.0 + float(rng.uniform(0.15, 0.3)) * (1.0 if rng.uniform() < 0.5 else -1.0))
+        for value in plan.vehicle.davis
+    )
+    return Davis(a, b, c)
+
+
+def _brake(plan: Plan) -> Brake:
+    return Brake(1.0, plan.vehicle.brake_lag * plan.errors.brake_lag, stated_dead_time(plan))
+
+
+def _curve(plan: Plan, unknowns: Collection[str]) -> Effect:
+    value = plan.vehicle.curve * (1.0 + plan.errors.curve)
+    known = 'curve' not in unknowns
+    std = (('coefficient', (0.01 if known else 0.2) * value),)
+    return Effect('curve_resistance', (('coefficient', value),), std, 'measured' if known else 'typical')
+
+
+def _gradients(track: Track, map_error: MapError) -> Pairs:
+    """Return the gradients of the map, in pieces short enough to represent its error."""
+    starts = np.array([start for start, _ in track.gradient])
+    values = np.array([value for _, value in track.gradient])
+    grid = np.arange(min(starts[0], track.stops[0]), track.stops[-1], MAP_PIECE)
+    cuts = np.unique(np.concatenate((starts, grid)))
+    true = values[np.clip(np.searchsorted(starts, cuts, side='right') - 1, 0, values.size - 1)]
+    shown = np.round(true + map_error.at(cuts + 0.5 * MAP_PIECE), 2)
+    return tuple(zip(cuts.tolist(), shown.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +217,6 @@ def _truth(plan: Plan, log: Log, weighed: NDArray[np.float64]) -> Truth:
         force_delay=plan.errors.force_delay,
         brake_delay_error=plan.vehicle.brake_delay - stated_dead_time(plan),
         wheel_ratio=1.0 + plan.errors.wheels,
-        curve=plan.vehicle.curve,
         gust_std=plan.errors.gust_std,
         gust_time=plan.errors.gust_time,
         map_std=plan.errors.map_std,

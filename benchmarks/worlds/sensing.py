@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmarks.worlds.unknowns import random_of
-from benchmarks.worlds.vehicles import G
+from benchmarks.worlds.unknowns import G, random_of
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
@@ -30,8 +29,6 @@ MAP_PIECE: Final = 50.0
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Messages per second of each topic."""
-
     speed: float = 5.0
     force: float = 5.0
     gradient: float = 5.0
@@ -83,7 +80,6 @@ class Sensors:
         self.position = np.where(log.direction == 0, ways[0].position(log.way), ways[1].position(log.way))
 
     def speed(self, stamps: NDArray[np.float64], rng: np.random.Generator) -> Iterator[Record]:
-        """Yield measured speeds and positions."""
         errors, log = self.plan.errors, self.log
         ratio = 1.0 + errors.wheels
         true = np.interp(stamps, log.time, log.speed)
@@ -123,13 +119,11 @@ class Sensors:
             yield GradientRecord(at, slope, r, False)
 
     def brake(self, stamps: NDArray[np.float64], _: np.random.Generator) -> Iterator[Record]:
-        """Yield brake commands."""
         command = self.log.command[self._before(stamps)]
         for at, value in zip(_ns(stamps), command.tolist(), strict=True):
             yield BrakeRecord(at, -round(value, 3) if value > 0.0 else 0.0, False)
 
     def mass(self, stamps: NDArray[np.float64], _: np.random.Generator) -> Iterator[Record]:
-        """Yield weighed masses."""
         weighed = self.weighed[self.log.leg[self._before(stamps)]]
         for at, value in zip(_ns(stamps), weighed.tolist(), strict=True):
             yield MassRecord(at, value)

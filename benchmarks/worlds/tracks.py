@@ -37,28 +37,16 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A line in one direction; index ``i`` is the distance ``i - offset`` m of the train's front from the first stop.
+    """A line in one direction; at index ``i`` the train's front is ``i - offset`` m from the first stop."""
 
-    Attributes:
-        sign: 1 if positions rise in the direction of travel, else -1.
-        origin: Position of the first stop of this direction [m].
-        offset: Index of that stop.
-        gradient: Mean gradient under the train [per mille, + uphill in the direction of travel].
-        curvature: Mean curvature under the train [1/m].
-        slope: Gradient and curve resistance together [N/kN].
-        stops: Distances of the stops from the first one [m].
-        limits: Distance from which a speed limit holds for the entire train [m], and the limit [m/s].
-
-    """
-
-    sign: int
-    origin: float
-    offset: float
-    gradient: NDArray[np.float64]
-    curvature: NDArray[np.float64]
-    slope: list[float]
-    stops: tuple[float, ...]
-    limits: Pairs
+    sign: int  # 1 if positions rise in the direction of travel, else -1
+    origin: float  # Position of the first stop of this direction [m]
+    offset: float  # Index of that stop
+    gradient: NDArray[np.float64]  # Mean gradient under the train [per mille, + uphill in the direction of travel]
+    curvature: NDArray[np.float64]  # Mean curvature under the train [1/m]
+    slope: list[float]  # Gradient and curve resistance together [N/kN]
+    stops: tuple[float, ...]  # Distances of the stops from the first one [m]
+    limits: Pairs  # Distance from which a speed limit holds for the entire train [m], and the limit [m/s]
 
     def position(self, way: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions along the line [m]."""
@@ -116,7 +104,6 @@ def _pieces(limit: NDArray[np.float64], offset: float) -> Pairs:
 
 @cache
 def track_of(world: str) -> Track:
-    """Return the line of a world."""
     if world == 'metro':
         return _metro()
     if world == 'emu':

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unknowns of a real train and its sensors, each drawn independently so that it can be switched on alone."""
+"""Random trains of five kinds, and the unknowns of a real train: drawn each so that it can be switched on alone."""
 
 from __future__ import annotations
 
@@ -17,52 +17,35 @@ UNKNOWNS: Final = (
 )  # fmt: skip
 FIELD: Final = frozenset(UNKNOWNS)
 CLEAN: Final = frozenset({'changes'})
+G: Final = 9.80665
+# Dead times are multiples of the step of the motion [s].
+DELAY_STEP: Final = 0.02
+
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """The drawn errors of a drive; the defaults are the values without the error.
+    """The drawn errors of a drive; the defaults are the values without the error."""
 
-    Attributes:
-        mass: Relative error of the stated and weighed mass [1].
-        weighing: Standard deviation of the relative weighing error, independent at each stop [1].
-        force_gain: True over reported tractive effort, minus one [1].
-        force_delay: Delay of the reported force relative to its stamp [s].
-        curve: Relative error of the stated curve coefficient [1].
-        map_std: Standard deviation of the error of the gradients [per mille].
-        map_length: Correlation length of that error [m].
-        wheels: Measured over true speed, minus one [1].
-        gust_std: Standard deviation of the random specific resistance [N/kN].
-        gust_time: Correlation time of the random resistance [s].
-        speed_noise: Standard deviation of the speed noise [m/s].
-        quantum: Resolution of the measured speed [m/s].
-        brake_delay: True minus stated dead time of the brake [s].
-        brake_lag: Stated over true time constant of the brake [1].
-        brake_speed: Strength of the speed dependence of the brake rate, from 0 to 1.
-        brake_step: Resolution of the brake force as a share of the greatest command, 0 = continuous.
-        blend_speed: Speed of the change from electric to friction brake [m/s].
-        blend_dip: Loss of brake rate at that speed [1].
-
-    """
-
-    mass: float = 0.0
-    weighing: float = 0.0
-    force_gain: float = 0.0
-    force_delay: float = 0.0
-    curve: float = 0.0
-    map_std: float = 0.0
-    map_length: float = 300.0
-    wheels: float = 0.0
-    gust_std: float = 0.03
-    gust_time: float = 6.0
-    speed_noise: float = 0.01
-    quantum: float = 0.01
-    brake_delay: float = 0.0
-    brake_lag: float = 1.0
-    brake_speed: float = 0.0
-    brake_step: float = 0.0
-    blend_speed: float = 2.5
-    blend_dip: float = 0.0
+    mass: float = 0.0  # Relative error of the stated and weighed mass [1]
+    weighing: float = 0.0  # Standard deviation of the relative weighing error, independent at each stop [1]
+    force_gain: float = 0.0  # True over reported tractive effort, minus one [1]
+    force_delay: float = 0.0  # Delay of the reported force relative to its stamp [s]
+    curve: float = 0.0  # Relative error of the stated curve coefficient [1]
+    map_std: float = 0.0  # Standard deviation of the error of the gradients [per mille]
+    map_length: float = 300.0  # Correlation length of that error [m]
+    wheels: float = 0.0  # Measured over true speed, minus one [1]
+    gust_std: float = 0.03  # Standard deviation of the random specific resistance [N/kN]
+    gust_time: float = 6.0  # Correlation time of the random resistance [s]
+    speed_noise: float = 0.01  # Standard deviation of the speed noise [m/s]
+    quantum: float = 0.01  # Resolution of the measured speed [m/s]
+    brake_delay: float = 0.0  # True minus stated dead time of the brake [s]
+    brake_lag: float = 1.0  # Stated over true time constant of the brake [1]
+    brake_speed: float = 0.0  # Strength of the speed dependence of the brake rate, from 0 to 1
+    brake_step: float = 0.0  # Resolution of the brake force as a share of the greatest command, 0 = continuous
+    blend_speed: float = 2.5  # Speed of the change from electric to friction brake [m/s]
+    blend_dip: float = 0.0  # Loss of brake rate at that speed [1]
 
 
 def random_of(world: str, seed: int, purpose: str) -> np.random.Generator:
@@ -125,3 +108,74 @@ def _draw_brake(rng: np.random.Generator) -> dict[str, float]:
 
 def _clipped(rng: np.random.Generator, std: float, most: float) -> float:
     return float(np.clip(rng.normal(0.0, std), -most, most))
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Parameters of the trains of one world; ranges are those of uniform distributions."""
+
+    mass: Range  # Mass without the variable load [kg]
+    load: float  # Greatest variable load as a share of that mass
+    rotary_mass: float  # Rotating masses as a share of the mass
+    length: Range  # Length [m]
+    cars: int  # Number of cars
+    max_speed: float  # Greatest speed [m/s]
+    force: float  # Greatest specific tractive effort [N/kN of the mass without load]
+    power: float  # Greatest specific tractive power [W/kg]
+    traction_lag: float  # Time constant of the tractive effort [s]
+    davis: tuple[float, float, float]  # Nominal a, b, c [N/kN, v in m/s]
+    curve: Range  # Curve resistance coefficient [N/kN m]
+    brake_delay: Range  # Dead time of the brake [s]
+    brake_lag: Range  # Time constant of the brake [s]
+    brake_max: float  # Greatest service brake command [m/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """True parameters of one train, in the units of :class:`Kind`; max_force in N, max_power in W."""
+
+    kind: Kind
+    mass: float
+    length: float
+    max_force: float
+    max_power: float
+    davis: tuple[float, float, float]
+    curve: float
+    brake_delay: float
+    brake_lag: float
+    brake_rate: float
+
+
+# Davis coefficients of metro and EMU: TTOBench (CN_Beijing_Subway, CH_Stadler_FLIRT_TPF with half its quadratic
+# term); freight: loaded wagons after Strahl and ALTRIOS; high speed: eight-car trains of 300 km/h.
+KINDS: Final = {
+    'metro': Kind((190e3, 250e3), 0.15, 0.06, (115.0, 120.0), 6, 22.5, 114.0, 11.2, 0.4,
+                  (1.45, 0.012, 0.0100), (450.0, 850.0), (0.5, 0.8), (0.3, 0.5), 1.3),
+    'emu': Kind((115e3, 125e3), 0.12, 0.10, (58.6, 74.0), 4, 44.5, 167.0, 21.3, 0.5,
+                (1.99, 0.051, 0.00505), (450.0, 850.0), (0.6, 1.0), (0.5, 0.8), 1.2),
+    'high_speed': Kind((400e3, 450e3), 0.08, 0.05, (200.0, 202.0), 8, 83.4, 70.0, 20.5, 0.8,
+                       (0.9, 0.020, 0.00145), (450.0, 850.0), (0.8, 1.2), (0.6, 1.0), 0.9),
+    'freight': Kind((1500e3, 5000e3), 0.0, 0.04, (350.0, 750.0), 40, 27.8, 17.0, 2.1, 2.0,
+                    (1.4, 0.015, 0.0030), (450.0, 850.0), (2.0, 4.0), (3.0, 6.0), 0.45),
+    'tram': Kind((37e3, 41e3), 0.15, 0.09, (28.0, 33.0), 5, 16.7, 130.0, 12.0, 0.3,
+                 (3.5, 0.050, 0.0120), (400.0, 600.0), (0.3, 0.5), (0.2, 0.4), 1.6),
+}  # fmt: skip
+
+
+def draw_vehicle(kind: Kind, rng: np.random.Generator) -> Vehicle:
+    """Draw a train of a kind; mass grows with length."""
+    place = float(rng.uniform())
+    mass = kind.mass[0] + place * (kind.mass[1] - kind.mass[0])
+    a, b, c = (value * float(rng.uniform(0.85, 1.15)) for value in kind.davis)
+    return Vehicle(
+        kind=kind,
+        mass=mass,
+        length=kind.length[0] + place * (kind.length[1] - kind.length[0]),
+        max_force=kind.force * mass * G / 1000.0,
+        max_power=kind.power * mass,
+        davis=(a, b, c),
+        curve=float(rng.uniform(*kind.curve)),
+        brake_delay=round(float(rng.uniform(*kind.brake_delay)) / DELAY_STEP) * DELAY_STEP,
+        brake_lag=float(rng.uniform(*kind.brake_lag)),
+        brake_rate=float(rng.uniform(0.88, 1.1)),
+    )

@@ -12,16 +12,13 @@ import pytest
 from scipy.stats import binom
 
 from benchmarks import hidden_cases, hidden_cases_b
-from benchmarks.explain import line_of
-from benchmarks.explain_cases import GENERATORS, Spec, open_case
-from benchmarks.explain_score import alarmed, exact, parameter_errors, within_two
-from benchmarks.explain_trial import explain_case, try_case
+from benchmarks.explain import alarmed, exact, parameter_errors, within_two
+from benchmarks.explain_cases import GENERATORS, Spec, explain_case, open_case, try_case
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from benchmarks.explain_cases import Generator
-    from benchmarks.explain_trial import Outcome
+    from benchmarks.explain_cases import Generator, Outcome
 
 pytestmark = pytest.mark.slow
 
@@ -42,8 +39,8 @@ SMALL = frozenset({'brake_delay', 'higher_order_drag', 'starting_resistance'})
 )
 def test_hidden_effect_is_named_with_its_parameters(generator: Generator, name: str, seed: int) -> None:
     outcome = try_case(Spec(generator, name, seed))
-    assert exact(outcome), line_of(outcome)
-    assert all(abs(error) < 3.0 for _, error in parameter_errors(outcome)), line_of(outcome)
+    assert exact(outcome), outcome
+    assert all(abs(error) < 3.0 for _, error in parameter_errors(outcome)), outcome
     assert outcome.gap is not None
     before, after, _ = outcome.gap
     assert after < 0.8 * before
@@ -89,4 +86,4 @@ def tolerated(cases: int, wrong: float) -> int:
 
 
 def report(seed: int, outcomes: list[Outcome]) -> str:
-    return '\n'.join([f'seed {seed}', *map(line_of, outcomes)])
+    return '\n'.join([f'seed {seed}', *map(str, outcomes)])

@@ -3,32 +3,35 @@ from __future__ import annotations
 
 import io
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from benchmarks.explain import line_of, mark
-from benchmarks.explain_cases import GENERATORS, Answer, HiddenEffect, Spec, draw_specs
-from benchmarks.explain_plots import gap_plot, visibility_plot
-from benchmarks.explain_score import (
+from benchmarks.explain import (
     Rate,
     acceptable,
     alarmed,
     both,
     exact,
+    gap_plot,
     generic,
     parameter_errors,
     reported,
     rms,
     seconds_for_eight,
+    tables_of,
+    targets,
+    visibility_plot,
     visible,
     within_std,
     within_two,
 )
-from benchmarks.explain_tables import tables_of, targets
-from benchmarks.explain_trial import CRASHED, Named, Outcome
+from benchmarks.explain_cases import CRASHED, GENERATORS, Answer, HiddenEffect, Named, Outcome, Spec, draw_specs
 from benchmarks.tables import Plot, as_markdown
+
+if TYPE_CHECKING:
+    from benchmarks.explain_cases import Generator
 
 WIND = HiddenEffect('headwind', (('speed', 5.0),), (), 60.0)
 DRAG = HiddenEffect('local_drag', (), (), 40.0)
@@ -44,7 +47,7 @@ def outcome_of(
 ) -> Outcome:
     seen = max((effect.visible for effect in hidden), default=0.0)
     answer = Answer(kind, hidden, seen, 0.05, False, contamination, ('metro',))
-    return Outcome(Spec('A', 'x', 1), answer, verdict, found, (0.2, 0.06, 0.05), 'the speed', 6, 0.4, 1.5)
+    return Outcome(Spec('A', 'x', 1), answer, verdict, found, (0.2, 0.06, 0.05), 'the speed', 6, 1.5)
 
 
 def name(text: str, *twins: str, speed: float = 5.0, std: float = 1.0) -> Named:
@@ -141,7 +144,7 @@ def test_targets_are_judged_from_the_outcomes() -> None:
     assert seconds_for_eight(right[0]) == pytest.approx(2.0)
 
 
-def test_tables_and_lines_contain_the_reported_effects() -> None:
+def test_tables_contain_the_reported_effects() -> None:
     mixed = [
         outcome_of(WIND, found=(name('headwind', 'tunnel_drag'),), verdict='ambiguous', contamination=('outliers',)),
         outcome_of(kind='none', verdict='no_gap'),
@@ -152,8 +155,6 @@ def test_tables_and_lines_contain_the_reported_effects() -> None:
     text = '\n'.join(as_markdown(table) for table in tables_of(mixed, 'test'))
     for part in ('headwind~tunnel_drag: 1', 'crashed: 1', 'wavy_drag', 'outliers', 'headwind.speed'):
         assert part in text
-    assert [mark(one) for one in mixed] == ['right', 'right', 'right', 'WRONG', 'WRONG']
-    assert 'headwind[50]~tunnel_drag' in line_of(mixed[0])
 
 
 def drawn(plot: Plot) -> list[list[float]]:
@@ -171,9 +172,6 @@ def test_plots_show_one_case_and_none() -> None:
     assert (drawn(gap_plot(one)), drawn(gap_plot([]))) == ([[50.0], [50.0]], [[], []])
 
 
-def test_specs_are_drawn_at_random_or_by_name() -> None:
-    for generator in GENERATORS:
-        assert len(set(draw_specs(generator, 3, 60))) == 60
-    asked = draw_specs('B', 2, 4, ('none', 'headwind'))
-    assert [spec.name for spec in asked] == ['none', 'headwind', 'none', 'headwind']
-    assert len(set(asked)) == 4
+@pytest.mark.parametrize('generator', GENERATORS)
+def test_no_case_is_drawn_twice(generator: Generator) -> None:
+    assert len(set(draw_specs(generator, 3, 60))) == 60

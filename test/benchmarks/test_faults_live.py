@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import faults_live
 from benchmarks.faults import BY_NAME
-from benchmarks.faults_live import trial
-from benchmarks.faults_live.cases import CASES, HEALTHY, NODES, Case
-from benchmarks.faults_live.score import score
-from benchmarks.live import private_domain
+from benchmarks.faults_live import Trial, score
+from benchmarks.faults_live_cases import CASES, HEALTHY, NODES, Case
+from benchmarks.graph import private_domain
 
 
 @pytest.mark.parametrize('case', CASES, ids=lambda case: case.name)
@@ -34,10 +34,10 @@ def test_messages_that_are_no_numbers_are_named_and_nothing_wrong_is_published(
     for slow in (1.0, 4.0, 16.0):  # a slow machine has the processes ready later than the case begins
         folder = tmp_path / f'{slow:g}'
         folder.mkdir()
-        monkeypatch.setattr(trial, '_SET_UP_S', 5.0 * slow)
-        monkeypatch.setattr(trial, '_TAIL_S', 0.5 * slow)
+        monkeypatch.setattr(faults_live, '_SET_UP_S', 5.0 * slow)
+        monkeypatch.setattr(faults_live, '_TAIL_S', 0.5 * slow)
         with private_domain(folder):
-            outcome = score(case, trial.Trial(replace(case, duration_s=6.0), folder).run())
+            outcome = score(case, Trial(replace(case, duration_s=6.0), folder).run())
         if outcome.resumed and math.isfinite(outcome.named_s) and math.isfinite(outcome.withdrawn_s):
             break
     assert outcome.resumed

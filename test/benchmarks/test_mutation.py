@@ -9,9 +9,17 @@ from pathlib import Path
 import pytest
 
 from benchmarks import mutation
-from benchmarks.called import Called, read_calls
-from benchmarks.days import REPOSITORY
-from benchmarks.mutation import FOLDERS, failure_of, function_at, mutants_of, order_of, sample
+from benchmarks.mutation import (
+    FOLDERS,
+    REPOSITORY,
+    Called,
+    failure_of,
+    function_at,
+    mutants_of,
+    order_of,
+    read_calls,
+    sample,
+)
 
 SOURCE = b'''"""Doc."""
 from __future__ import annotations
@@ -89,7 +97,7 @@ def test_calls_of_a_test_are_those_of_the_package(tmp_path: Path) -> None:
         encoding='utf-8',
     )
     out = tmp_path / 'out'
-    assert failure_of(['-p', 'benchmarks.called', '--called', str(out), 'test_m.py'], tmp_path) == ''
+    assert failure_of(['-p', 'benchmarks.mutation', '--called', str(out), 'test_m.py'], tmp_path) == ''
     assert [(one.name, one.functions) for one in read_calls(out)] == [
         ('test_m.py::test_a', frozenset({('trainid_ros/m.py', 3), ('trainid_ros/m.py', 5)})),
         ('test_m.py::test_b', frozenset({('trainid_ros/m.py', 5)})),

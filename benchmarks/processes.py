@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time and memory of a command and its workers."""
+"""CPU time, memory and open files of processes, and of a command with its workers."""
 
 from __future__ import annotations
 
 import os
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -18,9 +19,9 @@ from benchmarks.days import REPOSITORY
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+TRAINID: Final = (sys.executable, '-m', 'trainid_ros.cli.main')
 _EVERY_S: Final = 0.5
 _START_S: Final = 30.0
-_TICKS: Final = os.sysconf('SC_CLK_TCK')
 # Workers start with loading modules; their memory counts from this share of the time on.
 _EARLY: Final = 0.2
 # As docs/fleet.md says: what the profiler of a worker samples all the time fills its memory.
@@ -39,14 +40,8 @@ class Cost:
 
 
 def measure_command(command: Sequence[str], others: Sequence[int] = ()) -> Cost:
-    """Run a command.
-
-    Args:
-        command: Program and arguments; it must succeed.
-        others: Processes that work for it, workers last; without them its children are its workers.
-
-    """
-    before = sum(_cpu_s(other) for other in others)
+    """Run a command, which must succeed; ``others`` work for it, workers last, else its children are its workers."""
+    before = sum(cpu_s(other) for other in others)
     start, readings = time.perf_counter(), [(0.0, 0.0)]
     cpu = os.times()
     with subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL) as process:
@@ -58,10 +53,10 @@ def measure_command(command: Sequence[str], others: Sequence[int] = ()) -> Cost:
     wall_s, after = time.perf_counter() - start, os.times()
     if process.returncode:
         raise RuntimeError(f'{" ".join(command)}: exit code {process.returncode}')
-    cpu_s = after.children_user + after.children_system - cpu.children_user - cpu.children_system
-    cpu_s += sum(_cpu_s(other) for other in others) - before
+    spent_s = after.children_user + after.children_system - cpu.children_user - cpu.children_system
+    spent_s += sum(cpu_s(other) for other in others) - before
     memories = [memory for at, memory in readings if at > _EARLY * wall_s and memory]
-    return Cost(cpu_s, wall_s, *((memories[0], memories[-2], max(memories)) if len(memories) > 1 else (0.0,) * 3))
+    return Cost(spent_s, wall_s, *((memories[0], memories[-2], max(memories)) if len(memories) > 1 else (0.0,) * 3))
 
 
 @contextmanager
@@ -92,7 +87,6 @@ def cluster(workers: int) -> Iterator[tuple[str, list[int]]]:
 
 
 def _address(scheduler: subprocess.Popen[str]) -> str:
-    """Return the address that a scheduler prints."""
     end = time.monotonic() + _START_S
     while time.monotonic() < end and scheduler.stdout is not None:
         if match := re.search(r'tcp://[\d.]+:\d+', scheduler.stdout.readline()):
@@ -101,7 +95,6 @@ def _address(scheduler: subprocess.Popen[str]) -> str:
 
 
 def _children(process: int) -> list[int]:
-    """Return the worker processes of a command."""
     try:
         text = Path(f'/proc/{process}/task/{process}/children').read_text(encoding='ascii')
         found = [int(child) for child in text.split()]
@@ -118,6 +111,28 @@ def _private_mb(process: int) -> float:
     return sum(int(kb) for kb in re.findall(r'Private_\w+:\s+(\d+)', text)) / 1024.0
 
 
-def _cpu_s(process: int) -> float:
+def cpu_s(process: int) -> float:
+    """Return user and system time of a process, all threads [s]."""
     fields = Path(f'/proc/{process}/stat').read_text(encoding='utf-8').rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def command_cpu_s(command: Sequence[object]) -> float:
+    """Return the CPU time of ``trainid COMMAND``, start-up included [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([*TRAINID, *map(str, command)], cwd=REPOSITORY, stdout=subprocess.DEVNULL, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode not in (0, 1):  # 1: the command worked, and found nothing to say
+        raise RuntimeError(f'trainid {" ".join(map(str, command))}: exit code {done.returncode}')
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def resident_kb(process: int | str) -> int:
+    """Return the memory of a process [kB]."""
+    pages = int(Path(f'/proc/{process}/statm').read_text(encoding='ascii').split()[1])
+    return pages * os.sysconf('SC_PAGESIZE') // 1024
+
+
+def open_files(process: int | str) -> int:
+    """Return the number of open file descriptors of a process."""
+    return sum(1 for _ in Path(f'/proc/{process}/fd').iterdir())

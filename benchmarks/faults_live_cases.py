@@ -13,22 +13,11 @@ FAULT_S: Final = 30.0
 
 
 class Sender(NamedTuple):
-    """A process that publishes.
-
-    Attributes:
-        name: Name of the process and of its node.
-        topics: The topics, as places.
-        options: Options of the program.
-        waits: True if it is not started before an action does so.
-        is_second: True if it sends the messages of a second publisher of the brake command.
-
-    """
-
-    name: str
-    topics: tuple[int, ...]
-    options: tuple[str, ...] = ()
-    waits: bool = False
-    is_second: bool = False
+    name: str  # Name of the process and of its node
+    topics: tuple[int, ...]  # The topics, as places
+    options: tuple[str, ...] = ()  # Options of the program
+    waits: bool = False  # True if it is not started before an action does so
+    is_second: bool = False  # True if it sends the messages of a second publisher of the brake command
 
 
 class Action(NamedTuple):
@@ -41,26 +30,13 @@ class Action(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A fault.
-
-    Attributes:
-        name: What happens.
-        expected: Regular expression of what names it in the diagnostics.
-        faults: Faults of the messages, by their names in the catalogue.
-        actions: What is done to processes.
-        senders: Processes beside those of a healthy train.
-        parameters: Parameters of all nodes, each as YAML.
-        duration_s: How long it lasts [s].
-
-    """
-
-    name: str
-    expected: str
-    faults: tuple[str, ...] = ()
-    actions: tuple[Action, ...] = ()
-    senders: tuple[Sender, ...] = ()
-    parameters: tuple[str, ...] = ()
-    duration_s: float = FAULT_S
+    name: str  # What happens
+    expected: str  # Regular expression of what names it in the diagnostics
+    faults: tuple[str, ...] = ()  # Faults of the messages, by their names in the catalogue
+    actions: tuple[Action, ...] = ()  # What is done to processes
+    senders: tuple[Sender, ...] = ()  # Processes beside those of a healthy train
+    parameters: tuple[str, ...] = ()  # Parameters of all nodes, each as YAML
+    duration_s: float = FAULT_S  # How long it lasts [s]
 
 
 NODES: Final = 'nodes'
