@@ -42,17 +42,11 @@ def own_domain() -> int:
 
 
 def sourced(setup: Path, scratch: Path) -> dict[str, str]:
-    """Return the environment of an empty shell that has sourced a set-up file.
-
-    Args:
-        setup: File to source.
-        scratch: Home and log folder.
-
-    Returns:
-        Environment variables.
+    """Return the environment of an empty shell that has sourced a set-up file; homes and logs go to ``scratch``.
 
     Raises:
-        SmokeError: If sourcing fails or prints anything.
+        SmokeError: Sourcing fails or prints anything.
+
     """
     base = {
         'HOME': str(scratch),
@@ -78,23 +72,13 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
 def build(scratch: Path, packages: tuple[str, ...]) -> None:
     """Run `colcon build` of packages of the repository into the scratch folder.
 
-    Args:
-        scratch: Where build, install and log folders go.
-        packages: Packages to build.
-
     Raises:
-        SmokeError: If a package is missing or does not build.
+        SmokeError: A package is missing or does not build.
+
     """
     env = sourced(VENV / 'setup.bash', scratch)
-    command = [
-        VENV / 'bin' / 'colcon',
-        'build',
-        '--build-base',
-        scratch / 'build',
-        '--install-base',
-        scratch / 'install',
-    ]
-    command += ['--packages-select', *packages, '--cmake-args', '-GNinja']
+    bases = ('--build-base', scratch / 'build', '--install-base', scratch / 'install')
+    command = [VENV / 'bin' / 'colcon', 'build', *bases, '--packages-select', *packages, '--cmake-args', '-GNinja']
     log = scratch / 'colcon.txt'
     with log.open('wb') as output:
         done = subprocess.run(
@@ -115,17 +99,11 @@ def build(scratch: Path, packages: tuple[str, ...]) -> None:
 
 
 def run_node(scratch: Path, packages: tuple[str, ...]) -> str:
-    """Start the installed node, query its lifecycle state and interrupt it.
-
-    Args:
-        scratch: Folder of the built workspace.
-        packages: Packages of the workspace.
-
-    Returns:
-        The state that the node reported.
+    """Start the installed node of a built workspace, interrupt it; return the lifecycle state that it reported.
 
     Raises:
-        SmokeError: If the node does not answer or does not end cleanly.
+        SmokeError: The node does not answer or does not end cleanly.
+
     """
     env = sourced(scratch / 'install' / 'setup.bash', scratch)
     program = scratch / 'install' / 'trainid_ros' / 'lib' / 'trainid_ros' / NODE
@@ -163,14 +141,7 @@ def run_node(scratch: Path, packages: tuple[str, ...]) -> str:
 
 
 def probe_node(packages: list[str]) -> int:
-    """Check that the workspace's packages are in use and that the node answers.
-
-    Args:
-        packages: Packages of the workspace.
-
-    Returns:
-        Exit code.
-    """
+    """Check that the workspace's packages are in use and that the node answers; return the exit code."""
     import rclpy  # noqa: PLC0415 (needs the sourced workspace)
     from lifecycle_msgs.srv import GetState  # noqa: PLC0415
 
@@ -198,11 +169,7 @@ def probe_node(packages: list[str]) -> int:
 
 
 def main() -> int:
-    """Build, run, report.
-
-    Returns:
-        Exit code.
-    """
+    """Build, run, report; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
     parser.add_argument('--probe', nargs='+', help='only query a running node (used by the script itself)')
     parser.add_argument('--all', action='store_true', help='build the messages too, which takes most of the time')

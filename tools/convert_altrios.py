@@ -56,36 +56,20 @@ TRAIN_HEADER: Final = """\
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The part of the run that is used, forces in N; row i acts between t[i-1] and t[i].
+    """The part of the run that is used, forces in N; row i acts between t[i-1] and t[i]."""
 
-    Attributes:
-        stamp_ns: Stamps of the speeds [ns].
-        half_ns: Half a time step [ns].
-        speed: Speed at the stamp [m/s].
-        position: Front of the train [m].
-        force: Wheel force less friction brake [N].
-        brakes: True while a brake acts.
-        known: False where the simulator reports an outdated friction force.
-        gradient: Gradient resistance [N].
-        curve: Curve resistance [N].
-        curvature: Mean curvature under the train [1/m].
-        possible: False where a piece of impossible curvature lies under the train.
-        meta: Parameters of the simulated train.
-
-    """
-
-    stamp_ns: NDArray[np.int64]
-    half_ns: int
-    speed: NDArray[np.float64]
-    position: NDArray[np.float64]
-    force: NDArray[np.float64]
-    brakes: NDArray[np.bool_]
-    known: NDArray[np.bool_]
-    gradient: NDArray[np.float64]
-    curve: NDArray[np.float64]
-    curvature: NDArray[np.float64]
-    possible: NDArray[np.bool_]
-    meta: dict[str, Any]
+    stamp_ns: NDArray[np.int64]  # Stamps of the speeds [ns]
+    half_ns: int  # Half a time step [ns]
+    speed: NDArray[np.float64]  # Speed at the stamp [m/s]
+    position: NDArray[np.float64]  # Front of the train [m]
+    force: NDArray[np.float64]  # Wheel force less friction brake [N]
+    brakes: NDArray[np.bool_]  # True while a brake acts
+    known: NDArray[np.bool_]  # False where the simulator reports an outdated friction force
+    gradient: NDArray[np.float64]  # Gradient resistance [N]
+    curve: NDArray[np.float64]  # Curve resistance [N]
+    curvature: NDArray[np.float64]  # Mean curvature under the train [1/m]
+    possible: NDArray[np.bool_]  # False where a piece of impossible curvature lies under the train
+    meta: dict[str, Any]  # Parameters of the simulated train
 
     @property
     def weight(self) -> float:

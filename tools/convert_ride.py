@@ -58,22 +58,13 @@ TRAIN_HEADER: Final = """\
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """The ride, sampled once a second except in pauses, shapes (n,).
+    """The ride, sampled once a second except in pauses, shapes (n,)."""
 
-    Attributes:
-        time: Time since the start [s].
-        speed: Speed [m/s].
-        distance: Distance ridden [m].
-        power: Mean power over the second before [W], NaN where it is missing.
-        gradient: Slope [per mille].
-
-    """
-
-    time: Array
-    speed: Array
-    distance: Array
-    power: Array
-    gradient: Array
+    time: Array  # Time since the start [s]
+    speed: Array  # Speed [m/s]
+    distance: Array  # Distance ridden [m]
+    power: Array  # Mean power over the second before [W], NaN where it is missing
+    gradient: Array  # Slope [per mille]
 
     def pieces(self) -> list[slice]:
         """Return the parts without a pause, at least two rows each."""

@@ -21,20 +21,12 @@ _HEADING: Final = re.compile(r'^#{1,6} (.*)$')
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A fenced code block.
+    """A fenced code block."""
 
-    Attributes:
-        language: Word after the fence, empty without one.
-        title: File name given in the fence, empty without one.
-        line: Line number of its first line of code.
-        text: The code.
-
-    """
-
-    language: str
-    title: str
-    line: int
-    text: str
+    language: str  # Word after the fence, empty without one
+    title: str  # File name given in the fence, empty without one
+    line: int  # Line number of its first line of code
+    text: str  # The code
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,14 +26,7 @@ PLATFORM_TAG = re.compile(r'(any|manylinux\w*_(x86_64|aarch64)|linux_(x86_64|aar
 
 
 def usable(wheel: str) -> bool:
-    """Return whether a wheel file fits one of the supported interpreters and machines.
-
-    Args:
-        wheel: File name of the wheel.
-
-    Returns:
-        True for a wheel that belongs in a lock.
-    """
+    """Return whether a wheel file fits one of the supported interpreters and machines: it belongs in a lock."""
     python, abi, platform = wheel.removesuffix('.whl').split('-')[-3:]
     return bool(
         PYTHON_TAG.match(f'{python}-{abi}-')
@@ -43,18 +36,11 @@ def usable(wheel: str) -> bool:
 
 
 def resolve(group: str, scratch: Path, constraints: list[str]) -> list[dict[str, Any]]:
-    """Ask the resolver for the packages of one group.
-
-    Args:
-        group: Stem of the `.in` file.
-        scratch: Folder for temporary files.
-        constraints: Pins of the groups before this one, `name==version`.
-
-    Returns:
-        The packages as the resolver's lock file describes them.
+    """Return the packages of a group as the resolver's lock file describes them; ``constraints`` are earlier pins.
 
     Raises:
-        subprocess.CalledProcessError: If the resolver finds no solution.
+        subprocess.CalledProcessError: The resolver finds no solution.
+
     """
     limits = scratch / 'constraints.txt'
     limits.write_text('\n'.join(constraints))
@@ -70,16 +56,11 @@ def resolve(group: str, scratch: Path, constraints: list[str]) -> list[dict[str,
 
 
 def entry(package: dict[str, Any]) -> str:
-    """Format one requirement with the hashes of its usable wheels, or of its source if it has none at all.
-
-    Args:
-        package: Package of the resolver's lock file.
-
-    Returns:
-        Lines for the lock.
+    """Return the lines of a package in a lock: hashes of its usable wheels, or of its source if it has none at all.
 
     Raises:
-        ValueError: If the package has wheels, but none fits.
+        ValueError: The package has wheels, but none fits.
+
     """
     wheels = package.get('wheels', [])
     files = [wheel for wheel in wheels if usable(wheel['url'].rsplit('/', 1)[-1])]
@@ -93,24 +74,13 @@ def entry(package: dict[str, Any]) -> str:
 
 
 def pinned(group: str) -> list[str]:
-    """Read the pins of an existing lock.
-
-    Args:
-        group: Stem of the `.lock` file.
-
-    Returns:
-        The pins, `name==version`.
-    """
+    """Return the pins of an existing lock, `name==version`."""
     lines = (REQUIREMENTS / f'{group}.lock').read_text().splitlines()
     return [line.split()[0] for line in lines if '==' in line and not line.startswith('#')]
 
 
 def main() -> int:
-    """Resolve the named groups, or all groups, and write their locks.
-
-    Returns:
-        Exit code.
-    """
+    """Resolve the named groups, or all groups, and write their locks; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('groups', nargs='*', default=GROUPS, metavar='GROUP', help=f'of {", ".join(GROUPS)}')
     wanted = parser.parse_args().groups

@@ -47,12 +47,7 @@ class SmokeError(Exception):
 
 
 def main() -> int:
-    """Build, try, report.
-
-    Returns:
-        Exit code.
-
-    """
+    """Build, try, report; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
     parser.add_argument('--out', type=Path, help='keep the wheels in this folder')
     parser.add_argument('--all', action='store_true', help='for all interpreters, not only that of the environment')
@@ -110,14 +105,7 @@ def version_of(python: Path) -> str:
 
 
 def build(python: Path, scratch: Path) -> Path:
-    """Build a wheel.
-
-    Args:
-        python: Interpreter to build for.
-        scratch: Empty or earlier used folder for everything that is made.
-
-    Returns:
-        The wheel, with a manylinux tag.
+    """Build a wheel with a manylinux tag for an interpreter, in a scratch folder; return it.
 
     Raises:
         SmokeError: It cannot be built, or contains no compiled modules.
@@ -156,13 +144,7 @@ def take_over_compiled(source: Path) -> None:
 
 
 def try_out(clean: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:
-    """Install a wheel into a clean environment and replay a bag there.
-
-    Args:
-        clean: Interpreter of the environment.
-        wheel: The wheel.
-        scratch: Folder to run in.
-        expected: What the replay must give.
+    """Install a wheel into the clean environment of an interpreter and replay a bag there.
 
     Raises:
         SmokeError: It does not work, does not use its compiled modules, or gives something else.
@@ -201,15 +183,10 @@ def environment(python: Path, folder: Path, *locks: str, left_out: Collection[st
 
 
 def run(command: list[str | Path], cwd: Path = ROOT, **variables: str) -> str:
-    """Run a command; return what it prints.
-
-    Args:
-        command: Program and arguments.
-        cwd: Folder to run in.
-        variables: Environment variables to set; those of the project's own environment are removed.
+    """Run a command with variables set, without those of the project's own environment; return what it prints.
 
     Raises:
-        SmokeError: If it fails; carries its output.
+        SmokeError: It fails; carries its output.
 
     """
     hidden = {'PYTHONPATH', 'PYTHONHOME', 'LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'TRAINID_COMPILED'}

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from ato import days
-from ato.days import DayPlan, Drive, drive_day, plan_day
-from ato.learning import StopBias
+from ato.days import DayPlan, Drive, RideScore, drive_day, plan_day
+from ato.knowledge import StopBias
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
-from trainid_ros.sim.plant import StopEvent
+from trainid_ros.sim.plant import Plant, StopEvent
 from trainid_ros.sim.scenario import Simulation, simulate
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+
+TICK_STEPS = 10
 
 
 def driven(controller: str, seed: int = 3, runs: int = 4) -> Drive:
@@ -28,19 +32,18 @@ def test_the_same_seed_gives_the_same_day() -> None:
     assert driven('live') == driven('live')
 
 
-def test_sudden_changes_of_the_brake_are_in_the_scenario() -> None:
-    plans = [plan_day('metro', 26, np.random.default_rng(seed)) for seed in range(40)]
-    assert 10 <= sum(len(plan.events_s) for plan in plans) <= 45
-    for plan in plans:
+@pytest.fixture(scope='module')
+def metro_days() -> list[DayPlan]:
+    return [plan_day('metro', 26, np.random.default_rng(seed)) for seed in range(40)]
+
+
+def test_sudden_changes_of_the_brake_are_in_the_scenario(metro_days: list[DayPlan]) -> None:
+    assert 10 <= sum(len(plan.events_s) for plan in metro_days) <= 45
+    for plan in metro_days:
         changes = plan.case.scenario.changes
         rates = [change.brake_rate for change in changes]
         assert all(rate is not None and 0.5 < rate < 1.15 for rate in rates)
         assert set(plan.events_s) <= {change.time_s for change in changes}
-
-
-@pytest.fixture(scope='module')
-def metro_days() -> list[DayPlan]:
-    return [plan_day('metro', 26, np.random.default_rng(seed)) for seed in range(40)]
 
 
 def test_brakes_wear_by_up_to_eight_percent(metro_days: list[DayPlan]) -> None:
@@ -89,14 +92,13 @@ def test_only_the_train_itself_has_a_rate_over_speed_that_is_not_stated() -> Non
     assert np.allclose(rates[:, 0] + rates[:, -1], 2.0)
 
 
-def test_an_unknown_world_is_named() -> None:
-    with pytest.raises(InputError, match='maglev'):
-        plan_day('maglev', 4, np.random.default_rng(1))
-
-
-def test_an_unknown_controller_is_named() -> None:
-    with pytest.raises(InputError, match="'lvie' is not known; did you mean 'live'"):
-        drive_day(plan_day('tram', 2, np.random.default_rng(1)), 'lvie', 1)
+@pytest.mark.parametrize(
+    ('world', 'controller', 'error'),
+    [('maglev', 'live', 'maglev'), ('tram', 'lvie', "'lvie' is not known; did you mean 'live'")],
+)
+def test_an_unknown_world_or_controller_is_named(world: str, controller: str, error: str) -> None:
+    with pytest.raises(InputError, match=error):
+        drive_day(plan_day(world, 2, np.random.default_rng(1)), controller, 1)
 
 
 def test_a_drive_is_scored() -> None:
@@ -201,3 +203,57 @@ def test_bounds_are_live_once_the_estimates_are() -> None:
     rows = drive_day(plan_day('metro', 6, np.random.default_rng(4)), 'live', 4).bounds
     assert not rows[0].is_live
     assert rows[-1].is_live
+
+
+def plant_of(*limits: tuple[float, float]) -> Plant:
+    train = Train(mass=200e3, length=100.0)
+    file = TrainFile(train, Davis(2.0, 0.0, 0.004), Brake(1.0, 0.4, 0.6), Line(stops=(0.0, 3000.0), speed_limit=limits))
+    return Plant(file, LineProfile(file.line, train.length), NS_PER_S, 0.8)
+
+
+def braked_to_rest(speed: float, command: float) -> tuple[Plant, RideScore]:
+    plant, score = plant_of(), RideScore()
+    plant.speed = speed
+    plant.command(command)
+    while plant.speed > 0.0:
+        score.add(plant, None)
+        for _ in range(TICK_STEPS):
+            plant.step(0.0)
+    score.add(plant, None)
+    return plant, score
+
+
+# The standstill is somewhere in a tick; at one of these speeds it is in its last step.
+@pytest.mark.parametrize('speed', np.arange(9.0, 9.17, 0.015).tolist())
+def test_the_jolt_at_standstill_counts(speed: float) -> None:
+    _, score = braked_to_rest(speed, -0.8)
+    # Beside the brake, the resistance of 2 N/kN decelerates.
+    assert score.final_decelerations == [pytest.approx(0.82, abs=0.01)]
+    assert score.jerks[-1] == pytest.approx(0.82 / 0.2, abs=0.05)
+
+
+def test_overspeed_counts_where_the_limit_begins() -> None:
+    plant, score = plant_of((0.0, 20.0), (151.0, 10.0)), RideScore()
+    plant.position, plant.speed = 150.0, 12.0
+    plant._actuator.output = -1.0
+    plant.command(-1.0)
+    score.skip(plant)
+    at = 0.0
+    for _ in range(TICK_STEPS):
+        before = plant.speed
+        plant.step(0.0)
+        at = before if not at and plant.position > 151.0 else at
+    score.add(plant, None)
+    assert plant.speed < 11.9
+    assert score.overspeed == pytest.approx(at - 10.0, abs=0.03)
+    assert score.overspeed > plant.speed - 10.0 + 0.05
+
+
+def test_only_counted_ticks_are_scored() -> None:
+    plant, score = plant_of(), RideScore()
+    plant.speed = 5.0
+    score.skip(plant)
+    assert (score.jerks, score.speed_errors) == ([], [])
+    score.add(plant, 5.5)
+    assert score.jerks == [0.0]
+    assert score.speed_errors == [-0.5]

@@ -8,17 +8,17 @@ brake rate may also change over speed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from ato.controller import Ato, AtoModel, Phase
-from ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
-from ato.learning import LearnedRate, StopBias
-from ato.ride_score import RideScore
+from ato.knowledge import LearnedRate, LiveValues, StatedValues, StopBias, TrainKnowledge, TrueValues
 from ato.train_state import PositionModel
 from trainid_ros.interface.errors import InputError
+from trainid_ros.sim.plant import TICK_S
 from trainid_ros.sim.scenario import Change, simulate
 from trainid_ros.sim.worlds import UNKNOWNS, find_world, make_case, usual_duration, world_train
 from trainid_ros.train.fields import did_you_mean
@@ -74,51 +74,28 @@ class DayPlan:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A bound of the stopping distance under one command.
+    """A bound of the stopping distance under one command."""
 
-    Attributes:
-        time_s: Time at which the braking begins [s].
-        bound: Distance within which the client says that the train stops, at 95 % confidence [m].
-        distance: Distance within which it does [m].
-        is_live: Whether the bound is from live estimates; False: from the train file, or on the way back to it.
-
-    """
-
-    time_s: float
-    bound: float
-    distance: float
-    is_live: bool
+    time_s: float  # Time at which the braking begins [s]
+    bound: float  # Distance within which the client says that the train stops, at 95 % confidence [m]
+    distance: float  # Distance within which it does [m]
+    is_live: bool  # Whether the bound is from live estimates; False: from the train file, or on the way back to it
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How a controller has driven a day.
+    """How a controller has driven a day."""
 
-    Attributes:
-        arrivals: Its stops.
-        brakings_s: Times at which the brakings to them begin [s].
-        duration_s: Duration without the dwell after the last stop [s].
-        energy_kwh: Work of the traction [kWh].
-        jerk: Root mean square of the jerk from departures to standstills, both included; means of 0.2 s [m/s^3].
-        jerk_p999: 99.9 % quantile of its absolute value [m/s^3].
-        final_deceleration: Deceleration just before a standstill, mean of the stops [m/s^2].
-        overspeed: Highest speed above a limit [m/s], 0 if none.
-        tracking: Root mean square of the speed less the one that limits and braking curves allow, while the controller
-            regulates to that [m/s].
-        bounds: At the beginning of each stop braking, what the client says; only with live estimates.
-
-    """
-
-    arrivals: tuple[StopEvent, ...]
-    brakings_s: tuple[float, ...]
-    duration_s: float
-    energy_kwh: float
-    jerk: float
-    jerk_p999: float
-    final_deceleration: float
-    overspeed: float
-    tracking: float
-    bounds: tuple[Bound, ...]
+    arrivals: tuple[StopEvent, ...]  # Its stops
+    brakings_s: tuple[float, ...]  # Times at which the brakings to them begin [s]
+    duration_s: float  # Duration without the dwell after the last stop [s]
+    energy_kwh: float  # Work of the traction [kWh]
+    jerk: float  # Root mean square of the jerk from departures to standstills, both included; means of 0.2 s [m/s^3]
+    jerk_p999: float  # 99.9 % quantile of its absolute value [m/s^3]
+    final_deceleration: float  # Deceleration just before a standstill, mean of the stops [m/s^2]
+    overspeed: float  # Highest speed above a limit [m/s], 0 if none
+    tracking: float  # Root mean square of the speed less that allowed, while it is regulated to [m/s]
+    bounds: tuple[Bound, ...]  # At the beginning of each stop braking, what the client says; only with live estimates
 
     @property
     def errors(self) -> np.ndarray:
@@ -252,6 +229,69 @@ class BoundCheck:
         while twin.speed > 0.0:
             twin.step(0.0)
         return abs(twin.position - train.position)
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """Position [m], speed [m/s] and acceleration [m/s^2] at a tick."""
+
+    position: float
+    speed: float
+    acceleration: float
+
+
+class RideScore:
+    """Follow the true train from tick to tick.
+
+    Attributes:
+        jerks: Mean jerk of each tick in motion and of that in which the train comes to rest [m/s^3].
+        final_decelerations: Deceleration at the last tick before each standstill [m/s^2].
+        speed_errors: Speed less that allowed, while it is regulated to [m/s].
+        overspeed: Highest speed above a limit, 0 if none [m/s].
+
+    """
+
+    def __init__(self) -> None:
+        """Start at rest."""
+        self.jerks: list[float] = []
+        self.final_decelerations: list[float] = []
+        self.speed_errors: list[float] = []
+        self.overspeed = 0.0
+        self._last = _Moment(math.nan, 0.0, 0.0)
+
+    def skip(self, train: Plant) -> None:
+        """Take note of a tick that does not count."""
+        self._last = _moment(train)
+
+    def add(self, train: Plant, allowed: float | None) -> None:
+        """Count a tick; with the speed allowed [m/s] if the controller regulates to it."""
+        last, now = self._last, _moment(train)
+        self.jerks.append((now.acceleration - last.acceleration) / TICK_S)
+        if now.speed == 0.0 < last.speed:
+            self.final_decelerations.append(-last.acceleration)
+        self.overspeed = max(self.overspeed, _overspeed(last, train))
+        if allowed is not None:
+            self.speed_errors.append(train.speed - allowed)
+        self._last = now
+
+
+def _moment(train: Plant) -> _Moment:
+    # In the step in which the train comes to rest, its mean acceleration is neither that before nor that at rest.
+    acceleration = train.acceleration if train.speed > 0.0 else 0.0
+    return _Moment(train.position, train.speed, acceleration)
+
+
+def _overspeed(last: _Moment, train: Plant) -> float:
+    """Return the highest speed above a limit since the last tick [m/s]: where limits begin, and at the end."""
+    profile, direction = train.profile, train.direction
+    most = train.speed - profile.speed_limit(train.position, direction)
+    run = (train.position - last.position) * direction
+    if run > 0.0:
+        for distance, limit in profile.limits_ahead(last.position, direction, run):
+            # At a constant acceleration, the square of the speed is linear in the distance.
+            square = last.speed**2 + (train.speed**2 - last.speed**2) * distance / run
+            most = max(most, math.sqrt(square) - limit)
+    return most
 
 
 class ScoredAto(Ato):
