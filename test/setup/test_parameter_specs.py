@@ -15,7 +15,6 @@ from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.setup.parameter_specs import (
     TAKEN,
-    ParameterSpec,
     build_settings,
     build_train_file,
     estimator_parameters,
@@ -83,15 +82,17 @@ def test_invalid_values_are_rejected_by_name(name: str, value: object, reason: s
         SPECS[name].coerce(value)
 
 
-@pytest.mark.parametrize('value', [0.0, 0.1, 3600.0])
-def test_checkpoints_may_be_turned_off_or_be_saved_ten_times_a_second(value: float) -> None:
-    assert SPECS['checkpoint_period'].coerce(value) == value
-
-
-def test_a_whole_number_is_accepted_for_a_float() -> None:
-    value = SPECS['train.mass'].coerce(194000)
-    assert value == 194000.0
-    assert isinstance(value, float)
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        *(('checkpoint_period', value) for value in (0.0, 0.1, 3600.0)),  # off, or ten times a second at most
+        ('train.mass', 194000),  # a whole number for a float
+        *(('estimator.step_share_c', value) for value in (0.001, 10.0)),  # bounds are inclusive
+    ],
+)
+def test_permitted_values_are_accepted_as_floats(name: str, value: float) -> None:
+    found = SPECS[name].coerce(value)
+    assert (found, type(found)) == (value, float)
 
 
 def test_the_train_file_applies_where_no_parameter_is_given() -> None:
@@ -160,11 +161,6 @@ def test_nested_sections_match_and_other_arguments_are_ignored(tmp_path: Path) -
     path.write_text('t1:\n  gsma:\n    ros__parameters: {seed: 1}\n', encoding='utf-8')
     assert find_mismatch(path, '/t1/gsma', 'gsma') is None
     assert params_files(['--ros-args', '--params-file', str(path), '-p', 'a:=b']) == (path,)
-
-
-def test_bounds_are_inclusive() -> None:
-    spec = ParameterSpec('x', 1.0, 'x', 0.0, 1.0)
-    assert [spec.coerce(value) for value in (0.0, 1.0)] == [0.0, 1.0]
 
 
 NUMBERS = st.one_of(st.floats(), st.integers(-(2**63), 2**63 - 1))

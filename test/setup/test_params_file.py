@@ -176,18 +176,18 @@ def test_an_algorithm_of_the_command_line_overrides_that_of_the_file(tmp_path: P
     assert (made['resistance'].algorithm, made['resistance'].settings.seed) == ('V-MILS', 2)
 
 
-def test_a_file_without_sections_has_its_values_in_the_root(tmp_path: Path) -> None:
-    path = write(tmp_path, 'ros__parameters: {seed: 1}')
-    assert find_mismatch(path, '/resistance_estimator', 'resistance_estimator') == (
-        f"{path}: no section for '/resistance_estimator'; its sections are the root",
-        False,
-    )
-
-
-def test_of_many_sections_that_do_not_match_some_are_named(tmp_path: Path) -> None:
-    path = write(tmp_path, '\n'.join(f's{i}: {{ros__parameters: {{}}}}' for i in range(5000)))
-    assert find_mismatch(path, '/resistance_estimator', 'resistance_estimator') == (
-        f"{path}: no section for '/resistance_estimator'; its sections are {', '.join(f'/s{i}' for i in range(10))} "
-        'and 4990 more',
-        False,
-    )
+@pytest.mark.parametrize(
+    ('text', 'named'),
+    [
+        ('ros__parameters: {seed: 1}', 'the root'),
+        (
+            '\n'.join(f's{i}: {{ros__parameters: {{}}}}' for i in range(5000)),
+            f'{", ".join(f"/s{i}" for i in range(10))} and 4990 more',
+        ),
+    ],
+    ids=['root', 'many'],
+)
+def test_sections_that_do_not_match_are_named(tmp_path: Path, text: str, named: str) -> None:
+    path = write(tmp_path, text)
+    reason = f"{path}: no section for '/resistance_estimator'; its sections are {named}"
+    assert find_mismatch(path, NODE, 'resistance_estimator') == (reason, False)

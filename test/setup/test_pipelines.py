@@ -32,11 +32,7 @@ def many(monkeypatch: pytest.MonkeyPatch) -> None:
         vars(algorithms)['_plug_ins'] = ({}, '')  # whatever is installed
         return EstimatorKind(algorithms, RESISTANCE_TOPIC)
 
-    kinds = (
-        named('resistance', 'V', 'EKF'),
-        named('speed_model', 'A', 'EKF'),
-        named('brake_rate', 'G'),
-    )
+    kinds = (named('resistance', 'V', 'EKF'), named('speed_model', 'A', 'EKF'), named('brake_rate', 'G'))
     monkeypatch.setattr(pipelines, 'KINDS', kinds)
 
 

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def shared_path(relative: str) -> Path:
-    """Return the path of a file or folder shipped with the package: in the source tree or the share directory.
-
-    Raises:
-        InputError: It is not found in either place.
-    """
+    """Return a file or folder of the package, in the source tree or the share directory; InputError without it."""
     places = [Path(__file__).parents[2], *_share()]
     for place in places:
         if (place / relative).exists():
@@ -42,11 +38,7 @@ def _share() -> list[Path]:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let a function write another file, and rename that.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Let a function write another file, and rename that; InputError if it cannot be written."""
     part = path.with_name(f'{path.name}.part')
     try:
         write(part)

@@ -102,7 +102,6 @@ _QUANTITY: Final = 'quantity'
 
 
 def _is(unit: str, text: str, *, is_parameter: bool = False, may_be_unknown: bool = False) -> dict[str, Quantity]:
-    """Return the metadata of a field."""
     return {_QUANTITY: Quantity(unit, text, is_parameter, may_be_unknown)}
 
 

@@ -267,7 +267,6 @@ class _Restoring:
         return None if data is None else self._one(item, data, name)
 
     def _one(self, item: Field, data: Any, name: str) -> Any:
-        """Return one item."""
         kind: Any = item.kind
         if isinstance(kind, type) and issubclass(kind, Enum):
             return _scalar(item, kind, data, name)
@@ -282,7 +281,6 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 def _collected(like: Any, items: Any) -> Any:
-    """Return items in a collection like another."""
     return deque(items, like.maxlen) if isinstance(like, deque) else type(like)(items)
 
 

@@ -15,7 +15,7 @@ import os
 import re
 import stat
 import tempfile
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -24,6 +24,8 @@ from trainid_ros import __version__
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from _typeshed import DataclassInstance
 
     from trainid_ros.setup.pipelines import EstimatorSettings
@@ -42,14 +44,6 @@ _END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
 _HEAD: Final = 200
 # Size of a file that certainly is none [bytes]; a checkpoint has some 100 kB.
 _MAX_BYTES: Final = 64 * 2**20
-# Suffix of a file that is being written.
-_PART: Final = '.part'
-# Number of refused files that are kept, the newest ones.
-_MAX_REFUSED: Final = 5
-# Settings that only decide the status of an estimate, and may differ.
-_STATUS_SETTINGS: Final = frozenset({'valid_std', 'valid_share'})
-# Number of differing values that a message names.
-_MAX_SHOWN: Final = 3
 
 
 def default_path(node: str) -> Path:
@@ -79,26 +73,21 @@ class Provenance:
         if self.algorithm != other.algorithm:
             return f'is of {self.algorithm}, not of {other.algorithm}'
         names = [name for name in {**other.values, **self.values} if self.values.get(name) != other.values.get(name)]
-        shown = [f'{name} = {self.values.get(name)}, here {other.values.get(name)}' for name in names[:_MAX_SHOWN]]
-        more = f', and {len(names) - _MAX_SHOWN} more' if len(names) > _MAX_SHOWN else ''
+        shown = [f'{name} = {self.values.get(name)}, here {other.values.get(name)}' for name in names[:3]]
+        more = f', and {len(names) - 3} more' if len(names) > 3 else ''
         return f'is of another train or other settings: {"; ".join(shown)}{more}' if names else ''
 
 
 def provenance_of(estimate: str, train_file: TrainFile, settings: EstimatorSettings) -> Provenance:
-    """Return what a state is learned with.
-
-    Args:
-        estimate: Name of the estimate in the settings.
-        train_file: The train file with all overrides; its text does not matter.
-        settings: All settings of the estimators.
-    """
+    """Return what a state is learned with: the train file with all overrides, and the settings."""
     choice = getattr(settings, estimate)
     effects = [(item.name, item.parameters, item.std) for item in train_file.effects]
     values: Values = {'effects': _brief(effects)}
     for section in ('train', 'resistance', 'brake', 'line'):
         values |= _named(section, getattr(train_file, section))
-    values |= _named('alignment', settings.alignment)
-    values |= {name: x for name, x in _named('estimator', choice.config).items() if name[10:] not in _STATUS_SETTINGS}
+    values |= _named('alignment', settings.alignment) | _named('estimator', choice.config)
+    for name in ('valid_std', 'valid_share'):  # they only decide the status of an estimate, and may differ
+        values.pop(f'estimator.{name}', None)
     return Provenance(__version__, estimate, choice.algorithm, values)
 
 
@@ -222,11 +211,7 @@ class CheckpointFile:
         return checkpoint
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Replace the file once the new one is safely on disk.
-
-        Raises:
-            InputError: It cannot be written, or somebody else has written it.
-        """
+        """Replace the file once the new one is safely on disk; InputError if that fails, or another has written it."""
         if self._unmoved:
             self.set_aside()
         found = self._identity()
@@ -236,17 +221,20 @@ class CheckpointFile:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._seen = _replace(self.path, checkpoint.text().encode())
-            _sync_folder(self.path.parent)
+            with _opened(self.path.parent, os.O_DIRECTORY) as folder:
+                os.fsync(folder)  # so that the renaming lasts
         except OSError as error:
             raise InputError(f'{self.path}: checkpoint cannot be written: {error.strerror or error}') from error
 
     def set_aside(self) -> Path:
         """Rename a file that was refused, so that it is not overwritten; return its new name.
 
-        Only the newest of such files are kept.
+        Only the newest five of such files are kept.
         """
+        name = re.compile(rf'{re.escape(self.path.stem)}\.refused-([0-9]{{1,9}}){re.escape(SUFFIX)}')
         try:
-            numbers = self._refused()
+            found = (name.fullmatch(item.name) for item in self.path.parent.iterdir())
+            numbers = [int(match[1]) for match in found if match]
             aside = self._aside(max(numbers, default=0) + 1)
             self.path.rename(aside)
         except OSError as error:
@@ -254,7 +242,7 @@ class CheckpointFile:
             self._unmoved = f'was refused and cannot be renamed: {error.strerror or error}'
             return self.path
         self._unmoved = ''
-        for number in sorted(numbers)[: 1 - _MAX_REFUSED]:
+        for number in sorted(numbers)[:-4]:
             with suppress(OSError):
                 self._aside(number).unlink()
         return aside
@@ -262,13 +250,7 @@ class CheckpointFile:
     def _aside(self, number: int) -> Path:
         return self.path.with_suffix(f'.refused-{number}{SUFFIX}')
 
-    def _refused(self) -> list[int]:
-        """Return the numbers of the refused files that are kept."""
-        name = re.compile(rf'{re.escape(self.path.stem)}\.refused-([0-9]{{1,9}}){re.escape(SUFFIX)}')
-        return [int(match[1]) for item in self.path.parent.iterdir() if (match := name.fullmatch(item.name))]
-
     def _identity(self) -> tuple[int, int] | None:
-        """Return the identity of the present file, None if there is none."""
         try:
             return _identity_of(self.path.stat())
         except OSError:
@@ -298,7 +280,7 @@ def _replace(path: Path, content: bytes) -> tuple[int, int]:
 def _locked_part(path: Path) -> tuple[int, Path]:
     """Make a temporary file beside a file, which no other process removes; return its handle and its path."""
     while True:
-        handle, name = tempfile.mkstemp(_PART, f'.{path.name}.', path.parent)
+        handle, name = tempfile.mkstemp('.part', f'.{path.name}.', path.parent)
         with suppress(OSError):  # this file system has no locks
             fcntl.flock(handle, fcntl.LOCK_EX)
         if os.fstat(handle).st_nlink:
@@ -310,24 +292,16 @@ def _remove_parts(path: Path) -> None:
     """Remove the temporary files of a file that were left by processes which have ended."""
     with suppress(OSError):
         for part in path.parent.iterdir():
-            if part.name.startswith(f'.{path.name}.') and part.name.endswith(_PART):
-                _remove_unlocked(part)
+            if part.name.startswith(f'.{path.name}.') and part.name.endswith('.part'):
+                with suppress(OSError), _opened(part, os.O_NOFOLLOW | os.O_NONBLOCK) as handle:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    part.unlink()
 
 
-def _remove_unlocked(part: Path) -> None:
-    with suppress(OSError):
-        handle = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            part.unlink()
-        finally:
-            os.close(handle)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a renaming in a folder last."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+@contextmanager
+def _opened(path: Path, flags: int) -> Iterator[int]:
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | flags)
     try:
-        os.fsync(handle)
+        yield handle
     finally:
         os.close(handle)

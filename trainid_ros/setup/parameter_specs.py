@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the nodes as plain values, and their conversion to configurations.
-
-Every setting of an estimator is declared once, in the metadata of its configuration; nothing is
-repeated here.
-"""
+"""Parameters of the nodes as plain values, and their conversion to configurations, whose metadata declare them."""
 
 from __future__ import annotations
 
@@ -59,8 +55,7 @@ class ParameterSpec:
     def coerce(self, value: object) -> Value:
         """Return a value from a file as the parameter's type; a whole number is accepted for a float.
 
-        Raises:
-            InputError: The value is of another type, not finite, out of range or not among the choices.
+        InputError if it is of another type, not finite, out of range or not among the choices.
         """
         if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -78,13 +73,17 @@ class ParameterSpec:
             elif self.choices and value not in self.choices:
                 raise InputError(f'{self.name} = {value!r} must be one of {", ".join(self.choices)}')
         elif not isinstance(value, bool):
-            self._check_number(value)
+            if not (math.isfinite(value) and self.low <= value <= self.high):
+                raise InputError(f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]')
+            if value < self.least and value != 0.0:
+                raise InputError(f'{self.name} = {value:g} must be 0 or at least {self.least:g}')
 
-    def _check_number(self, value: float) -> None:
-        if not (math.isfinite(value) and self.low <= value <= self.high):
-            raise InputError(f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]')
-        if value < self.least and value != 0.0:
-            raise InputError(f'{self.name} = {value:g} must be 0 or at least {self.least:g}')
+
+def on_configure(
+    name: str, default: Value, text: str, low: float = -math.inf, high: float = math.inf, choices: tuple[str, ...] = ()
+) -> ParameterSpec:
+    """Return a parameter that takes effect on the next configure."""
+    return ParameterSpec(name, default, f'{text}; {_NEXT}', low, high, choices)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +114,8 @@ def _train_parameters(section: str, kind: type[Any], *names: str) -> Iterator[Tr
         required = item.default is MISSING
         default = 0.0 if item.default is MISSING else float(item.default)
         source = 'required without a train file' if required else 'default if set neither here nor in the train file'
-        text = f'{info.description} [{info.unit}]; overrides the train file ({source}); {_NEXT}'
-        spec = ParameterSpec(f'{section}.{name}', default, text, min(info.low, default), info.high)
+        text = f'{info.description} [{info.unit}]; overrides the train file ({source})'
+        spec = on_configure(f'{section}.{name}', default, text, min(info.low, default), info.high)
         yield TrainParameter(section, name, spec, required)
 
 
@@ -139,41 +138,39 @@ MAPPING_FILE: Final = ParameterSpec(
 TAKEN: Final = ParameterSpec(
     'taken_from_train_file', '', 'values of the train file, by which a dump of the parameters is known; set by the node'
 )
+_QOS: Final = ('history', 'depth', 'reliability')
 QOS_POLICIES: Final = {
-    'subscription': ('history', 'depth', 'reliability'),
-    'publisher': (
-        'history',
-        'depth',
-        'reliability',
-        'deadline',
-        'lifespan',
-        'liveliness',
-        'liveliness_lease_duration',
-    ),
+    'subscription': _QOS,
+    'publisher': (*_QOS, 'deadline', 'lifespan', 'liveliness', 'liveliness_lease_duration'),
 }
 """What parameters ``qos_overrides.*`` change; durations in ns."""
 AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
-
-
-CHECKPOINT_FILE: Final = ParameterSpec(
-    'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
+SEED: Final = on_configure('seed', EstimatorSettings().seed, 'seed of the random numbers', 0, 2**31 - 1)
+# Parameters of every estimator node.
+_OF_NODES: Final = (
+    on_configure(
+        'time_jump_policy',
+        PipelineConfig().time_jump_policy.value,
+        'what to do when stamps or /clock jump back',
+        choices=tuple(policy.value for policy in TimeJumpPolicy),
+    ),
+    ParameterSpec(
+        'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
+    ),
+    ParameterSpec(
+        'checkpoint_period',
+        5.0,
+        'time between checkpoints, at least 0.1, or 0: only when the node stops [s]',
+        0.0,
+        3600.0,
+        least=0.1,
+    ),
+    SEED,
+    ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0),
+    AUTOSTART,
+    TAKEN,
+    *(item.spec for item in TRAIN_PARAMETERS),
 )
-CHECKPOINT_PERIOD: Final = ParameterSpec(
-    'checkpoint_period',
-    5.0,
-    'time between checkpoints, at least 0.1, or 0: only when the node stops [s]',
-    0.0,
-    3600.0,
-    least=0.1,
-)
-TIME_JUMP_POLICY: Final = ParameterSpec(
-    'time_jump_policy',
-    PipelineConfig().time_jump_policy.value,
-    f'what to do when stamps or /clock jump back; {_NEXT}',
-    choices=tuple(policy.value for policy in TimeJumpPolicy),
-)
-SEED: Final = ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1)
-DIAGNOSTIC_PERIOD: Final = ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0)
 
 
 def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
@@ -191,28 +188,19 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
         TRAIN_FILE,
         MAPPING_FILE,
         algorithm_spec,
-        TIME_JUMP_POLICY,
-        CHECKPOINT_FILE,
-        CHECKPOINT_PERIOD,
-        SEED,
-        DIAGNOSTIC_PERIOD,
-        AUTOSTART,
-        TAKEN,
-        *(item.spec for item in TRAIN_PARAMETERS),
+        *_OF_NODES,
         *_settings('', PipelineConfig()),
         *_settings('alignment.', AlignmentConfig()),
         *_settings('estimator.', algorithm.config, algorithm.fixed),
     )
 
 
-def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = frozenset()) -> tuple[ParameterSpec, ...]:
-    specs = []
+def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = frozenset()) -> Iterator[ParameterSpec]:
     for item in fields(config):
         if (info := setting_info(item)) is not None and item.name not in fixed:
-            later = '' if prefix + item.name in LIVE else f'; {_NEXT}'
+            name, later = prefix + item.name, '' if prefix + item.name in LIVE else f'; {_NEXT}'
             text = f'{info.description} [{info.unit}]{later}'
-            specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
-    return tuple(specs)
+            yield ParameterSpec(name, getattr(config, item.name), text, info.low, info.high)
 
 
 def requested_algorithm(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
@@ -242,13 +230,7 @@ def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
 
 
 def qos_overrides(output: OutputTopic, resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
-    """Return the names of the QoS parameters.
-
-    Args:
-        output: Topic of the estimates of the node.
-        resolve: Returns the full name of a topic.
-        foreign: Topics of a mapping.
-    """
+    """Return the names of the QoS parameters of a node, by its output, full names of topics, and a mapping's topics."""
     topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
     topics += [(topic, 'publisher') for topic in (output.name, output.last_valid) if topic]
     return [
@@ -259,23 +241,15 @@ def qos_overrides(output: OutputTopic, resolve: Callable[[str], str], foreign: I
 def validate_overrides(
     overrides: Mapping[str, object], specs: Mapping[str, ParameterSpec], others: Collection[str]
 ) -> tuple[dict[str, Value], dict[str, str]]:
-    """Return the valid values and the problems of the others, both by parameter name.
-
-    Args:
-        overrides: Given values by name.
-        specs: Parameters by name.
-        others: Names of parameters that are handled elsewhere.
-    """
+    """Return the valid values and the problems of the others, by name; ``others`` are handled elsewhere."""
     values: dict[str, Value] = {}
     problems: dict[str, str] = {}
     for name, value in overrides.items():
-        spec = specs.get(name)
-        if spec is None:
-            if name not in others:
-                problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, {*specs, *others})}'
-            continue
         try:
-            values[name] = spec.coerce(value)
+            if name in specs:
+                values[name] = specs[name].coerce(value)
+            elif name not in others:
+                problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, {*specs, *others})}'
         except InputError as error:
             problems[name] = str(error)
     return values, problems
@@ -316,11 +290,7 @@ def _configure(config: Any, prefix: str, values: Values, fixed: frozenset[str] =
 
 
 def build_train_file(values: Values, given: frozenset[str], base: TrainFile | None) -> TrainFile:
-    """Return the train file overridden by the given parameters.
-
-    Raises:
-        InputError: There is no train file and a required parameter is not given.
-    """
+    """Return the train file overridden by the given parameters; InputError if a required one is given nowhere."""
     if base is None:
         missing = [item.name for item in TRAIN_PARAMETERS if item.required and item.name not in given]
         if missing:

@@ -13,6 +13,7 @@ import re
 import sys
 import textwrap
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -49,8 +50,6 @@ if TYPE_CHECKING:
     from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import TrainFile
 
-# Similarity of names, by difflib, from which on one is taken for a misspelt other [1].
-_MIN_SIMILARITY: Final = 0.75
 # Number of sections that a message names.
 _MAX_NAMED: Final = 10
 # Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
@@ -63,8 +62,6 @@ _BOOLS: Final = {
 _INTEGER: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _REAL: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 _NOT_FINITE: Final = re.compile(r'[-+]?\.?(nan|inf|infinity)', re.IGNORECASE)
-# Integers are below this in size, longer ones are read as real numbers.
-_INT64: Final = 2**63
 
 
 def params_files(arguments: Sequence[str]) -> tuple[Path, ...]:
@@ -73,16 +70,10 @@ def params_files(arguments: Sequence[str]) -> tuple[Path, ...]:
 
 
 def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | None:
-    """Return a message, and whether it is certainly an error, if no section of a file matches a node.
+    """Return a message, and whether it is certainly an error, if no section of a file matches a node; else None.
 
-    Args:
-        path: Parameter file; one that cannot be read is left to ROS, which reports it.
-        node: Fully qualified name of the node.
-        usual_name: Its name before remapping.
-
-    Returns:
-        None if a section matches. It is certainly an error if a section has almost the name of the node
-        or the usual name of the node.
+    It is certainly an error if a section has almost the name of the node, or its usual name, before remapping. A file
+    that cannot be read is left to ROS, which reports it.
     """
     try:
         sections = [section for section, _ in _given_in_file(path)]
@@ -91,7 +82,7 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
     if not sections or any(_pattern(section).fullmatch(node) for section in sections):
         return None
     names = {section or 'the root': section.rsplit('/', 1)[-1] for section in sections}
-    near = difflib.get_close_matches(node.rsplit('/', 1)[-1], list(names.values()), n=1, cutoff=_MIN_SIMILARITY)
+    near = difflib.get_close_matches(node.rsplit('/', 1)[-1], list(names.values()), n=1, cutoff=0.75)  # misspelt
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         return f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?', True
@@ -102,12 +93,7 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
 def read_overrides(path: Path, node: str) -> dict[str, object]:
     """Return the values that a file gives to a node, as in ROS: of several matching sections, the last one wins.
 
-    Args:
-        path: Parameter file.
-        node: Fully qualified name of the node.
-
-    Raises:
-        InputError: The file cannot be read or is not a parameter file.
+    InputError if the file cannot be read or is not a parameter file.
     """
     found: dict[str, object] = {}
     for section, values in _given_in_file(path):
@@ -169,7 +155,7 @@ def _plain(text: str) -> object:
         digits = text.lstrip('+-')
         base = 16 if digits[:2].lower() == '0x' else 8 if digits[0] == '0' else 10
         number = int(text, base)
-        if -_INT64 <= number < _INT64:
+        if -(2**63) <= number < 2**63:  # longer ones are read as real numbers
             return number
     if _NOT_FINITE.fullmatch(text):
         return float(text.replace('.', ''))
@@ -181,10 +167,6 @@ def _plain(text: str) -> object:
 def _pattern(section: str) -> re.Pattern[str]:
     wild = {'*': r'/[^/]+', '**': r'(?:/[^/]+)*'}
     return re.compile(''.join(wild.get(token, f'/{re.escape(token)}') for token in section.strip('/').split('/')))
-
-
-# Parameters that ROS adds to every node.
-_OF_ROS: Final = ('use_sim_time', 'start_type_description_service')
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,44 +215,44 @@ def node_setups(
     Raises:
         InputError: The file cannot be read, or a node would fail to configure; the message names node and reason.
     """
-    chosen = chosen_algorithms(algorithms)
-    base = '/' + namespace.strip('/') if namespace.strip('/') else ''
-    setups = []
+    chosen, setups = chosen_algorithms(algorithms), []
     for kind in KINDS:
-        overrides = {} if params is None else _given(kind, params, f'{base}/{kind.node_name}', warn)
+        node, overrides = _full(kind.node_name, namespace), dict[str, object]()
+        if params is not None:
+            overrides = read_overrides(params, node)
+            if (found := find_mismatch(params, node, kind.node_name)) is not None:
+                message, certain = found
+                if certain:
+                    raise InputError(message)
+                warn(message)
         if kind.name in chosen:
             overrides[ALGORITHM] = chosen[kind.name]
-        topics = qos_overrides(kind.topic, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
-        setups.append(_setup(kind, train_file, source, overrides, {*_OF_ROS, *topics}))
+        topics = qos_overrides(kind.topic, partial(_full, namespace=namespace), foreign)
+        # ROS adds two parameters to every node.
+        others = {'use_sim_time', 'start_type_description_service', *topics}
+        setups.append(_setup(kind, train_file, source, overrides, others))
     return tuple(setups)
+
+
+def _full(name: str, namespace: str) -> str:
+    base = f'/{namespace.strip("/")}'.rstrip('/')
+    return name if name.startswith('/') else f'{base}/{name}'
 
 
 def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
     """Return the mapping file that the nodes would take from a parameter file, None without one.
 
-    Raises:
-        InputError: The file cannot be read, or the nodes have different mapping files: a bag is read once for all.
+    InputError if it cannot be read, or the nodes have different mapping files: a bag is read once for all.
     """
     if params is None:
         return None
-    base = '/' + namespace.strip('/') if namespace.strip('/') else ''
-    given = (read_overrides(params, f'{base}/{kind.node_name}').get(MAPPING_FILE.name) for kind in KINDS)
+    given = (read_overrides(params, _full(kind.node_name, namespace)).get(MAPPING_FILE.name) for kind in KINDS)
     found = sorted({str(value or '') for value in given})
     if len(found) > 1:
         raise InputError(
             f'{params}: nodes with different {MAPPING_FILE.name} ({", ".join(map(repr, found))}): give --map'
         )
     return Path(found[0]).expanduser() if found[0] else None
-
-
-def _given(kind: EstimatorKind[Any], params: Path, node: str, warn: Callable[[str], None]) -> dict[str, object]:
-    overrides = read_overrides(params, node)
-    if (found := find_mismatch(params, node, kind.node_name)) is not None:
-        message, certain = found
-        if certain:
-            raise InputError(message)
-        warn(message)
-    return overrides
 
 
 def _setup(
@@ -326,7 +308,6 @@ def parameter_file() -> str:
 
 
 def _other_algorithms(kind: EstimatorKind[Any]) -> Iterator[str]:
-    """Yield the estimator sections of the algorithms that are not the default, commented out."""
     for name in kind.algorithms.built_in[1:]:
         specs = estimator_parameters(kind.algorithms, name)
         yield from textwrap.wrap(

@@ -80,10 +80,7 @@ SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
 BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
     'brake_rate',
     Algorithm(
-        'GSMA',
-        'group stochastic M-algorithm, corrected: particles that drift or jump; the default',
-        GsmaConfig(),
-        Gsma,
+        'GSMA', 'group stochastic M-algorithm, corrected: particles that drift or jump; the default', GsmaConfig(), Gsma
     ),
 )
 
@@ -182,28 +179,20 @@ def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
     return (warning,) if warning else ()
 
 
-# An error is reported if it differs from zero by this many standard deviations ...
-_SIGNIFICANT: Final = 4.0
-# ... and is large enough to matter: 1 % of the force, half a sample period.
-_MIN_SCALE_ERROR: Final = 0.01
-_MIN_DELAY_S: Final = 0.1
-
-
 def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
-    """Return one sentence per significant error of the reported force; none where it is not estimated."""
+    """Return one sentence per significant error of the reported force; none where it is not estimated.
+
+    An error is large enough to matter, 1 % of the force or half a sample period, and four standard deviations from 0.
+    """
     scale, delay = estimate.force_scale - 1.0, estimate.force_delay
     found = []
-    if abs(scale) > max(_MIN_SCALE_ERROR, _SIGNIFICANT * estimate.force_scale_std):
+    if abs(scale) > max(0.01, 4.0 * estimate.force_scale_std):
         value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
         found.append(f'force scale {value}: mass or force of the train file is off')
-    if abs(delay) > max(_MIN_DELAY_S, _SIGNIFICANT * estimate.force_delay_std):
+    if abs(delay) > max(0.1, 4.0 * estimate.force_delay_std):
         sense = 'later' if delay > 0.0 else 'earlier'
-        found.append(f'force delay {_delay(estimate)}: ato/force is stamped {sense} than it acts')
+        value = f'{abs(delay):.2f} ± {estimate.force_delay_std:.2g} s'
+        if is_delay_at_end(delay):
+            value = f'{abs(delay):.1f} s or more, which cannot be estimated'
+        found.append(f'force delay {value}: ato/force is stamped {sense} than it acts')
     return tuple(found)
-
-
-def _delay(estimate: ResistanceEstimate) -> str:
-    delay, std = estimate.force_delay, estimate.force_delay_std
-    if is_delay_at_end(delay):
-        return f'{abs(delay):.1f} s or more, which cannot be estimated'
-    return f'{abs(delay):.2f} ± {std:.2g} s'
