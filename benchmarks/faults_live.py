@@ -46,7 +46,7 @@ from trainid_ros.interface.records import (
     stamp_of,
 )
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.topics import LEASE_S, diagnostics_qos, estimate_qos, message_class
+from trainid_ros.ros.topics import LEASE_S, estimate_qos, message_class
 from trainid_ros.setup.checkpoint import Checkpoint, provenance_of
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 
@@ -147,7 +147,7 @@ class Listener(Peer):
                 events = SubscriptionEventCallbacks(liveliness=self._note_liveliness)
             note = partial(self._note, self.estimates[topic.name])
             self.node.create_subscription(message_class(topic), topic.name, note, profile, event_callbacks=events)
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._note_statuses, diagnostics_qos())
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._note_statuses, estimate_qos())
 
     @staticmethod
     def _note(arrivals: list[Arrival], message: Any) -> None:

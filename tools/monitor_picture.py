@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,10 +30,9 @@ from trainid_ros.interface.records import (
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
-from trainid_ros.ros.context import StepTimeSummary
 from trainid_ros.ros.diagnostics import NodeHealth, estimator_status
 from trainid_ros.ros.estimator_node import SPECS
-from trainid_ros.ros.input_monitor import InputMonitors
+from trainid_ros.ros.input_monitor import InputMonitors, StepTimes
 from trainid_ros.ros.topics import Publishers
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -76,7 +76,8 @@ def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tup
     for spec, pipeline, prior in zip(SPECS.values(), pipelines, priors, strict=True):
         name = f'{_NAMESPACE}/{spec.kind.node_name}'.strip('/')
         health = NodeHealth(name, 'active', '', feed.now_ns, '')
-        status = estimator_status(health, pipeline, spec.shown, prior, StepTimeSummary(0.0, 0.0, 0.0, 0), ())
+        brief = replace(spec, details=lambda _prior, _live: ())
+        status = estimator_status(health, brief, pipeline, prior, StepTimes())
         values = {item.key: item.value for item in status.values}
         level = Level(int.from_bytes(status.level, 'little'))
         trains.on_diagnostics(status.name, Report(level, status.message, values, now_s))

@@ -6,86 +6,64 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
-from trainid_msgs.msg import ResistanceEstimate
 
+from test.ros.graph import NARROW, OWN, START_NS, Diagnosed, Graph, Simulated, coasting, collected, cycle, feed
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import BRAKE_RATE, SPECS, EstimatorNode
+from trainid_ros.ros.estimator_node import BRAKE_RATE, SPECS
 from trainid_ros.setup.checkpoint import CheckpointFile, default_path, parse_checkpoint
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
-
 pytestmark = pytest.mark.ros
-
-
-def cycle(node: Any) -> None:
-    node.trigger_deactivate()
-    node.trigger_cleanup()
-    assert node.bring_up(), node.failure
-
-
-def latched(graph: Graph) -> list[Any]:
-    got: list[Any] = []
-    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
-    graph.plain('listener').create_subscription(
-        ResistanceEstimate, 'trainid/last_valid/resistance', got.append, profile
-    )
-    return got
 
 
 @pytest.mark.parametrize('spec', SPECS.values(), ids=SPECS)
 def test_a_new_process_equals_one_that_never_stopped_to_the_bit(
     graph: Graph, train_file: str, tmp_path: Path, spec: Any
 ) -> None:
-    factory, path = partial(EstimatorNode, spec), str(tmp_path / 'state.json')
-    records = graph.coasting(300)
-    whole = graph.active(train_file, factory)
-    expected = graph.published(whole)
-    graph.feed(whole, records)
+    path, records = str(tmp_path / 'state.json'), coasting(300)
+    whole = graph.active(train_file, spec)
+    expected = collected(whole)
+    feed(whole, records)
     graph.drop()
-    first = graph.active(train_file, factory, checkpoint_file=path)
-    messages = graph.published(first)
-    graph.feed(first, records[:702])  # in the middle of a sample
-    first.trigger_deactivate()
-    graph.drop()
-    second = graph.active(train_file, factory, checkpoint_file=path)
+    first = graph.active(train_file, spec, checkpoint_file=path)
+    messages = collected(first)
+    feed(first, records[:702])  # in the middle of a sample
+    graph.end(first)
+    second = graph.active(train_file, spec, checkpoint_file=path)
     assert second.pipeline.samples > 150
-    rest = graph.published(second)
-    graph.feed(second, records[702:])
-    assert repr(messages.messages + rest.messages) == repr(expected.messages)
+    rest = collected(second)
+    feed(second, records[702:])
+    assert repr(messages + rest) == repr(expected)
 
 
 def test_a_loaded_estimate_is_latched_at_once_with_its_stamp_and_counters(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     path = str(tmp_path / 'state.json')
-    first = graph.active(train_file, checkpoint_file=path, **graph.narrow)
-    graph.feed(first, graph.coasting(160))
+    first = graph.active(train_file, checkpoint_file=path, **NARROW)
+    feed(first, coasting(160))
     saved = first.pipeline.current()
     assert saved.status is Status.VALID
-    first.trigger_deactivate()
-    graph.drop()
-    second = graph.active(train_file, checkpoint_file=path, **graph.narrow)
-    got = latched(graph)
+    graph.end(first)
+    second = graph.active(train_file, checkpoint_file=path, **NARROW)
+    got = graph.latched()
     graph.until(lambda: got)
     stamp_ns = got[0].header.stamp.sec * NS_PER_S + got[0].header.stamp.nanosec
     assert (got[0].status, stamp_ns, got[0].used) == (Status.VALID, saved.stamp_ns, saved.used)
     # In the short time since then hardly anything has changed.
     assert saved.estimate.resistance_std < got[0].resistance_std < 1.1 * saved.estimate.resistance_std
-    published = graph.published(second)
-    graph.until(lambda: published.messages)  # no input comes
-    assert published.messages[0].status is Status.STALE
+    published = collected(second)
+    graph.until(lambda: published)  # no input comes
+    assert published[0].status is Status.STALE
 
 
 def test_the_age_of_a_checkpoint_widens_the_estimate(
@@ -93,15 +71,12 @@ def test_the_age_of_a_checkpoint_widens_the_estimate(
 ) -> None:
     path = str(tmp_path / 'state.json')
     first = graph.active(train_file, checkpoint_file=path)
-    graph.feed(first, graph.coasting(160))
+    feed(first, coasting(160))
     std = first.pipeline.current().estimate.resistance_std
-    first.trigger_deactivate()
-    graph.drop()
+    graph.end(first)
     stds = []
     for age_s in (0.0, 60.0, 3600.0):
-        node = graph.make(
-            partial(EstimatorNode, SPECS['resistance_estimator']), train_file=train_file, checkpoint_file=path
-        )
+        node = graph.make(train_file=train_file, checkpoint_file=path)
         now_ns = node.get_clock().now().nanoseconds + round(age_s * NS_PER_S)
         later = Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME)
         monkeypatch.setattr(node.get_clock(), 'now', lambda later=later: later)
@@ -124,15 +99,14 @@ def test_a_checkpoint_that_does_not_fit_is_kept_aside_and_the_node_starts_from_i
 ) -> None:
     path = tmp_path / 'state.json'
     first = graph.active(train_file, checkpoint_file=str(path))
-    graph.feed(first, graph.coasting(20))
-    first.trigger_deactivate()
-    graph.drop()
+    feed(first, coasting(20))
+    graph.end(first)
     content = path.read_bytes()
     second = graph.active(train_file, checkpoint_file=str(path), **change)
     assert second.pipeline.samples == 0
     assert reason in capfd.readouterr().err
     assert (tmp_path / 'state.refused-1.json').read_bytes() == content
-    graph.feed(second, graph.coasting(20))
+    feed(second, coasting(20))
     second.trigger_deactivate()
     assert path.exists()
 
@@ -142,9 +116,8 @@ def test_a_checkpoint_with_a_value_out_of_range_is_named_with_its_file(
 ) -> None:
     path = tmp_path / 'state.json'
     first = graph.active(train_file, checkpoint_file=str(path))
-    graph.feed(first, graph.coasting(20))
-    first.trigger_deactivate()
-    graph.drop()
+    feed(first, coasting(20))
+    graph.end(first)
     file = CheckpointFile(path)
     held = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
     state = json.loads(held.state)
@@ -160,7 +133,7 @@ def test_a_checkpoint_with_a_value_out_of_range_is_named_with_its_file(
 def test_a_node_overwrites_no_other_file(graph: Graph, train_file: str, tmp_path: Path, name: str) -> None:
     (tmp_path / 'notes.json').write_text('{}', encoding='utf-8')
     before = (tmp_path / name).read_bytes()
-    node = graph.make(partial(EstimatorNode, BRAKE_RATE), train_file=train_file, checkpoint_file=str(tmp_path / name))
+    node = graph.make(BRAKE_RATE, train_file=train_file, checkpoint_file=str(tmp_path / name))
     assert not node.bring_up()
     assert name in node.failure
     assert (node.state, (tmp_path / name).read_bytes()) == ('unconfigured', before)
@@ -170,16 +143,16 @@ def test_it_is_saved_at_intervals_and_only_when_something_has_changed(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     path = tmp_path / 'state.json'
-    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.1)
-    records = graph.coasting(40)
-    graph.feed(node, records[:80])
+    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.1, stale_after=60.0)
+    records = coasting(40)
+    feed(node, records[:80])
     graph.until(path.exists)
     graph.until(lambda: node.checkpoints._writing is None or node.checkpoints._writing.done())
     before = path.stat().st_mtime_ns
     for _ in range(10):
         graph.executor.spin_once(timeout_sec=0.05)
     assert path.stat().st_mtime_ns == before
-    graph.feed(node, records[80:])
+    feed(node, records[80:])
     graph.until(lambda: path.stat().st_mtime_ns != before)
     assert [item.name for item in tmp_path.glob('*state*')] == ['state.json']
 
@@ -188,7 +161,7 @@ def test_without_the_parameter_nothing_is_saved(graph: Graph, train_file: str) -
     folder = Path(os.environ['ROS_HOME'], 'trainid')
     before = set(folder.glob('*'))
     node = graph.active(train_file, checkpoint_period=0.1)
-    graph.feed(node, graph.coasting(20))
+    feed(node, coasting(20))
     cycle(node)
     assert set(folder.glob('*')) == before
 
@@ -198,25 +171,23 @@ def test_a_full_disk_is_a_warning_once_and_never_more(
 ) -> None:
     path = tmp_path / 'state.json'
     node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.1)
-    got: list[Any] = []
-    graph.plain('technician').create_subscription(DiagnosticArray, '/diagnostics', got.append, 10)
+    diagnosed = Diagnosed(graph)
 
     def full(_handle: int) -> None:
         raise OSError(28, 'No space left on device')
 
-    records = graph.coasting(60)
+    records = coasting(60)
     with monkeypatch.context() as patch:
         patch.setattr(os, 'fsync', full)
         for k in range(0, 160, 4):
-            graph.feed(node, records[k : k + 4])
+            feed(node, records[k : k + 4])
             graph.executor.spin_once(timeout_sec=0.02)
         graph.until(lambda: node.checkpoints.problem)
         node._diagnostics.publish()
-        graph.until(lambda: any('not saved' in array.status[0].message for array in got))
-    status = next(array.status[0] for array in got if 'not saved' in array.status[0].message)
-    assert status.level >= DiagnosticStatus.WARN
-    assert 'state.json: checkpoint cannot be written: No space left on device' in status.message
-    graph.feed(node, records[160:])
+        message = diagnosed.until(OWN, 'not saved')
+    assert diagnosed.level(OWN) >= DiagnosticStatus.WARN
+    assert 'state.json: checkpoint cannot be written: No space left on device' in message
+    feed(node, records[160:])
     node.trigger_deactivate()
     assert (node.checkpoints.problem, path.exists()) == ('', True)
     log = capfd.readouterr().err
@@ -229,16 +200,11 @@ def test_of_two_nodes_with_one_file_the_first_saves_and_the_other_warns(
 ) -> None:
     path = tmp_path / 'state.json'
     names = [('-r', f'__node:={name}') for name in ('left', 'right')]
-    factory = partial(EstimatorNode, SPECS['resistance_estimator'])
-    left, right = (
-        graph.make(factory, arguments=name, train_file=train_file, checkpoint_file=str(path)) for name in names
-    )
-    for node in (left, right):
-        assert node.bring_up(), node.failure
-    graph.feed(left, graph.coasting(40))
+    left, right = (graph.active(train_file, arguments=name, checkpoint_file=str(path)) for name in names)
+    feed(left, coasting(40))
     left.trigger_deactivate()
     content = path.read_bytes()
-    graph.feed(right, graph.coasting(20))
+    feed(right, coasting(20))
     right.trigger_deactivate()
     assert (left.checkpoints.problem, path.read_bytes()) == ('', content)
     reason = f'{path}: was written by another node: each node needs a checkpoint file of its own'
@@ -250,7 +216,7 @@ def test_saving_on_request_keeps_the_checkpoint_of_another_train(graph: Graph, t
     path = default_path('/resistance_estimator')
     for mass, count in ((194000.0, 40), (582000.0, 20)):
         node = graph.active(train_file, train__mass=mass)
-        graph.feed(node, graph.coasting(count))
+        feed(node, coasting(count))
         before = path.read_bytes() if path.exists() else b''
         assert node.checkpoints.save_on_request(node.pipeline) == path
         graph.drop()
@@ -262,7 +228,7 @@ def test_saving_on_request_keeps_the_checkpoint_of_another_train(graph: Graph, t
 
 def test_a_cleanup_keeps_what_was_learned_where_it_still_fits(graph: Graph, train_file: str, capfd: Any) -> None:
     node = graph.active(train_file)
-    graph.feed(node, graph.coasting(60))
+    feed(node, coasting(60))
     used = node.pipeline.used
     for name, value in (('stale_after', 2.0), ('checkpoint_period', 0.0), ('diagnostic_period', 5.0)):
         result = node.set_parameters([Parameter(name, value=value)])[0]
@@ -293,12 +259,9 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
     (tmp_path / 'other.yaml').write_text(OTHER, encoding='utf-8')
     capfd.readouterr()
     arguments = ('--params-file', str(dump), '-p', f'train_file:={tmp_path / "other.yaml"}')
-    other = graph.make(partial(EstimatorNode, SPECS['resistance_estimator']), arguments=arguments)
-    assert other.bring_up(), other.failure
-    mixed = [
-        other.shared.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')
-    ]
-    assert mixed == [210000.0, 60.0, 2.5, 0.9]
+    other = graph.up(arguments=arguments)
+    names = ('train.mass', 'train.length', 'resistance.a', 'brake.rate')
+    assert [other.shared.parameters.value(name) for name in names] == [210000.0, 60.0, 2.5, 0.9]
     log = capfd.readouterr().err
     assert (
         'values that a dump took from another train file are ignored: train.mass = 194000 (train file: 210000)' in log
@@ -310,19 +273,19 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
 def test_a_jump_that_resets_the_estimator_leaves_a_good_checkpoint(
     graph: Graph, train_file: str, tmp_path: Path, by_clock: bool
 ) -> None:
-    path, records = tmp_path / 'state.json', graph.coasting(160)
+    path, records = tmp_path / 'state.json', coasting(160)
     node = graph.active(train_file, checkpoint_file=str(path), use_sim_time=by_clock)
-    clock = graph.simulated(node) if by_clock else None
+    clock = Simulated(graph, node) if by_clock else None
     if clock is not None:
         clock.go(records[-1].stamp_ns)
-    graph.feed(node, records)
+    feed(node, records)
     node.checkpoints.save(node.pipeline)
     good = path.read_bytes()
-    early_ns = graph.start_ns - 7200 * NS_PER_S
+    early_ns = START_NS - 7200 * NS_PER_S
     if clock is not None:
         clock.go(early_ns)
         assert node.running_pipeline() is node.pipeline
-    graph.feed(node, graph.coasting(20, start_ns=early_ns))
+    feed(node, coasting(20, start_ns=early_ns))
     assert (node.pipeline.resets, node.pipeline.status) == (1, Status.CONVERGING)
     cycle(node)
     assert path.read_bytes() == good
@@ -332,18 +295,18 @@ def test_a_jump_that_resets_the_estimator_leaves_a_good_checkpoint(
 def test_after_a_jump_it_is_saved_once_the_estimate_is_valid_or_when_asked_for(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
-    path, early_ns = tmp_path / 'state.json', graph.start_ns - 7200 * NS_PER_S
-    node = graph.active(train_file, checkpoint_file=str(path), **graph.narrow)
-    graph.feed(node, graph.coasting(20))
-    early = graph.coasting(160, start_ns=early_ns)
-    graph.feed(node, early[:20])
+    path, early_ns = tmp_path / 'state.json', START_NS - 7200 * NS_PER_S
+    node = graph.active(train_file, checkpoint_file=str(path), **NARROW)
+    feed(node, coasting(20))
+    early = coasting(160, start_ns=early_ns)
+    feed(node, early[:20])
     node.checkpoints.save(node.pipeline)
     assert (node.pipeline.resets, path.exists()) == (1, False)
     node.reset_on_request(node.pipeline)
     node.checkpoints.save(node.pipeline)
     path.unlink()
-    node.checkpoints.note_wiped()
-    graph.feed(node, early)
+    node.checkpoints.is_wiped = True
+    feed(node, early)
     assert node.pipeline.status is Status.VALID
     node.checkpoints.save(node.pipeline)
     assert path.exists()

@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
 
 from ato.days import drive_day
+from test.ros.graph import Graph
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, OutputTopic, stamp_of
 from trainid_ros.ros.topics import message_class
@@ -26,7 +27,6 @@ from trainid_ros.train.train_file import dump_train_file
 
 pytestmark = pytest.mark.ros
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
 EXAMPLE = Path(__file__).resolve().parents[2] / 'examples' / 'python' / 'closed_loop.py'
 example = SimpleNamespace(**runpy.run_path(str(EXAMPLE), run_name='example'))
 SEED, RUNS, RATE = 4, 4, 10.0

@@ -4,24 +4,20 @@
 from __future__ import annotations
 
 import time
-from functools import partial
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
+from rclpy.qos import LivelinessPolicy, QoSProfile
 from trainid_msgs.msg import ResistanceEstimate
 
+from test.ros.graph import NARROW, START_NS, Graph, coasting, collected, feed
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import RESISTANCE, EstimatorNode
 from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S, time_message
 
 pytestmark = pytest.mark.ros
-
-Graph: TypeAlias = Any  # the fixture of conftest.py
-RESISTANCE_NODE = partial(EstimatorNode, RESISTANCE)
 
 
 class Subscriber:
@@ -68,7 +64,8 @@ def test_a_strict_subscriber_hears_an_active_node_at_least_once_a_second(graph: 
     node = graph.active(train_file)
     subscriber = Subscriber(graph)
     graph.until(lambda: subscriber.messages)  # inputs have never come
-    graph.feed(node, graph.coasting(12))
+    assert subscriber.messages[0].header.stamp == time_message(0)
+    feed(node, coasting(12))
     graph.until(lambda: len(subscriber.messages) >= 1 + 12 + 2)
     assert [status is Status.STALE for status in subscriber.statuses] == [True, *[False] * 12, True, True]
     assert subscriber.messages[-1] == subscriber.messages[-2]
@@ -96,9 +93,7 @@ def test_promises_are_offered_and_can_be_overridden(graph: Graph, train_file: st
     graph.drop()
     name = 'qos_overrides./trainid/resistance.publisher'
     arguments = ('-p', f'{name}.deadline:=300000000', '-p', f'{name}.liveliness_lease_duration:=500000000')
-    node = graph.make(RESISTANCE_NODE, arguments=arguments, train_file=train_file)
-    assert node.bring_up(), node.failure
-    offered = node.publisher.live.qos_profile
+    offered = graph.active(train_file, arguments=arguments).publisher.live.qos_profile
     assert (offered.deadline.nanoseconds, offered.liveliness_lease_duration.nanoseconds) == (300_000_000, 500_000_000)
 
 
@@ -117,27 +112,20 @@ def test_a_subscriber_that_asks_for_more_is_named_once_in_the_log(
     ]
 
 
-def latched_by(graph: Graph, name: str) -> list[Any]:
-    got: list[Any] = []
-    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    graph.plain(name).create_subscription(ResistanceEstimate, 'trainid/last_valid/resistance', got.append, profile)
-    return got
-
-
 def test_a_late_joiner_gets_the_last_valid_estimate_and_learns_that_it_is_not_kept_up(
     graph: Graph, train_file: str
 ) -> None:
-    node = graph.active(train_file, **graph.narrow, stale_after=4.0)
-    published = graph.published(node)
-    graph.feed(node, graph.coasting(160))
-    valid = [output for output in published.messages if output.status is Status.VALID][-1]
-    got = latched_by(graph, 'listener')
+    node = graph.active(train_file, **NARROW, stale_after=4.0)
+    published = collected(node)
+    feed(node, coasting(160))
+    valid = [output for output in published if output.status is Status.VALID][-1]
+    got = graph.latched()
     graph.until(lambda: got)
     assert got[0].header.stamp == time_message(valid.stamp_ns)
     assert (got[0].a, Status(got[0].status)) == (valid.estimate.a, Status.VALID)
     graph.until(lambda: node.pipeline.status is Status.STALE)
-    got = latched_by(graph, 'later')
+    got = graph.latched('later')
     graph.until(lambda: got)
     assert Status(got[0].status) is Status.STALE
-    graph.feed(node, graph.coasting(160, start_ns=graph.start_ns + 60_000_000_000))
+    feed(node, coasting(160, start_ns=START_NS + 60_000_000_000))
     graph.until(lambda: Status(got[-1].status) is Status.VALID)

@@ -14,15 +14,6 @@ from trainid_ros.ros.estimate_publisher import StatusChanges, Watchdog, is_latch
 CONVERGING, VALID, HOLDING, STALE, FAULT = list(Status)[1:]
 
 
-def latched(statuses: list[Status]) -> list[Status]:
-    """Return which of these estimates go to the latched topic."""
-    sent: list[Status] = []
-    for status in statuses:
-        if is_latched(status, sent[-1] if sent else None):
-            sent.append(status)
-    return sent
-
-
 @pytest.mark.parametrize(
     ('statuses', 'expected'),
     [
@@ -38,7 +29,11 @@ def latched(statuses: list[Status]) -> list[Status]:
 def test_valid_estimates_and_the_first_that_does_not_keep_them_up_are_latched(
     statuses: list[Status], expected: list[Status]
 ) -> None:
-    assert latched(statuses) == expected
+    sent: list[Status] = []
+    for status in statuses:
+        if is_latched(status, sent[-1] if sent else None):
+            sent.append(status)
+    assert sent == expected
 
 
 class Log:
@@ -87,7 +82,7 @@ def test_after_a_jump_of_the_clock_nothing_is_said_of_how_long_inputs_were_missi
     for second, status in enumerate([CONVERGING, STALE]):
         changes.follow(status, (100 + second) * NS_PER_S)
     if not back_ns:  # it has passed the time of the last change again
-        changes.forget_time()
+        changes.since_ns = 0
     changes.follow(CONVERGING, 110 * NS_PER_S - back_ns)
     assert log.lines[-1] == ('info', 'CONVERGING: inputs are back')
 
@@ -99,54 +94,40 @@ def at(seconds: float) -> int:
     return round(seconds * NS_PER_S)
 
 
-def test_missing_input_is_reported_until_new_input() -> None:
+@pytest.mark.parametrize(
+    'steps',
+    [
+        # The same stamp again is not new input.
+        [(1, 10, 10, None), (0, 10.7, 10.7, False), (0, 10.9, 10.9, True), (1, 10.95, 10.95, None), (0, 12, 12, True)],
+        [(1, 10, 10, None), (2, 12, 12, None), (0, 12.1, 12.1, False)],
+        # Input that never came is missing from the first check on.
+        [(0, 100, 100, False), (0, 100.7, 100.7, False), (0, 100.9, 100.9, True)],
+        # 20 times real time, with 0.1 s of stall; then a longer one.
+        [(1, 10, 10, None), (0, 12, 10.1, False), (0, 16, 10.3, True)],
+        # A slow replay, while its clock moves.
+        [(1, 10, 10, None), *((0, 10 + 0.01 * tenth, 10 + 0.1 * tenth, False) for tenth in range(1, 20))],
+        # A clock that has stopped, or never started.
+        [(1, 10, 10, None), (0, 10, 10.5, False), (0, 10, 11.4, True)],
+        [(1, 0, 10, None), (0, 0, 10.9, True)],
+    ],
+)
+def test_input_is_missing_after_the_limit(steps: list[tuple[int, float, float, bool | None]]) -> None:
+    """Each step is a stamp that arrives, or a check with what it finds, at a time of both clocks."""
     watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(10.7), at(10.7))
-    assert watchdog.is_missing(at(10.9), at(10.9))
-    watchdog.saw(1, at(10.95), at(10.95))  # the same stamp again is not new input
-    assert watchdog.is_missing(at(12), at(12))
-    watchdog.saw(2, at(12), at(12))
-    assert not watchdog.is_missing(at(12.1), at(12.1))
+    for stamp, now_s, steady_s, missing in steps:
+        if missing is None:
+            watchdog.saw(stamp, at(now_s), at(steady_s))
+        else:
+            assert watchdog.is_missing(at(now_s), at(steady_s)) == missing
 
 
-def test_input_that_never_came_is_missing_from_the_first_check_on_and_again_after_a_restart() -> None:
+def test_after_a_restart_the_old_stamp_counts_as_new() -> None:
     watchdog = Watchdog(LIMIT)
-    assert not watchdog.is_missing(at(100), at(100))
-    assert not watchdog.is_missing(at(100.7), at(100.7))
-    assert watchdog.is_missing(at(100.9), at(100.9))
     watchdog.saw(1, at(101), at(101))
     watchdog.restart()
     assert not watchdog.is_missing(at(200), at(200))
-    watchdog.saw(1, at(200), at(200))  # after a restart the old stamp counts as new
+    watchdog.saw(1, at(200), at(200))
     assert watchdog.is_missing(at(201), at(201))
-
-
-def test_a_short_stall_at_a_high_replay_rate_is_not_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(12), at(10.1))  # 20 times real time, 0.1 s of stall
-    assert watchdog.is_missing(at(16), at(10.3))
-
-
-def test_input_is_not_missing_in_a_slow_replay_while_its_clock_moves() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    for tenth in range(1, 20):
-        assert not watchdog.is_missing(at(10 + 0.01 * tenth), at(10 + 0.1 * tenth))
-
-
-def test_a_stopped_clock_does_not_hide_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(10), at(10.5))
-    assert watchdog.is_missing(at(10), at(11.4))
-
-
-def test_a_clock_that_never_started_does_not_hide_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, 0, at(10))
-    assert watchdog.is_missing(0, at(10.9))
 
 
 def test_the_next_check_is_due_when_the_limit_can_be_exceeded_and_not_before() -> None:

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 import rclpy
@@ -16,32 +15,28 @@ from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy
 from trainid_msgs.msg import AtoSpeed, TrainMass
 
-from trainid_ros.interface.records import NS_PER_S, InputTopic
+from test.ros.graph import Graph, coasting, collected, cycle, feed
+from trainid_ros.interface.records import InputTopic
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
+from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, SPECS
+from trainid_ros.setup.params_file import node_setups
 from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
-START_NS = 1_700_000_000 * NS_PER_S
 
-RESISTANCE_NODE, _, BRAKE_RATE_NODE = FACTORIES = tuple(partial(EstimatorNode, spec) for spec in SPECS.values())
-SUCCESS, FAILURE, ERROR = (
-    TransitionCallbackReturn.SUCCESS,
-    TransitionCallbackReturn.FAILURE,
-    TransitionCallbackReturn.ERROR,
-)
+SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ('SUCCESS', 'FAILURE', 'ERROR'))
 
 
-@pytest.mark.parametrize('factory', FACTORIES)
-def test_every_transition_works_twice_before_shutdown(graph: Graph, train_file: str, factory: Any) -> None:
-    node = graph.make(factory, train_file=train_file)
+@pytest.mark.parametrize('spec', SPECS.values(), ids=SPECS)
+def test_every_transition_works_twice_before_shutdown(graph: Graph, train_file: str, spec: Any) -> None:
+    node = graph.make(spec, train_file=train_file)
     assert node.state == 'unconfigured'
     for _ in range(2):
         assert node.trigger_configure() == SUCCESS
         assert node.trigger_activate() == SUCCESS
-        graph.feed(node, graph.coasting(60))
+        feed(node, coasting(60))
         assert node.pipeline.used + node.pipeline.rejections.total() > 50
         assert node.trigger_deactivate() == SUCCESS
         assert node.trigger_cleanup() == SUCCESS
@@ -51,36 +46,35 @@ def test_every_transition_works_twice_before_shutdown(graph: Graph, train_file: 
     assert node.state == 'finalized'
 
 
-@pytest.mark.parametrize('steps', [(), ('configure',), ('configure', 'activate')])
+@pytest.mark.parametrize('steps', [('configure',), ('configure', 'activate')])
 def test_shutdown_works_from_every_state(graph: Graph, train_file: str, steps: tuple[str, ...]) -> None:
-    node = graph.make(RESISTANCE_NODE, train_file=train_file)
-    for step in steps:
+    node = graph.make(train_file=train_file)
+    for step in (*steps, 'shutdown'):
         assert getattr(node, f'trigger_{step}')() == SUCCESS
-    assert node.trigger_shutdown() == SUCCESS
     assert node.state == 'finalized'
 
 
 def test_inputs_are_ignored_and_the_state_is_kept_while_inactive(graph: Graph, train_file: str) -> None:
-    node = graph.make(RESISTANCE_NODE, train_file=train_file)
+    node = graph.make(train_file=train_file)
     node.trigger_configure()
-    published = graph.published(node)
-    records = graph.coasting(200)
-    graph.feed(node, records[:100])
-    assert (published.messages, node.pipeline.newest_ns) == ([], 0)
+    published = collected(node)
+    records = coasting(200)
+    feed(node, records[:100])
+    assert (published, node.pipeline.newest_ns) == ([], 0)
     node.trigger_activate()
-    graph.feed(node, records[100:400])
+    feed(node, records[100:400])
     before = node.pipeline.estimator.save()
     node.trigger_deactivate()
-    graph.feed(node, records[400:600])
+    feed(node, records[400:600])
     assert node.pipeline.estimator.save() == before
     node.trigger_activate()
-    graph.feed(node, records[600:])
+    feed(node, records[600:])
     assert node.pipeline.estimator.save() != before
     assert node.pipeline.resets == 0
 
 
 def test_an_invalid_transition_is_rejected_and_the_node_keeps_running(graph: Graph, train_file: str) -> None:
-    node = graph.make(RESISTANCE_NODE, train_file=train_file)
+    node = graph.make(train_file=train_file)
     caller = graph.plain('caller')
     wrong = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
     assert not graph.call(caller, ChangeState, '/resistance_estimator/change_state', wrong).success
@@ -95,7 +89,7 @@ def test_a_bad_train_file_fails_with_one_reason_and_the_node_stays_usable(
 ) -> None:
     bad = tmp_path / 'bad.yaml'
     bad.write_text('train: {mass: -1.0}\nresistance: {a: 1, b: 0, c: 0}\n', encoding='utf-8')
-    node = graph.make(RESISTANCE_NODE, train_file=str(bad))
+    node = graph.make(train_file=str(bad))
     assert node.trigger_configure() == FAILURE
     assert node.state == 'unconfigured'
     assert 'bad.yaml: train.mass = -1 kg must be >= 1' in node.failure
@@ -106,7 +100,7 @@ def test_a_bad_train_file_fails_with_one_reason_and_the_node_stays_usable(
 def test_an_unexpected_error_is_logged_and_leaves_the_node_unconfigured(
     graph: Graph, train_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node = graph.make(RESISTANCE_NODE, train_file=train_file)
+    node = graph.make(train_file=train_file)
 
     def broken() -> None:
         raise KeyError('no such thing')
@@ -126,28 +120,18 @@ def test_parameters_come_from_the_train_file_and_given_ones_override(graph: Grap
     assert (prior.a, prior.b, prior.c) == (1.5, 0.05, 0.0012)
 
 
-def test_a_changed_train_file_is_read_on_the_next_configure(graph: Graph, train_file: str) -> None:
+def test_changes_of_train_file_and_parameters_apply_on_the_next_configure(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file)
+    feed(node, coasting(100))
+    before = node.pipeline.estimator.save()
     text = Path(train_file).read_text(encoding='utf-8')
     Path(train_file).write_text(text.replace('a: 1.5', 'a: 1.9'), encoding='utf-8')
-    node.trigger_deactivate()
-    node.trigger_cleanup()
-    node.trigger_configure()
-    assert node.get_parameter('resistance.a').value == 1.9
-    assert node.pipeline.current().estimate.a == 1.9
-
-
-def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph: Graph, train_file: str) -> None:
-    node = graph.active(train_file)
-    graph.feed(node, graph.coasting(100))
-    before = node.pipeline.estimator.save()
     assert node.set_parameters([Parameter('estimator.step_share_c', value=9.0)])[0].successful
     assert node.pipeline.estimator.save() == before
     assert node.pipeline.estimator.config.step_share_c == 0.2
-    node.trigger_deactivate()
-    node.trigger_cleanup()
-    node.trigger_configure()
+    cycle(node)
     assert node.pipeline.estimator.config.step_share_c == 9.0
+    assert node.get_parameter('resistance.a').value == node.pipeline.current().estimate.a == 1.9
 
 
 @pytest.mark.parametrize(
@@ -187,7 +171,7 @@ def test_invalid_parameters_are_rejected_with_a_reason_that_names_them(
 def test_invalid_parameters_at_start_are_named_and_prevent_configuring(
     graph: Graph, train_file: str, arguments: tuple[str, ...], reason: str
 ) -> None:
-    node = graph.make(RESISTANCE_NODE, arguments=arguments, train_file=train_file)
+    node = graph.make(arguments=arguments, train_file=train_file)
     assert node.trigger_configure() == FAILURE
     assert reason in node.failure
 
@@ -195,7 +179,7 @@ def test_invalid_parameters_at_start_are_named_and_prevent_configuring(
 def test_a_section_with_a_misspelt_node_name_is_reported(graph: Graph, train_file: str, tmp_path: Path) -> None:
     path = tmp_path / 'params.yaml'
     path.write_text('resistence_estimator:\n  ros__parameters: {seed: 3}\n', encoding='utf-8')
-    node = graph.make(RESISTANCE_NODE, arguments=('--params-file', str(path)), train_file=train_file)
+    node = graph.make(arguments=('--params-file', str(path)), train_file=train_file)
     assert node.trigger_configure() == FAILURE
     assert "section '/resistence_estimator' does not apply" in node.failure
 
@@ -207,8 +191,7 @@ def test_a_whole_number_in_a_file_and_qos_overrides_are_accepted(graph: Graph, t
         '    qos_overrides: {/ato/speed: {subscription: {reliability: reliable, depth: 7}}}\n',
         encoding='utf-8',
     )
-    node = graph.make(RESISTANCE_NODE, arguments=('--params-file', str(path)), train_file=train_file)
-    assert node.bring_up(), node.failure
+    node = graph.active(train_file, arguments=('--params-file', str(path)))
     assert node.get_parameter('train.mass').value == 200000.0
     profiles = {s.topic_name: s.qos_profile for s in node.subscriptions}
     assert profiles['/ato/speed'].reliability == ReliabilityPolicy.RELIABLE
@@ -221,13 +204,13 @@ def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: st
     node = graph.active(train_file)
     source = graph.plain('source')
     taken: list[str] = []
-    receive = node._input_group.receive
+    receive = node.shared.inputs.receive
 
     def deliver(topic: InputTopic, message: Any, received_ns: int) -> None:
         taken.append(topic.name)
         receive(topic, message, received_ns)
 
-    node._input_group.subscriptions._deliver = deliver
+    node.shared.inputs.receive = deliver
     speed = source.create_publisher(AtoSpeed, 'ato/speed', 100)
     mass = source.create_publisher(TrainMass, 'ato/mass', 100)
     graph.until(lambda: speed.get_subscription_count() and mass.get_subscription_count())
@@ -239,13 +222,10 @@ def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: st
     assert taken == (['ato/speed'] * 5 + ['ato/mass']) * 5
 
 
-@pytest.mark.parametrize(('field', 'factory'), [('resistance', RESISTANCE_NODE), ('brake_rate', BRAKE_RATE_NODE)])
+@pytest.mark.parametrize(('field', 'spec'), [('resistance', RESISTANCE), ('brake_rate', BRAKE_RATE)])
 def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
-    graph: Graph, train_file: str, tmp_path: Path, field: str, factory: Any
+    graph: Graph, train_file: str, tmp_path: Path, field: str, spec: Any
 ) -> None:
-    from trainid_ros.setup.params_file import node_setups  # noqa: PLC0415
-    from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
-
     path = tmp_path / 'params.yaml'
     path.write_text(
         '/**: {ros__parameters: {seed: 5, resistance: {a: 2}, alignment: {max_lag: 0.25}}}\n'
@@ -253,44 +233,40 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
         '/**/brake_rate_estimator: {ros__parameters: {train.mass: 190000, estimator: {prior_std: 1e-01}}}\n',
         encoding='utf-8',
     )
-    node = graph.make(factory, arguments=('--params-file', str(path)), train_file=train_file)
-    assert node.bring_up(), node.failure
-    published, records = graph.published(node), graph.coasting(150)
-    graph.feed(node, records)
-    setups = {item.kind.name: item for item in node_setups(load_train_file(train_file), train_file, path)}
-    pipeline, plain = (
-        setups[field].pipeline(),
-        node.shared.kind.pipeline(load_train_file(train_file), EstimatorSettings()),
-    )
+    node = graph.active(train_file, spec, arguments=('--params-file', str(path)))
+    published, records = collected(node), coasting(150)
+    feed(node, records)
+    train = load_train_file(train_file)
+    pipeline = {item.kind.name: item.pipeline() for item in node_setups(train, train_file, path)}[field]
+    plain = node.shared.kind.pipeline(train, EstimatorSettings())
     expected, otherwise = ([o for r in records for o in p.push(r)] for p in (pipeline, plain))
-    assert repr(published.messages) == repr(expected)
+    assert repr(published) == repr(expected)
     assert repr(expected) != repr(otherwise)
 
 
-@pytest.mark.parametrize('factory', FACTORIES)
+@pytest.mark.parametrize('spec', SPECS.values(), ids=SPECS)
 def test_the_algorithm_is_a_parameter_and_an_unknown_name_is_reported_with_the_choices(
-    graph: Graph, train_file: str, factory: Any
+    graph: Graph, train_file: str, spec: Any
 ) -> None:
-    names = graph.make(factory, train_file=train_file).shared.kind.algorithms.names
+    names = graph.make(spec, train_file=train_file).shared.kind.algorithms.names
     for name in names:
-        chosen = graph.make(factory, arguments=('-p', f'algorithm:={name}'), train_file=train_file)
-        assert chosen.bring_up(), chosen.failure
+        chosen = graph.active(train_file, spec, arguments=('-p', f'algorithm:={name}'))
         assert chosen.algorithm == name
         graph.drop()
-    wrong = graph.make(factory, arguments=('-p', 'algorithm:=nonsense'), train_file=train_file)
+    wrong = graph.make(spec, arguments=('-p', 'algorithm:=nonsense'), train_file=train_file)
     assert wrong.trigger_configure() == FAILURE
     assert wrong.failure == f"not configured: algorithm = 'nonsense' must be one of {', '.join(names)}"
 
 
-@pytest.mark.parametrize('factory', FACTORIES)
+@pytest.mark.parametrize('spec', SPECS.values(), ids=SPECS)
 def test_without_the_laboratory_a_node_runs_and_rejects_other_names(
-    graph: Graph, train_file: str, factory: Any, monkeypatch: pytest.MonkeyPatch
+    graph: Graph, train_file: str, spec: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node = graph.make(factory, train_file=train_file)
+    node = graph.make(spec, train_file=train_file)
     monkeypatch.setattr(node.shared.kind.algorithms, '_plug_ins', ({}, ''))
     assert node.bring_up(), node.failure
     graph.drop()
-    name = graph.make(factory, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
+    name = graph.make(spec, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
     assert name.trigger_configure() == FAILURE
     known = ', '.join(node.shared.kind.algorithms.built_in)
     assert name.failure == f"not configured: algorithm = 'RLS' must be one of {known}; others come with research/lab"
@@ -315,9 +291,9 @@ def test_an_effect_that_raises_is_a_fault_with_its_reason(
     train = tmp_path / 'T.yaml'
     effects = 'effects: [{name: bad, parameters: {value: 1.0}}]'
     train.write_text(f'train: {{mass: 1e5}}\nresistance: {{a: 1, b: 0, c: 0}}\n{effects}\n', encoding='utf-8')
-    for factory in FACTORIES:
-        node = graph.active(str(train), factory)
-        published, fail = graph.published(node), node.fail
+    for spec in SPECS.values():
+        node = graph.active(str(train), spec)
+        published, fail = collected(node), node.fail
         reasons: list[str] = []
 
         def note(pipeline: Any, reason: str, fail: Any = fail, reasons: list[str] = reasons) -> Any:
@@ -325,6 +301,6 @@ def test_an_effect_that_raises_is_a_fault_with_its_reason(
             return fail(pipeline, reason)
 
         monkeypatch.setattr(node, 'fail', note)
-        graph.feed(node, graph.coasting(30))
-        assert published.messages[-1].status is Status.FAULT
+        feed(node, coasting(30))
+        assert published[-1].status is Status.FAULT
         assert 'effect bad: its resistance cannot be evaluated: ZeroDivisionError' in reasons[0]

@@ -9,16 +9,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from benchmarks.sender import Sending, write_rows
+from test.ros.graph import Diagnosed, Graph
 from trainid_ros.interface.records import NS_PER_S, SPEED
-from trainid_ros.ros.inputs import _Numbers
+from trainid_ros.ros.inputs import ForeignTopic, InputSubscription
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
 Start: TypeAlias = Callable[[], 'subprocess.Popen[bytes]']
 SPEED_INPUT = 'resistance_estimator: input ato/speed'
 
@@ -42,49 +42,39 @@ def start(graph: Graph, tmp_path: Path) -> Iterator[Start]:
         process.wait()
 
 
-def follow(graph: Graph) -> list[Any]:
-    """Return the list that the statuses of the speed go to."""
-    found: list[Any] = []
-
-    def note(array: DiagnosticArray) -> None:
-        found.extend(status for status in array.status if status.name == SPEED_INPUT)
-
-    graph.plain('display').create_subscription(DiagnosticArray, '/diagnostics', note, 10)
-    return found
-
-
 @pytest.mark.ros
 def test_a_publisher_killed_and_started_again_is_missed_but_never_called_two(
     graph: Graph, train_file: str, start: Start
 ) -> None:
     graph.active(train_file, diagnostic_period=0.1)
-    statuses, odometer = follow(graph), start()
-    graph.until(lambda: statuses and statuses[-1].level == DiagnosticStatus.OK)
+    diagnosed, odometer = Diagnosed(graph), start()
+    graph.until(lambda: diagnosed.level(SPEED_INPUT) == DiagnosticStatus.OK)
     odometer.kill()
-    graph.until(lambda: statuses[-1].level == DiagnosticStatus.STALE)
+    graph.until(lambda: diagnosed.level(SPEED_INPUT) == DiagnosticStatus.STALE)
     start()
-    graph.until(lambda: statuses[-1].level != DiagnosticStatus.STALE)
-    count = len(statuses)
-    graph.until(lambda: len(statuses) > count + 10)
+    graph.until(lambda: diagnosed.level(SPEED_INPUT) != DiagnosticStatus.STALE)
+    count = len(diagnosed.said)
+    graph.until(lambda: len(diagnosed.said) > count + 100)
     # The killed one is still in the graph.
-    assert not [status.message for status in statuses if 'publishers' in status.message]
+    assert not [text for text in diagnosed.said if SPEED_INPUT in text and 'publishers' in text]
 
 
 @pytest.mark.ros
 def test_two_publishers_of_one_name_are_named(graph: Graph, train_file: str, start: Start) -> None:
     graph.active(train_file, diagnostic_period=0.1)
-    statuses = follow(graph)
+    diagnosed = Diagnosed(graph)
     start()
     start()
     # Those of other tests may still be in the graph.
-    graph.until(lambda: statuses and 'publishers, whose messages mix: /odometer' in statuses[-1].message)
+    diagnosed.until(SPEED_INPUT, 'publishers, whose messages mix: /odometer')
 
 
 def test_counts_of_publishers_alternate_or_begin_again() -> None:
-    unknown, one, again, two = _Numbers(), _Numbers(), _Numbers(), _Numbers()
+    topic = ForeignTopic('/x', ('speed',))
+    unknown, one, again, two = (InputSubscription(topic, lambda *_: None, lambda _: None) for _ in range(4))
     for k in range(50):
-        unknown.add(None)
-        one.add(100 + 2 * k)  # with losses
-        again.add(k % 45 + 1)
-        two.add(100 + k // 2 if k % 2 else 5 + k // 2)
-    assert [numbers.alternate for numbers in (unknown, one, again, two)] == [True, False, False, True]
+        unknown.count(None)
+        one.count(100 + 2 * k)  # with losses
+        again.count(k % 45 + 1)
+        two.count(100 + k // 2 if k % 2 else 5 + k // 2)
+    assert [subscription.may_mix for subscription in (unknown, one, again, two)] == [True, False, False, True]

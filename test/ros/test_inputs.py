@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
@@ -12,13 +11,14 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
+from test.ros.graph import LATCHED, START_NS, Changed, Graph, coasting, collected, feed
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import FORCE_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC, Record
-from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
+from trainid_ros.interface.records import FORCE_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.inputs import (
-    ForeignSubscription,
     ForeignTopic,
+    InputSubscription,
     SharedInputs,
     foreign_qos,
     label_of,
@@ -28,16 +28,7 @@ from trainid_ros.ros.inputs import (
 from trainid_ros.ros.topics import foreign_class
 from trainid_ros.setup.checkpoint import Checkpoint
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
-
-
-def make(graph: Graph, train_file: str, inputs: SharedInputs | None, **parameters: Any) -> list[Any]:
-    nodes = []
-    for spec in SPECS.values():
-        nodes.append(graph.make(partial(EstimatorNode, spec), train_file=train_file, **parameters))
-        nodes[-1]._inputs = inputs or nodes[-1]._inputs
-        assert nodes[-1].bring_up(), nodes[-1].failure
-    return nodes
+Act: TypeAlias = Callable[[Any], object]
 
 
 def inputs_of(node: Any) -> list[str]:
@@ -65,18 +56,17 @@ def nothing(_node: Any) -> None:
     return
 
 
-def run(graph: Graph, nodes: list[Any], change: tuple[int, Callable[[Any], None], Callable[[Any], None]]) -> list[str]:
+def run(nodes: list[Any], place: int, first: Act, second: Act) -> list[str]:
     """Return what the nodes publish when one of them is changed in mid-drive, and again later."""
-    place, first, second = change
-    published = [graph.published(node) for node in nodes]
-    records: list[Record] = graph.coasting(240)
-    jumped = graph.coasting(40, start_ns=graph.start_ns - 100 * NS_PER_S)
-    groups = list({id(node._input_group): node for node in nodes}.values())
+    published = [collected(node) for node in nodes]
+    records = coasting(240)
+    jumped = coasting(40, start_ns=START_NS - 100 * NS_PER_S)
+    groups = list({id(node.shared.inputs): node for node in nodes}.values())
     for part, act in ((records[:400], first), (records[403:600], second), (records[680:], nothing), (jumped, nothing)):
         for node in groups:
-            graph.feed(node, part)
+            feed(node, part)
         act(nodes[place])
-    return [repr(item.messages) for item in published]
+    return [repr(outputs) for outputs in published]
 
 
 @pytest.mark.ros
@@ -87,34 +77,29 @@ def run(graph: Graph, nodes: list[Any], change: tuple[int, Callable[[Any], None]
     ids=['undisturbed', 'reset', 'paused', 'loaded'],
 )
 def test_nodes_that_share_inputs_publish_what_they_publish_alone(
-    graph: Graph,
-    train_file: str,
-    place: int,
-    actions: tuple[Callable[[Any], None], Callable[[Any], None]],
-    monkeypatch: pytest.MonkeyPatch,
+    graph: Graph, train_file: str, place: int, actions: tuple[Act, Act], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The time between saving and loading, which differs, widens what is published before the next sample.
     monkeypatch.setattr(Checkpoint, 'age_s', lambda *_: 0.0)
-    change = (place, *actions)
-    together = make(graph, train_file, SharedInputs())
-    found = run(graph, together, change)
+    together = graph.all(train_file)
+    found = run(together, place, *actions)
     streams = {id(node.pipeline.stream) for node in together}
     assert len(streams) == (1 if actions[0] is nothing else 2)
     graph.drop()
-    expected = run(graph, make(graph, train_file, None), change)
+    expected = run([graph.active(train_file, spec) for spec in SPECS.values()], place, *actions)
     assert min(map(len, expected)) > 10_000
     assert found == expected
 
 
 @pytest.mark.ros
 def test_one_set_of_subscriptions_serves_all_until_the_last_node_leaves(graph: Graph, train_file: str) -> None:
-    nodes = make(graph, train_file, SharedInputs())
+    nodes = graph.all(train_file)
     assert [len(inputs_of(node)) for node in nodes] == [5, 0, 0]
     for node in nodes[:2]:
         node.trigger_deactivate()
         node.trigger_cleanup()
     used = nodes[2].pipeline.samples
-    graph.feed(nodes[2], graph.coasting(20))
+    feed(nodes[2], coasting(20))
     assert nodes[2].pipeline.samples > used
     assert len(inputs_of(nodes[0])) == 5
     assert nodes[1].bring_up()
@@ -129,50 +114,34 @@ def test_nodes_with_other_topics_or_quality_of_service_have_their_own_subscripti
     graph: Graph, train_file: str
 ) -> None:
     inputs = SharedInputs()
-    remapped, deeper, usual = (
-        graph.make(partial(EstimatorNode, spec), arguments=arguments, train_file=train_file)
-        for spec, arguments in zip(
-            SPECS.values(),
-            (
-                ('-r', 'ato/speed:=/other/speed'),
-                ('-p', 'qos_overrides./ato/speed.subscription.depth:=100'),
-                (),
-            ),
-            strict=True,
-        )
-    )
-    for node in (remapped, deeper, usual):
+    deeper = ('-p', 'qos_overrides./ato/speed.subscription.depth:=100')
+    for spec, arguments, count in zip(
+        SPECS.values(), (('-r', 'ato/speed:=/other/speed'), deeper, ()), (4, 5, 5), strict=True
+    ):
+        node = graph.make(spec, arguments=arguments, train_file=train_file)
         node._inputs = inputs
         assert node.bring_up(), node.failure
-    assert [len(node_inputs) for node_inputs in map(inputs_of, (remapped, deeper, usual))] == [4, 5, 5]
+        assert len(inputs_of(node)) == count
 
 
 @pytest.mark.ros
 def test_an_estimator_that_fails_leaves_the_others_alone(graph: Graph, train_file: str) -> None:
-    nodes = make(graph, train_file, SharedInputs())
-    estimator = nodes[0].pipeline.estimator
+    nodes = graph.all(train_file)
 
-    class Broken:
-        """An estimator that fails in its step."""
+    def fail(_sample: object) -> None:
+        raise ZeroDivisionError
 
-        def __getattr__(self, name: str) -> Any:
-            return getattr(estimator, name)
-
-        def step(self, _sample: object) -> None:
-            raise ZeroDivisionError
-
-    nodes[0].pipeline.estimator = Broken()
-    published = [graph.published(node) for node in nodes]
-    graph.feed(nodes[0], graph.coasting(20))
-    assert {item.status.name for item in published[0].messages} == {'FAULT'}
-    assert len(published[1].messages) == len(published[2].messages) == 20
-    assert 'FAULT' not in {item.status.name for item in published[1].messages + published[2].messages}
+    nodes[0].pipeline.estimator = Changed(nodes[0].pipeline.estimator, step=fail)
+    published = [collected(node) for node in nodes]
+    feed(nodes[0], coasting(20))
+    assert {item.status.name for item in published[0]} == {'FAULT'}
+    assert len(published[1]) == len(published[2]) == 20
+    assert 'FAULT' not in {item.status.name for item in published[1] + published[2]}
 
 
 FLOAT, INT = 'std_msgs/msg/Float64', 'std_msgs/msg/Int8'
 _MISSING = ('no type support',)
 RELIABLE = QoSProfile(depth=1)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -185,7 +154,7 @@ class Opened:
 
     def __init__(self, topic: ForeignTopic) -> None:
         self.now: list[Any] = []
-        self.foreign = ForeignSubscription(topic, self._open, self.now.remove)
+        self.foreign = InputSubscription(topic, self._open, self.now.remove)
 
     def _open(self, kind: Any, profile: QoSProfile) -> Any:
         self.now.append(SimpleNamespace(kind=kind.__name__, qos_profile=profile))

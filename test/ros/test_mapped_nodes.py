@@ -3,33 +3,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped, Vector3Stamped  # type: ignore[import-untyped]
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 
 from test.foreign_bag import MAPPING, write_foreign
+from test.ros.graph import LATCHED, START_NS, Diagnosed, Graph, Simulated, coasting, collected, feed
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
-from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
-from trainid_ros.ros.inputs import ForeignTopic, SharedInputs
+from trainid_ros.ros.inputs import ForeignTopic
 from trainid_ros.ros.playback import BagPlayer
 from trainid_ros.ros.topics import foreign_class
 from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SPEED_ONLY = 'speed: {topic: /odo/twist, field: twist.linear.x, unit: km/h}\n'
 SPEED = 'resistance_estimator: input /odo/twist (speed)'
 
@@ -42,16 +38,8 @@ def mapping_file(tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def others(graph: Graph) -> Iterator[Graph]:
-    """Another process, as it were: within one participant a topic has one type."""
-    made = type(graph)(graph.domain)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def bag(graph: Graph, tmp_path: Path) -> Path:
-    write_foreign(tmp_path / 'bag', graph.coasting(150))
+def bag(tmp_path: Path) -> Path:
+    write_foreign(tmp_path / 'bag', coasting(150))
     return tmp_path / 'bag'
 
 
@@ -64,15 +52,6 @@ def start(graph: Graph, train_file: str, tmp_path: Path) -> Callable[..., Any]:
         return graph.active(train_file, mapping_file=str(tmp_path / 'part.yaml'), diagnostic_period=0.1, **parameters)
 
     return start_one
-
-
-def follow(graph: Graph) -> dict[str, Any]:
-    """Return the newest diagnostics by name."""
-    found: dict[str, Any] = {}
-    graph.plain('display').create_subscription(
-        DiagnosticArray, '/diagnostics', lambda array: found.update({item.name: item for item in array.status}), 10
-    )
-    return found
 
 
 def odometer(others: Graph, kind: Any = TwistStamped) -> Callable[[], object]:
@@ -97,13 +76,9 @@ def subscribed(node: Any) -> set[str]:
 def test_live_estimates_equal_the_replay_of_the_bag_to_the_bit(
     graph: Graph, train_file: str, mapping_file: str, bag: Path
 ) -> None:
-    inputs, nodes = SharedInputs(), []
-    for spec in SPECS.values():
-        nodes.append(graph.make(partial(EstimatorNode, spec), train_file=train_file, mapping_file=mapping_file))
-        nodes[-1]._inputs = inputs
-        assert nodes[-1].bring_up(), nodes[-1].failure
-    published, group = [graph.published(node) for node in nodes], nodes[0].inputs
-    topics = {topic.name: topic for topic in group.topics}
+    nodes = graph.all(train_file, mapping_file=mapping_file)
+    published, group = [collected(node) for node in nodes], nodes[0].shared.inputs
+    topics = {topic.name: topic for topic in group.subscriptions}
     with BagReader(bag, inputs=mapped_inputs(Path(mapping_file), load_train_file(train_file))) as reader:
         kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
         for log_ns, topic, data in reader.stored():
@@ -111,7 +86,7 @@ def test_live_estimates_equal_the_replay_of_the_bag_to_the_bit(
         pipelines = [node.shared.kind.pipeline(load_train_file(train_file), node._settings) for node in nodes]
         expected = [[out for record in reader.records() for out in pipeline.push(record)] for pipeline in pipelines]
     assert min(map(len, expected)) > 140
-    assert [repr(item.messages) for item in published] == [repr(made) for made in expected]
+    assert [repr(item) for item in published] == [repr(made) for made in expected]
 
 
 def test_played_messages_arrive_as_they_are_in_the_bag(
@@ -119,13 +94,13 @@ def test_played_messages_arrive_as_they_are_in_the_bag(
 ) -> None:
     node = graph.active(train_file, mapping_file=mapping_file)
     received: dict[str, list[Any]] = {}
-    receive = node.inputs.receive
+    receive = node.shared.inputs.receive
 
     def note(topic: Any, message: Any, received_ns: int) -> None:
         received.setdefault(topic.name, []).append(message)
         receive(topic, message, received_ns)
 
-    node.inputs.subscriptions._deliver = note
+    node.shared.inputs.receive = note
     player = others.make(BagPlayer, bag=str(bag), mapping_file=mapping_file, rate=20.0, wait=1, duration=4.0)
     assert player.bring_up(), player.failure
 
@@ -138,7 +113,7 @@ def test_played_messages_arrive_as_they_are_in_the_bag(
         kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
         expected: dict[str, list[Any]] = {name: [] for name in kinds}
         for log_ns, topic, data in reader.stored():
-            if log_ns <= graph.start_ns + 4 * NS_PER_S:
+            if log_ns <= START_NS + 4 * NS_PER_S:
                 expected[topic].append(deserialize_message(data, kinds[topic]))
     graph.until(lambda: sum(map(len, received.values())) >= sum(map(len, expected.values())))
     assert received == expected
@@ -148,19 +123,18 @@ def test_played_messages_arrive_as_they_are_in_the_bag(
 def test_a_publisher_may_come_later_and_start_again_with_another_type(
     graph: Graph, others: Graph, start: Callable[..., Any]
 ) -> None:
-    node, diagnosed = start(SPEED_ONLY), follow(graph)
+    node, diagnosed = start(SPEED_ONLY), Diagnosed(graph)
     assert subscribed(node) == {'/ato/force', '/ato/gradient', '/ato/brake_command', '/ato/mass'}
-    graph.until(lambda: SPEED in diagnosed)
-    assert diagnosed[SPEED].message.startswith('never received, no publisher, since ')
+    assert diagnosed.until(SPEED, '').startswith('never received, no publisher, since ')
     publish = odometer(others, Float64)
-    graph.until(lambda: publish() or 'Float64 has no header' in diagnosed[SPEED].message)
-    assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
-    assert 'topic /odo/twist: ' in diagnosed[SPEED].message
-    assert diagnosed[SPEED].message.endswith(': correct the mapping file or this publisher')
+    diagnosed.until(SPEED, 'Float64 has no header', publish)
+    assert diagnosed.level(SPEED) == DiagnosticStatus.ERROR
+    assert 'topic /odo/twist: ' in diagnosed.message(SPEED)
+    assert diagnosed.message(SPEED).endswith(': correct the mapping file or this publisher')
     others.drop()
-    again = type(graph)(graph.domain)
+    again = Graph(graph.domain)
     publish = odometer(again)
-    graph.until(lambda: publish() or diagnosed[SPEED].level == DiagnosticStatus.OK)
+    graph.until(lambda: publish() or diagnosed.level(SPEED) == DiagnosticStatus.OK)
     assert 'no ato/force yet' in node.shared.missing_inputs()
     assert 'odo' not in node.shared.missing_inputs()
     again.close()
@@ -174,37 +148,33 @@ def test_a_type_whose_package_is_missing_is_named(
 
     monkeypatch.setattr('trainid_ros.ros.topics.import_module', fail)
     start(SPEED_ONLY)
-    diagnosed, publish = follow(graph), odometer(others)
+    diagnosed, publish = Diagnosed(graph), odometer(others)
     text = 'geometry_msgs/msg/TwistStamped: the package geometry_msgs is not installed here'
-    graph.until(lambda: publish() or (SPEED in diagnosed and text in diagnosed[SPEED].message))
-    assert diagnosed[SPEED].message.endswith(': install it')
-    assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
+    assert diagnosed.until(SPEED, text, publish).endswith(': install it')
+    assert diagnosed.level(SPEED) == DiagnosticStatus.ERROR
 
 
 def test_a_notch_that_is_not_in_the_table_is_named(graph: Graph, others: Graph, start: Callable[..., Any]) -> None:
     start('brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}')
-    diagnosed, name = follow(graph), 'resistance_estimator: input /notch (brake_command)'
+    diagnosed, name = Diagnosed(graph), 'resistance_estimator: input /notch (brake_command)'
     publisher = others.plain('handle').create_publisher(Float64, '/notch', 10)
 
-    def shown(notch: float) -> str:
-        publisher.publish(Float64(data=notch))
-        return str(diagnosed[name].message) if name in diagnosed else ''
-
-    graph.until(lambda: '/notch: 7 is not in table' in shown(7.0))
-    assert diagnosed[name].message.endswith(': correct the mapping file or this publisher')
-    graph.until(lambda: 'not in table' not in shown(1.0))
+    text = '/notch: 7 is not in table'
+    message = diagnosed.until(name, text, lambda: publisher.publish(Float64(data=7.0)))
+    assert message.endswith(': correct the mapping file or this publisher')
+    graph.until(lambda: publisher.publish(Float64(data=1.0)) or 'not in table' not in diagnosed.message(name))
 
 
 def test_the_time_of_reception_is_that_of_the_clock_of_the_node(
     graph: Graph, others: Graph, start: Callable[..., Any]
 ) -> None:
     node = start('speed: {topic: /wheel, field: data, stamp: receive}', use_sim_time=True)
-    clock = graph.simulated(node)
-    clock.go(graph.start_ns)
+    clock = Simulated(graph, node)
+    clock.go(START_NS)
     publisher = others.plain('wheel').create_publisher(Float64, '/wheel', 10)
     (monitor,) = (item for item in node.shared.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
     graph.until(lambda: publisher.publish(Float64(data=20.0)) or monitor.count)
-    assert monitor.newest_ns == graph.start_ns
+    assert monitor.newest_ns == START_NS
 
 
 def test_values_that_hold_are_latched_if_their_publisher_offers_it(
@@ -218,19 +188,10 @@ def test_values_that_hold_are_latched_if_their_publisher_offers_it(
 
 
 def test_relative_topics_lie_in_the_namespace_of_the_node(
-    graph: Graph, others: Graph, train_file: str, tmp_path: Path
+    graph: Graph, others: Graph, start: Callable[..., Any]
 ) -> None:
-    (tmp_path / 'map.yaml').write_text('gradient: {topic: slope, field: vector.y}', encoding='utf-8')
-    nodes = [
-        graph.make(
-            partial(EstimatorNode, SPECS['resistance_estimator']),
-            arguments=('-r', f'__ns:={name}'),
-            train_file=train_file,
-            mapping_file=str(tmp_path / 'map.yaml'),
-        )
-        for name in ('/train_1', '/train_2')
-    ]
-    assert all(node.bring_up() for node in nodes)
+    text = 'gradient: {topic: slope, field: vector.y}'
+    nodes = [start(text, arguments=('-r', f'__ns:={name}')) for name in ('/train_1', '/train_2')]
     publisher = others.plain('map').create_publisher(Vector3Stamped, '/train_2/slope', 10)
     graph.until(lambda: '/train_2/slope' in subscribed(nodes[1]))
     graph.until(
@@ -239,14 +200,13 @@ def test_relative_topics_lie_in_the_namespace_of_the_node(
     assert '/train_1/slope' not in subscribed(nodes[0])
 
 
-def test_a_gradient_of_the_line_waits_for_a_position(graph: Graph, tmp_path: Path, start: Callable[..., Any]) -> None:
+def test_a_gradient_of_the_line_waits_for_a_position(tmp_path: Path, start: Callable[..., Any]) -> None:
     train = tmp_path / 'train.yaml'
-    train.write_text(
-        train.read_text(encoding='utf-8') + 'line: {gradient: [[0.0, 1.0], [500.0, 2.0]]}\n', encoding='utf-8'
-    )
+    line = 'line: {gradient: [[0.0, 1.0], [500.0, 2.0]]}\n'
+    train.write_text(train.read_text(encoding='utf-8') + line, encoding='utf-8')
     node = start('gradient: {from: line}')
     assert 'no gradient of the line, as the position is not known yet' in node.shared.missing_inputs()
-    graph.feed(node, [record for record in graph.coasting(3) if isinstance(record, SpeedRecord)])
+    feed(node, [record for record in coasting(3) if isinstance(record, SpeedRecord)])
     assert 'gradient' not in node.shared.missing_inputs()
 
 
@@ -262,23 +222,14 @@ def test_an_unusable_mapping_fails_to_configure(
 ) -> None:
     path = tmp_path / 'part.yaml'
     path.write_text(text, encoding='utf-8')
-    node = graph.make(
-        partial(EstimatorNode, SPECS['resistance_estimator']), train_file=train_file, mapping_file=str(path)
-    )
+    node = graph.make(train_file=train_file, mapping_file=str(path))
     assert not node.bring_up()
     assert reason in node.failure
 
 
-def test_qos_of_a_foreign_topic_can_be_overridden(graph: Graph, others: Graph, train_file: str, tmp_path: Path) -> None:
-    (tmp_path / 'map.yaml').write_text(SPEED_ONLY, encoding='utf-8')
-    node = graph.make(
-        partial(EstimatorNode, SPECS['resistance_estimator']),
-        arguments=('-p', 'qos_overrides./odo/twist.subscription.depth:=7'),
-        train_file=train_file,
-        mapping_file=str(tmp_path / 'map.yaml'),
-    )
-    assert node.bring_up(), node.failure
+def test_qos_of_a_foreign_topic_can_be_overridden(graph: Graph, others: Graph, start: Callable[..., Any]) -> None:
+    node = start(SPEED_ONLY, arguments=('-p', 'qos_overrides./odo/twist.subscription.depth:=7'))
     odometer(others)
     graph.until(lambda: '/odo/twist' in subscribed(node))
-    (topic,) = (topic for topic in node.inputs.topics if isinstance(topic, ForeignTopic))
-    assert node.inputs.subscriptions.profile(topic).depth == 7
+    (topic,) = (topic for topic in node.shared.inputs.subscriptions if isinstance(topic, ForeignTopic))
+    assert node.shared.inputs.subscriptions[topic].profile.depth == 7

@@ -204,10 +204,7 @@ def test_a_short_time_is_enough_where_something_is_published(terminals: list[Ter
 def test_a_number_for_use_sim_time_is_refused(command: tuple[str, ...]) -> None:
     arguments = [*command, '--ros-args', '-p', 'use_sim_time:=1']
     done = subprocess.run(
-        [sys.executable, '-m', 'trainid_ros.cli.main', *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, '-m', 'trainid_ros.cli.main', *arguments], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

@@ -3,27 +3,28 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
-from rclpy.duration import Duration
-from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
+from test.ros.graph import START_NS, Changed, Graph
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
+    InputTopic,
     MassRecord,
     Record,
     SpeedRecord,
     record_from_message,
 )
 from trainid_ros.ros import playback
-from trainid_ros.ros.playback import BagPlayer, Entry, Pacer, Timeline, TrainSimulator, with_ticks
+from trainid_ros.ros.playback import BagPlayer, Entry, Pacer, PlaybackNode, Timeline, TrainSimulator, with_ticks
 from trainid_ros.ros.topics import message_class
 
 MS = NS_PER_S // 1000
@@ -73,9 +74,7 @@ def test_released_entries_are_due_at_once() -> None:
     assert pacer.due_ns(7000 * MS, 20 * MS) == 20 * MS
 
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
-ROOT = Path(__file__).parents[2]
-START_NS = 1_700_000_000 * NS_PER_S
+TRAIN = str(Path(__file__).parents[2] / 'config' / 'trains' / 'yizhuang.yaml')
 RECORDS: list[Record] = [
     record
     for k in range(60)
@@ -100,14 +99,18 @@ class InputListener:
         self.records: list[Record] = []
         self.clock: list[int] = []
         for topic in INPUT_TOPICS:
-
-            def receive(message: Any, topic: Any = topic) -> None:
-                self.records.append(record_from_message(topic, message))
-
-            node.create_subscription(message_class(topic), topic.name, lambda m, r=receive: r(m), 5000)
+            node.create_subscription(message_class(topic), topic.name, partial(self._note, topic), 5000)
         node.create_subscription(
             Clock, '/clock', lambda m: self.clock.append(m.clock.sec * NS_PER_S + m.clock.nanosec), 5000
         )
+
+    def _note(self, topic: InputTopic, message: Any) -> None:
+        self.records.append(record_from_message(topic, message))
+
+
+@pytest.fixture
+def listener(graph: Graph) -> InputListener:
+    return InputListener(graph)
 
 
 def by_kind(records: list[Record]) -> dict[str, list[Record]]:
@@ -118,10 +121,10 @@ def by_kind(records: list[Record]) -> dict[str, list[Record]]:
 
 
 @pytest.mark.ros
-def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(graph: Graph, bag: str) -> None:
-    listener = InputListener(graph)
-    player = graph.make(BagPlayer, bag=bag, rate=20.0, wait=1)
-    assert player.bring_up(), player.failure
+def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(
+    graph: Graph, listener: InputListener, bag: str
+) -> None:
+    player = graph.up(BagPlayer, bag=bag, rate=20.0, wait=1)
     graph.until(lambda: player.finished)
     graph.until(lambda: len(listener.records) == len(RECORDS) and listener.clock[-1:] == [RECORDS[-1].stamp_ns])
     assert by_kind(listener.records) == by_kind(RECORDS)
@@ -132,42 +135,24 @@ def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(graph:
 
 @pytest.mark.ros
 def test_the_player_waits_for_a_subscriber_that_acknowledges_nothing(
-    graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
+    graph: Graph, listener: InputListener, bag: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    listener = InputListener(graph)
     monkeypatch.setattr(playback, '_LOOK_EVERY', 4)
     monkeypatch.setattr(playback, '_MAX_UNACKNOWLEDGED', 40)
-    player = graph.make(BagPlayer, bag=bag, rate=1000.0, wait=1)
-    assert player.bring_up(), player.failure
+    player = graph.up(BagPlayer, bag=bag, rate=1000.0, wait=1)
     real = dict(player._outputs)
-    player._outputs = {name: _Unheard(output) for name, output in real.items()}
+    player._outputs = {name: Changed(output, wait_for_all_acked=lambda _: False) for name, output in real.items()}
     graph.until(lambda: player.played == 40)
-    for _ in range(20):
-        graph.executor.spin_once(timeout_sec=0.01)
+    graph.spin(20)
     assert player.played == 40
     player._outputs = real
     graph.until(lambda: player.finished)
     graph.until(lambda: len(listener.records) == len(RECORDS))
 
 
-class _Unheard:
-    """A publisher without acknowledgements."""
-
-    def __init__(self, output: Any) -> None:
-        self._output = output
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._output, name)
-
-    def wait_for_all_acked(self, _: Duration) -> bool:
-        return False
-
-
 @pytest.mark.ros
-def test_start_and_duration_choose_a_part(graph: Graph, bag: str) -> None:
-    listener = InputListener(graph)
-    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, start=2.0, duration=4.0)
-    player.bring_up()
+def test_start_and_duration_choose_a_part(graph: Graph, listener: InputListener, bag: str) -> None:
+    player = graph.up(BagPlayer, bag=bag, rate=50.0, wait=1, start=2.0, duration=4.0)
     graph.until(lambda: player.finished)
     expected = [r for r in RECORDS if 2.0 <= (r.stamp_ns - START_NS) / NS_PER_S <= 6.0]
     graph.until(lambda: len(listener.records) == len(expected))
@@ -176,15 +161,12 @@ def test_start_and_duration_choose_a_part(graph: Graph, bag: str) -> None:
 
 @pytest.mark.ros
 def test_playback_waits_until_new_subscribers_have_discovered_the_player(
-    graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
+    graph: Graph, listener: InputListener, bag: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    listener = InputListener(graph)
     monkeypatch.setattr(playback, '_DISCOVERY_NS', 10**15)
-    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1)
-    player.bring_up()
+    player = graph.up(BagPlayer, bag=bag, rate=50.0, wait=1)
     graph.until(lambda: player._complete_ns)
-    for _ in range(20):
-        graph.executor.spin_once(timeout_sec=0.01)
+    graph.spin(20)
     assert player.played == 0
     monkeypatch.setattr(playback, '_DISCOVERY_NS', 0)
     graph.until(lambda: len(listener.records) == len(RECORDS))
@@ -209,15 +191,12 @@ def test_a_long_wait_says_which_topics_lack_subscribers(
 
 
 @pytest.mark.ros
-def test_deactivating_pauses_and_activating_resumes(graph: Graph, bag: str) -> None:
-    listener = InputListener(graph)
-    player = graph.make(BagPlayer, bag=bag, rate=10.0, wait=1)
-    player.bring_up()
+def test_deactivating_pauses_and_activating_resumes(graph: Graph, listener: InputListener, bag: str) -> None:
+    player = graph.up(BagPlayer, bag=bag, rate=10.0, wait=1)
     graph.until(lambda: player.played > 30)
     player.trigger_deactivate()
     played = player.played
-    for _ in range(20):
-        graph.executor.spin_once(timeout_sec=0.01)
+    graph.spin(20)
     assert player.played == played
     player.trigger_activate()
     graph.until(lambda: len(listener.records) == len(RECORDS))
@@ -225,10 +204,8 @@ def test_deactivating_pauses_and_activating_resumes(graph: Graph, bag: str) -> N
 
 
 @pytest.mark.ros
-def test_a_loop_starts_over(graph: Graph, bag: str) -> None:
-    listener = InputListener(graph)
-    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, loop=True)
-    player.bring_up()
+def test_a_loop_starts_over(graph: Graph, listener: InputListener, bag: str) -> None:
+    player = graph.up(BagPlayer, bag=bag, rate=50.0, wait=1, loop=True)
     graph.until(lambda: any(b < a for a, b in zip(listener.clock, listener.clock[1:], strict=False)))
     assert player.played > len(RECORDS)
     assert not player.finished
@@ -236,17 +213,22 @@ def test_a_loop_starts_over(graph: Graph, bag: str) -> None:
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ('parameters', 'reason'),
+    ('kind', 'parameters', 'reason'),
     [
-        ({}, 'no bag: give the parameter bag'),
-        ({'bag': '/no/such/bag'}, '/no/such/bag'),
-        ({'bag': 'x', 'restamp': True, 'rate': 2.0}, 'restamp needs rate = 1'),
-        ({'bag': 'x', 'rate': 0.0}, 'rate = 0 is outside'),
+        (BagPlayer, {}, 'no bag: give the parameter bag'),
+        (BagPlayer, {'bag': '/no/such/bag'}, '/no/such/bag'),
+        (BagPlayer, {'bag': 'x', 'restamp': True, 'rate': 2.0}, 'restamp needs rate = 1'),
+        (BagPlayer, {'bag': 'x', 'rate': 0.0}, 'rate = 0 is outside'),
+        (TrainSimulator, {}, 'no train: give the parameter train_file or world'),
+        (TrainSimulator, {'world': 'tramm'}, "world = 'tramm' must be one of"),
+        (TrainSimulator, {'realism': 'field', 'train_file': TRAIN}, "realism = 'field' needs the parameter world"),
     ],
 )
-def test_unplayable_parameters_fail_to_configure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
-    player = graph.make(BagPlayer, **parameters)
-    assert player.trigger_configure() == TransitionCallbackReturn.FAILURE
+def test_unusable_parameters_fail_to_configure(
+    graph: Graph, kind: type[PlaybackNode], parameters: dict[str, Any], reason: str
+) -> None:
+    player = graph.make(kind, **parameters)
+    assert not player.bring_up()
     assert player.state == 'unconfigured'
     assert reason in player.failure
 
@@ -254,7 +236,7 @@ def test_unplayable_parameters_fail_to_configure(graph: Graph, parameters: dict[
 @pytest.mark.ros
 def test_a_start_after_the_end_is_named_with_the_length(graph: Graph, bag: str) -> None:
     player = graph.make(BagPlayer, bag=bag, start=99999.0)
-    assert player.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert not player.bring_up()
     length_s = (RECORDS[-1].stamp_ns - RECORDS[0].stamp_ns) / NS_PER_S
     assert player.failure == f'start = 99999 s: what is played is {length_s:.1f} s long'
 
@@ -270,11 +252,8 @@ def test_a_player_can_be_configured_twice(graph: Graph, bag: str) -> None:
 
 
 @pytest.mark.ros
-def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph) -> None:
-    listener = InputListener(graph)
-    train = str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')
-    simulator = graph.make(TrainSimulator, train_file=train, runs=1, wait=1, duration=1.0)
-    assert simulator.bring_up(), simulator.failure
+def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph, listener: InputListener) -> None:
+    simulator = graph.up(TrainSimulator, train_file=TRAIN, runs=1, wait=1, duration=1.0)
     before = simulator.get_clock().now().nanoseconds
     graph.until(lambda: simulator.finished)
     graph.until(lambda: len(listener.records) == simulator.played)
@@ -286,31 +265,9 @@ def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph) ->
 
 
 @pytest.mark.ros
-def test_the_simulator_drives_a_world(graph: Graph) -> None:
-    listener = InputListener(graph)
-    simulator = graph.make(TrainSimulator, world='tram', realism='field', runs=1, wait=1, duration=0.5)
-    assert simulator.bring_up(), simulator.failure
+def test_the_simulator_drives_a_world(graph: Graph, listener: InputListener) -> None:
+    simulator = graph.up(TrainSimulator, world='tram', realism='field', runs=1, wait=1, duration=0.5)
     graph.until(lambda: simulator.finished)
     graph.until(lambda: len(listener.records) == simulator.played)
     masses = [record.mass for record in listener.records if isinstance(record, MassRecord)]
     assert 54e3 * 0.98 < masses[0] < 1.3 * 54e3 * 1.02
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize(
-    ('parameters', 'reason'),
-    [
-        ({}, 'no train: give the parameter train_file or world'),
-        ({'world': 'tramm'}, "world = 'tramm' must be one of"),
-        (
-            {'realism': 'field', 'train_file': str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')},
-            "realism = 'field' needs the parameter world",
-        ),
-    ],
-)
-def test_unusable_simulator_parameters_fail_to_configure(
-    graph: Graph, parameters: dict[str, object], reason: str
-) -> None:
-    simulator = graph.make(TrainSimulator, **parameters)
-    assert simulator.trigger_configure() == TransitionCallbackReturn.FAILURE
-    assert reason in simulator.failure

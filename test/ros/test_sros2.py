@@ -6,18 +6,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
+from test.ros.graph import Graph
 from trainid_ros.client import TrainModel
-from trainid_ros.ros.estimator_node import SPECS, EstimatorNode
+from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.train_monitor import TrainMonitor
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
 FILE = Path(__file__).parents[2] / 'config' / 'sros2_policy.xml'
 
 
@@ -71,7 +70,7 @@ def test_the_policy_only_allows_topics_and_answers() -> None:
 @pytest.mark.ros
 @pytest.mark.parametrize('name', list(SPECS))
 def test_a_node_uses_exactly_what_the_policy_grants(graph: Graph, train_file: str, name: str) -> None:
-    node = graph.active(train_file, partial(EstimatorNode, SPECS[name]))
+    node = graph.active(train_file, SPECS[name])
     assert granted(f'/trainid/{name}', name) == granted('/trainid', name) == used_by(node)
 
 
@@ -107,11 +106,7 @@ COMMANDS = {
 def test_without_keys_nothing_starts_and_the_last_line_says_why(tmp_path: Path, name: str, has_enclave: bool) -> None:
     folder = tmp_path / 'enclaves' / 'trainid'
     (folder if has_enclave else tmp_path).mkdir(parents=True, exist_ok=True)
-    secure = {
-        'ROS_SECURITY_KEYSTORE': str(tmp_path),
-        'ROS_SECURITY_ENABLE': 'true',
-        'ROS_SECURITY_STRATEGY': 'Enforce',
-    }
+    secure = {'ROS_SECURITY_KEYSTORE': str(tmp_path), 'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}
     command = [sys.executable, *COMMANDS[name], '--ros-args', '--enclave', '/trainid']
     done = subprocess.run(command, env=os.environ | secure, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr

@@ -10,12 +10,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from test.ros.graph import NARROW, Graph, coasting, feed
 from trainid_ros.client import TrainModel
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
@@ -23,16 +24,8 @@ from trainid_ros.ros.topics import fill_estimate, latched_qos, message_class, of
 
 pytestmark = pytest.mark.ros
 
-Graph: TypeAlias = Any  # the fixture of conftest.py
 W = ResistanceEstimate(2.0, 0.03, 0.0012, (0.01, *[0.0] * 8), 2.4, 0.1, 10.0, 0.1, 0.01, 0.2, 3.0, 18.0, 0.1)
 F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.01, 0.1)
-# A prior this narrow is fit to use at once.
-NARROW = {
-    'estimator__prior_std_a': 0.01,
-    'estimator__prior_std_b': 1e-5,
-    'estimator__prior_std_c': 1e-6,
-    'estimator__prior_share': 0.0,
-}
 
 
 class Estimates:
@@ -135,7 +128,7 @@ def test_a_node_without_inputs_is_replaced_by_the_train_file(graph: Graph, train
     node = graph.active(train_file, **NARROW)
     model = TrainModel(graph.plain('controller'), train_file)
     graph.until(lambda: 'STALE' in model.resistance(10.0).reason)
-    graph.feed(node, graph.coasting(160))
+    feed(node, coasting(160))
     graph.until(lambda: model.resistance(20.0).live)
     graph.until(lambda: not model.resistance(20.0).live)
     graph.until(lambda: model.resistance(20.0).reason == 'train file: STALE, inputs of the node are missing')

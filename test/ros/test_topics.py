@@ -117,30 +117,42 @@ def test_the_name_of_a_type_is_that_of_the_graph() -> None:
     assert type_name(AtoSpeed) == SPEED
 
 
-def test_publishers_with_the_type_are_heard() -> None:
-    assert sort_publishers([info('b'), info('a')], SPEED, OURS, input_qos()) == Publishers(('/a', '/b'))
-
-
-def test_one_with_another_type_is_named() -> None:
-    found = sort_publishers([info('a'), info('odo', 'std_msgs/msg/Float64')], SPEED, OURS, input_qos())
-    assert found == Publishers(('/a',), (f'/odo publishes std_msgs/msg/Float64 instead of {SPEED}',))
-    assert found.count == 2
-
-
-def test_one_with_another_definition_is_named_where_that_is_known() -> None:
-    infos = [info('a', definition=THEIRS), info('b', definition=str(TypeHash()))]
-    found = sort_publishers(infos, SPEED, OURS, input_qos())
-    assert found == Publishers(('/b',), (f'/a publishes another version of {SPEED}, whose messages are misread',))
-    assert sort_publishers(infos, SPEED, '', input_qos()).heard == ('/a', '/b')
-
-
-def test_all_reasons_of_an_incompatible_quality_of_service_are_named() -> None:
-    strict = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=1))
-    (text,) = sort_publishers([info('a')], SPEED, OURS, strict).unheard
-    assert text == (
-        '/a has an incompatible quality of service (Volatile publisher and transient local subscription, '
-        'Subscription has a deadline, but publisher does not)'
-    )
+@pytest.mark.parametrize(
+    ('infos', 'definition', 'profile', 'expected'),
+    [
+        ([info('b'), info('a')], OURS, input_qos(), Publishers(('/a', '/b'))),
+        (
+            [info('a'), info('odo', 'std_msgs/msg/Float64')],
+            OURS,
+            input_qos(),
+            Publishers(('/a',), (f'/odo publishes std_msgs/msg/Float64 instead of {SPEED}',)),
+        ),
+        (
+            [info('a', definition=THEIRS), info('b', definition=str(TypeHash()))],
+            OURS,
+            input_qos(),
+            Publishers(('/b',), (f'/a publishes another version of {SPEED}, whose messages are misread',)),
+        ),
+        ([info('a', definition=THEIRS), info('b', definition=OURS)], '', input_qos(), Publishers(('/a', '/b'))),
+        (
+            [info('a')],
+            OURS,
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=1)),
+            Publishers(
+                (),
+                (
+                    '/a has an incompatible quality of service (Volatile publisher and transient local subscription, '
+                    'Subscription has a deadline, but publisher does not)',
+                ),
+            ),
+        ),
+    ],
+    ids=['heard', 'other type', 'other definition', 'unknown definition', 'all reasons of an incompatible QoS'],
+)
+def test_publishers_are_sorted_by_whether_they_are_heard(
+    infos: list[Any], definition: str, profile: QoSProfile, expected: Publishers
+) -> None:
+    assert sort_publishers(infos, SPEED, definition, profile) == expected
 
 
 def test_one_that_was_killed_counts_once_with_its_successor_which_has_no_name_at_first() -> None:

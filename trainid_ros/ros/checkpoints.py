@@ -10,12 +10,11 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.context import NUMERICAL_ERRORS
-from trainid_ros.ros.input_monitor import shown_time
+from trainid_ros.ros.input_monitor import NUMERICAL_ERRORS, shown_time
 from trainid_ros.setup.checkpoint import (
     Checkpoint,
     CheckpointFile,
@@ -27,13 +26,9 @@ from trainid_ros.setup.checkpoint import (
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.ros.context import NodeContext
+    from trainid_ros.ros.input_monitor import NodeContext
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
-
-
-# Age of a checkpoint where that is unknown: what it states is as uncertain as after a day [s].
-_UNKNOWN_AGE_S: Final = 86_400.0
 
 
 class Checkpoints:
@@ -43,38 +38,31 @@ class Checkpoints:
         problem: Why the state cannot be saved now, empty if it can.
         is_due: Whether the period is over.
         saved_at: When it was last saved, or nothing had changed, by a steady clock [s].
+        is_wiped: Whether a jump of the stamps or the clock has reset the state: until it is usable again, or a user
+            requests a reset, a load or a save, the one in the file is the better one.
     """
 
     def __init__(self, context: NodeContext) -> None:
-        self._context = context
-        self._node = context.node
+        self._context, self._node = context, context.node
         self.problem = ''
+        self.is_due = self.is_wiped = False
+        self.saved_at = 0.0
         self._provenance: Provenance | None = None
         self._file: CheckpointFile | None = None
-        # What the node had learned at the last cleanup.
-        self._kept: Checkpoint | None = None
+        self._kept: Checkpoint | None = None  # What the node had learned at the last cleanup
         self._timer: Any = None
-        self.is_due = False
-        self.saved_at = 0.0
-        self._saved: object = None
-        # Whether a jump of the stamps or the clock has wiped the state, and the one in the file is the better one.
-        self._is_wiped = False
+        self._saved: object = None  # Mark of the state saved last
         self._writer = ThreadPoolExecutor(1, 'checkpoint')
         self._writing: Future[None] | None = None
 
     # Lifecycle
 
     def open(self, pipeline: EstimatorPipeline[Any], train_file: TrainFile, settings: EstimatorSettings) -> None:
-        """Continue from what was learned before, if it fits the train file and the settings.
-
-        Raises:
-            InputError: The parameter ``checkpoint_file`` cannot be used.
-        """
+        """Continue from what was learned before, if it fits; InputError if ``checkpoint_file`` cannot be used."""
         path = str(self._context.parameters.value('checkpoint_file'))
         self._provenance = provenance_of(self._context.kind.name, train_file, settings)
         self._file = CheckpointFile(Path(path).expanduser()) if path else None
-        kept, self._kept, self.problem, self._saved = self._kept, None, '', None
-        self._is_wiped = False
+        kept, self._kept, self.problem, self._saved, self.is_wiped = self._kept, None, '', None, False
         if kept is not None and not kept.provenance.mismatch(self._provenance):
             self._restore(pipeline, kept)
         elif self._file is not None:
@@ -107,16 +95,16 @@ class Checkpoints:
         if self._file is not None and period > 0.0:
             self._timer = self._node.create_timer(period, self._tick, clock=self._node.steady_clock)
 
-    def pause(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
+    def pause(self, *, running: bool) -> None:
         """Save no longer at intervals, but once more if the pipeline was running."""
         self._stop_timer()
-        if pipeline is not None and running:
-            self.save(pipeline)
+        if self._context.pipeline is not None and running:
+            self.save(self._context.pipeline)
 
-    def close(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
+    def close(self, *, running: bool) -> None:
         """Keep what was learned in memory too, for the next configure."""
-        self.pause(pipeline, running=running)
-        if pipeline is not None and pipeline.samples and self._is_worth_saving(pipeline):
+        self.pause(running=running)
+        if (pipeline := self._context.pipeline) is not None and pipeline.samples and self._is_worth_saving(pipeline):
             self._kept = self._checkpoint(pipeline)
         self._file = None
 
@@ -149,16 +137,8 @@ class Checkpoints:
     def _is_worth_saving(self, pipeline: EstimatorPipeline[Any]) -> bool:
         """Return whether a state may replace the one in the file: after a reset, too, but not after a jump at once."""
         if pipeline.status in (Status.VALID, Status.HOLDING):
-            self._is_wiped = False
-        return pipeline.status is not Status.FAULT and not self._is_wiped and bool(pipeline.samples or pipeline.resets)
-
-    def note_wiped(self) -> None:
-        """Keep the file after a reset by a jump of the stamps, until the estimate is usable again."""
-        self._is_wiped = True
-
-    def note_wanted(self) -> None:
-        """Save any state from now on, as a user has requested."""
-        self._is_wiped = False
+            self.is_wiped = False
+        return pipeline.status is not Status.FAULT and not self.is_wiped and bool(pipeline.samples or pipeline.resets)
 
     def save(self, pipeline: EstimatorPipeline[Any]) -> None:
         """Save to the file of the parameter ``checkpoint_file``, if it is given, and wait until that is done."""
@@ -186,19 +166,15 @@ class Checkpoints:
         self._report()
         file = self._file_or_default()
         if file is not self._file:
-            self._keep_another(file)
+            try:
+                file.read(self._required_provenance())
+            except ForeignFileError:  # of another estimate
+                raise
+            except InputError as error:  # of another train
+                self._node.get_logger().warning(f'{error}; this file is kept as {file.set_aside()}')
         file.write(self._checkpoint(pipeline))
-        self.note_wanted()
+        self.is_wiped = False
         return file.path
-
-    def _keep_another(self, file: CheckpointFile) -> None:
-        """Set aside what is in a file if it is of another train; ForeignFileError if it is of another estimate."""
-        try:
-            file.read(self._required_provenance())
-        except ForeignFileError:
-            raise
-        except InputError as error:
-            self._node.get_logger().warning(f'{error}; this file is kept as {file.set_aside()}')
 
     def load_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
         """Load the file of the node, or the default one; return what was loaded; InputError if it does not fit."""
@@ -208,7 +184,7 @@ class Checkpoints:
         if checkpoint is None:
             raise InputError(f'{file.path}: there is no checkpoint')
         age = self._load(pipeline, file, checkpoint)
-        self.note_wanted()
+        self.is_wiped = False
         return f'{file.path}, saved {age}'
 
     def _file_or_default(self) -> CheckpointFile:
@@ -230,7 +206,7 @@ class Checkpoints:
     def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> str:
         """Continue from a checkpoint; return its age as text."""
         age_s = checkpoint.age_s(self._node.now_ns())
-        pipeline.restore(checkpoint.state, _UNKNOWN_AGE_S if age_s is None else age_s)
+        pipeline.restore(checkpoint.state, 86_400.0 if age_s is None else age_s)  # as uncertain as after a day
         pipeline.current()  # An invalid state must raise here, not when it is published.
         return 'at an unknown time' if age_s is None else f'{shown_time(age_s)} ago'
 

@@ -18,39 +18,24 @@ if TYPE_CHECKING:
     from trainid_ros.ros.node import ManagedNode
     from trainid_ros.ros.topics import SerializedEstimate
 
-HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
-"""Time after which a status without new samples is published again [ns]: in time for the deadline of 1 s."""
+# Statuses that are published again without new samples, after this time [ns]: in time for the deadline of 1 s.
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
+HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
 _FIT: Final = frozenset({Status.VALID, Status.HOLDING})
-# Shortest time between two log entries about one kind of change [s].
-_LOG_PERIOD_S: Final = 1.0
-
-# An estimate with one of these is not fit to use.
-_WITHDRAWN: Final = frozenset({Status.CONVERGING, Status.STALE, Status.FAULT})
+_NOT_FIT: Final = frozenset({Status.CONVERGING, *REPEATED})
 
 
 def is_latched(status: Status, latched: Status | None) -> bool:
-    """Return whether an estimate goes to the ``last_valid`` topic.
+    """Return whether an estimate goes to the ``last_valid`` topic, after one of the status ``latched``, None before.
 
     VALID estimates do. Once there was one, so does the first that withdraws it (CONVERGING: a change or contradiction
     is suspected) or does not keep it up any more (STALE, FAULT), and the first that holds again.
-
-    Args:
-        status: Status of the estimate.
-        latched: Status of the last estimate on that topic, None before the first.
     """
     if status is Status.VALID:
         return True
     if latched is None:
         return False
-    if status in _WITHDRAWN:
-        return status is not latched
-    return status is Status.HOLDING and latched in _WITHDRAWN
-
-
-def _group(status: Status) -> frozenset[Status]:
-    """Return the statuses that count as one: VALID and HOLDING take turns at every brake."""
-    return _FIT if status in _FIT else frozenset({status})
+    return status is not latched if status in _NOT_FIT else status is Status.HOLDING and latched in _NOT_FIT
 
 
 class StatusChanges:
@@ -61,65 +46,46 @@ class StatusChanges:
         missing: Describes the missing inputs, '' if all arrive.
 
     Attributes:
-        since_ns: When the status changed last, by the node's clock [ns]; 0 if not known.
+        since_ns: When the status changed last, by the node's clock [ns]; 0 if not known, as after a jump of the clock.
     """
 
     def __init__(self, logger: RcutilsLogger, missing: Callable[[], str]) -> None:
-        self._logger = logger
-        self._missing = missing
+        self._logger, self._missing = logger, missing
         self.restart(0)
 
     def restart(self, now_ns: int) -> None:
         """Begin anew, before the first estimate."""
-        self._group = _group(Status.UNINITIALIZED)
         self._status = Status.UNINITIALIZED
         self._had_inputs = False
         self.since_ns = now_ns
-
-    def forget_time(self) -> None:
-        """Forget when the status changed, after a jump of the clock."""
-        self.since_ns = 0
 
     def follow(self, status: Status, now_ns: int) -> None:
         """Take in the status of a published estimate, at a time of the node's clock [ns]."""
         if status is self._status:
             return
-        before, self._status = self._group, status
-        self._group = _group(status)
-        if self._group != before:
+        before, self._status = self._status, status
+        if not {before, status} <= _FIT:  # VALID and HOLDING count as one: they take turns at every brake
             self._log(before, now_ns)
             self.since_ns = now_ns
         self._had_inputs |= status is not Status.STALE
 
-    def _arrival(self, now_ns: int) -> str:
-        """Describe input recovery and outage length."""
-        if not self._had_inputs:
-            return 'inputs have come'
-        lasted = f', {(now_ns - self.since_ns) / NS_PER_S:.1f} s after STALE' if 0 < self.since_ns <= now_ns else ''
-        return f'inputs are back{lasted}'
-
-    def _log(self, before: frozenset[Status], now_ns: int) -> None:
-        """Log a change; each kind at most once a second."""
+    def _log(self, before: Status, now_ns: int) -> None:
+        # Each line at most once a second.
         name, logger = self._status.name, self._logger
         if self._status is Status.STALE:
             why = self._missing() or 'stamps of an input are behind those of the others'
-            logger.warning(f'STALE, the last estimate stands: {why}', throttle_duration_sec=_LOG_PERIOD_S)
-        elif Status.STALE in before:
-            logger.info(f'{name}: {self._arrival(now_ns)}', throttle_duration_sec=_LOG_PERIOD_S)
-        elif self._group == _FIT:
-            logger.info(f'{name}: the estimate is fit to use', throttle_duration_sec=_LOG_PERIOD_S)
-        elif before == _FIT and self._status is not Status.FAULT:
-            logger.warning(f'{name}: the estimate is not fit to use any more', throttle_duration_sec=_LOG_PERIOD_S)
-        elif Status.FAULT in before:
-            logger.info(f'{name}: the estimator works again', throttle_duration_sec=_LOG_PERIOD_S)
-
-
-# At high replay rates a short stall of the machine is long in simulated time, but is not a dropout [ns].
-_MIN_STALL_NS: Final = NS_PER_S // 4
-# Simulated time may run at any rate, so it has to be polled often [ns].
-_POLL_NS: Final = NS_PER_S // 10
-# Largest time by which a timer may fire early [ns].
-_MARGIN_NS: Final = NS_PER_S // 100
+            logger.warning(f'STALE, the last estimate stands: {why}', throttle_duration_sec=1.0)
+        elif before is Status.STALE:
+            text = 'inputs are back' if self._had_inputs else 'inputs have come'
+            if self._had_inputs and 0 < self.since_ns <= now_ns:
+                text += f', {(now_ns - self.since_ns) / NS_PER_S:.1f} s after STALE'
+            logger.info(f'{name}: {text}', throttle_duration_sec=1.0)
+        elif self._status in _FIT:
+            logger.info(f'{name}: the estimate is fit to use', throttle_duration_sec=1.0)
+        elif before in _FIT and self._status is not Status.FAULT:
+            logger.warning(f'{name}: the estimate is not fit to use any more', throttle_duration_sec=1.0)
+        elif before is Status.FAULT:
+            logger.info(f'{name}: the estimator works again', throttle_duration_sec=1.0)
 
 
 class Watchdog:
@@ -131,27 +97,23 @@ class Watchdog:
 
     def __init__(self, limit_ns: int) -> None:
         self.limit_ns = limit_ns
-        self._newest_ns = 0
         self._clock = (0, 0)
-        self._seen: tuple[int, int] | None = None
+        self.restart()
 
     def restart(self) -> None:
         """Begin to wait for input with the next check."""
-        self._seen = None
+        self._seen: tuple[int, int] | None = None
         self._newest_ns = 0
 
     def saw(self, newest_ns: int, now_ns: int, steady_ns: int) -> None:
         """Record the newest stamp so far [ns]; only a changed stamp counts as new input."""
         if newest_ns not in (0, self._newest_ns):
-            self._seen = (now_ns, steady_ns)
-            self._newest_ns = newest_ns
+            self._seen, self._newest_ns = (now_ns, steady_ns), newest_ns
 
     def is_missing(self, now_ns: int, steady_ns: int) -> bool:
         """Return whether inputs have been missing for too long.
 
-        Args:
-            now_ns: Time of the node's clock [ns], which may be simulated, stop or jump.
-            steady_ns: Time of a clock that does none of this [ns].
+        The node's clock [ns] may be simulated, stop or jump; the steady one does none of this.
         """
         if now_ns != self._clock[0]:
             self._clock = (now_ns, steady_ns)
@@ -159,29 +121,22 @@ class Watchdog:
             self._seen = (now_ns, steady_ns)
         missing_for, missing_for_steady = now_ns - self._seen[0], steady_ns - self._seen[1]
         stopped = steady_ns - self._clock[1] > self.limit_ns
-        return (missing_for > self.limit_ns and missing_for_steady > min(self.limit_ns, _MIN_STALL_NS)) or (
+        # At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
+        return (missing_for > self.limit_ns and missing_for_steady > min(self.limit_ns, NS_PER_S // 4)) or (
             stopped and missing_for_steady > self.limit_ns
         )
 
     def pause_ns(self, steady_ns: int, *, simulated: bool) -> int:
         """Return how long to wait with the next check, by the steady clock [ns]: until the limit can be exceeded."""
-        if simulated:
-            return _POLL_NS
+        if simulated:  # at any rate, so it has to be polled often
+            return NS_PER_S // 10
         waited = 0 if self._seen is None else steady_ns - self._seen[1]
-        return (self.limit_ns - waited if waited <= self.limit_ns else self.limit_ns) + _MARGIN_NS
-
-
-# Statuses with which the estimate of a loaded state is latched.
-_WORTH_LATCHING: Final = (Status.VALID, Status.HOLDING, Status.STALE)
+        margin = NS_PER_S // 100  # by which a timer may fire early
+        return (self.limit_ns - waited if waited <= self.limit_ns else self.limit_ns) + margin
 
 
 class EstimatePublisher:
     """The publishers of a configured node.
-
-    Args:
-        node: The node, of whose lifecycle they are part.
-        topic: What it estimates.
-        changes: Called with each status that was published.
 
     Attributes:
         live: Publishes every estimate.
@@ -191,18 +146,17 @@ class EstimatePublisher:
     """
 
     def __init__(self, node: ManagedNode, topic: OutputTopic, changes: StatusChanges) -> None:
-        self._node = node
-        self._changes = changes
-        self._message = message_class(topic)
-        self.live = self._offer(topic.name, offered_estimate_qos())
-        self.last_valid = self._offer(topic.last_valid, latched_qos()) if topic.last_valid else None
+        self._node, self._changes = node, changes
+        kind = message_class(topic)
+        self.live = self._offer(kind, topic.name, offered_estimate_qos())
+        self.last_valid = self._offer(kind, topic.last_valid, latched_qos()) if topic.last_valid else None
         self.latched: Status | None = None
         self.published_ns = 0
         self._sent: list[SerializedEstimate] = []
 
-    def _offer(self, topic: str, profile: Any) -> Any:
+    def _offer(self, kind: Any, topic: str, profile: Any) -> Any:
         return self._node.create_lifecycle_publisher(
-            self._message,
+            kind,
             topic,
             profile,
             event_callbacks=publisher_events(self._node.get_logger(), topic),
@@ -234,7 +188,7 @@ class EstimatePublisher:
 
     def latch_loaded(self, estimate: SerializedEstimate) -> None:
         """Latch the estimate of a loaded state, if it is worth it."""
-        if estimate.status in _WORTH_LATCHING:
+        if estimate.status in _FIT or estimate.status is Status.STALE:
             self._latch(estimate)
 
     def _latch(self, estimate: SerializedEstimate) -> None:

@@ -24,11 +24,10 @@ from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, ResistanceEstimate, SpeedModelEstimate, Status, parameters
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.ros.checkpoints import Checkpoints
-from trainid_ros.ros.context import NUMERICAL_ERRORS, NodeContext, StepTimes
 from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec
 from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
-from trainid_ros.ros.input_monitor import InputMonitors
-from trainid_ros.ros.inputs import InputGroup, NodeMapping, SharedInputs
+from trainid_ros.ros.input_monitor import NUMERICAL_ERRORS, InputMonitors, NodeContext, StepTimes
+from trainid_ros.ros.inputs import NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
 from trainid_ros.setup.parameter_specs import (
@@ -55,13 +54,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
     from trainid_ros.ros.inputs import AnyTopic
-    from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.train.train_file import TrainFile
-
-# First and shortest time between checks for missing input.
-_FIRST_WATCH_S: Final = 0.1
-_MIN_WATCH_NS: Final = NS_PER_S // 100
-_SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
 class EstimatorNode(ManagedNode):
@@ -82,32 +75,33 @@ class EstimatorNode(ManagedNode):
         self._inputs = inputs or SharedInputs()
         self._message = message_class(spec.kind.topic)
         mapping = NodeMapping(self)
-        specs = estimator_parameters(spec.kind.algorithms, self._requested_algorithm(spec.kind))
+        specs = estimator_parameters(spec.kind.algorithms, requested_algorithm(self.overrides, spec.kind.algorithms))
         expected = qos_overrides(spec.kind.topic, self.resolve_topic_name, mapping.topics)
         parameters = NodeParameters(self, specs, expected=expected)
         parameters.check_sections(arguments, spec.kind.node_name)
         self._settings = EstimatorSettings()
         self.shared = NodeContext(self, spec.kind, parameters, mapping, InputMonitors(self._settings.alignment))
-        self._preload_train_file()
+        try:  # to show the values of the train file from the start; an unusable one is only logged until configure
+            self._load_train_file()
+        except InputError as error:
+            self.get_logger().error(str(error))
         parameters.report()
         parameters.on_live_change = self._retune
         self.checkpoints = Checkpoints(self.shared)
-        self._input_group: InputGroup | None = None
         self.status_changes = StatusChanges(self.get_logger(), self.shared.missing_inputs)
         self._publisher: EstimatePublisher | None = None
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = DiagnosticsPublisher(
-            self.shared, spec, self.checkpoints, self.status_changes, lambda: self.inputs
-        )
+        self._diagnostics = DiagnosticsPublisher(self.shared, spec, self.checkpoints, self.status_changes)
         self._diagnostic_timer = self._make_diagnostic_timer()
-        self._offer_services()
-
-    def _requested_algorithm(self, kind: EstimatorKind[Any]) -> str:
-        overrides = self._parameter_overrides  # rclpy gives no public access to them
-        given = {name: parameter.value for name, parameter in overrides.items()}
-        return requested_algorithm(given, kind.algorithms)
+        services = {
+            'reset': self.reset_on_request,
+            'save_checkpoint': self.save_on_request,
+            'load_checkpoint': self.load_on_request,
+        }
+        for name, serve in services.items():
+            self.create_service(Trigger, f'~/{name}', partial(self._answer, serve))
 
     @property
     def pipeline(self) -> EstimatorPipeline[Any] | None:
@@ -125,7 +119,7 @@ class EstimatorNode(ManagedNode):
 
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.shared.parameters.value('diagnostic_period'))
-        return self.create_timer(period, self._diagnostics.publish, clock=self._steady)
+        return self.create_timer(period, self._diagnostics.publish, clock=self.steady_clock)
 
     # Transitions
 
@@ -133,11 +127,13 @@ class EstimatorNode(ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the pipeline from the parameters; subscribe."""
         self.failure = ''
-        self.shared.parameters.check()
-        train_file = self._train_file()
-        settings = build_settings(self.shared.parameters.values(), self.shared.kind.algorithms, self.shared.kind.name)
+        parameters, kind = self.shared.parameters, self.shared.kind
+        parameters.check()
+        base = self._load_train_file()
+        train_file = build_train_file(parameters.values(), frozenset(parameters.given), base)
+        settings = build_settings(parameters.values(), kind.algorithms, kind.name)
         self._settings = self.shared.mapping.configure(train_file, settings)
-        pipeline = self.shared.kind.pipeline(train_file, self._settings)
+        pipeline = kind.pipeline(train_file, self._settings)
         self.shared.prior = pipeline.current().estimate
         self.checkpoints.open(pipeline, train_file, self._settings)
         self.shared.pipeline = pipeline
@@ -151,15 +147,14 @@ class EstimatorNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start to process inputs."""
         self.watchdog.restart()
-        self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
+        self._watchdog_timer = self.create_timer(0.1, self._watch, clock=self.steady_clock)  # then as it decides
         result = super().on_activate(state)
-        self._listening = result == _SUCCESS
+        self._listening = result == TransitionCallbackReturn.SUCCESS
         self.checkpoints.resume()
         self.latch_loaded()
         return result
 
     def _retune(self, names: Collection[str]) -> None:
-        """Apply changes of parameters that take effect at once."""
         if 'diagnostic_period' in names:
             self.destroy_timer(self._diagnostic_timer)
             self._diagnostic_timer = self._make_diagnostic_timer()
@@ -170,13 +165,6 @@ class EstimatorNode(ManagedNode):
 
     # Resources
 
-    def _preload_train_file(self) -> None:
-        """Show the values of the train file from the start; an unusable file is only logged until configure."""
-        try:
-            self._load_train_file()
-        except InputError as error:
-            self.get_logger().error(str(error))
-
     def _load_train_file(self) -> TrainFile | None:
         path = str(self.shared.parameters.value('train_file'))
         if not path:
@@ -185,23 +173,18 @@ class EstimatorNode(ManagedNode):
         self.shared.parameters.fall_back({item.name: item.of(train_file) for item in TRAIN_PARAMETERS}, path)
         return train_file
 
-    def _train_file(self) -> TrainFile:
-        base = self._load_train_file()
-        return build_train_file(self.shared.parameters.values(), frozenset(self.shared.parameters.given), base)
-
     def _open(self) -> None:
         self._publisher = EstimatePublisher(self, self.shared.kind.topic, self.status_changes)
         alignment = self._settings.alignment
-        group = self._input_group = self._inputs.join(self, self, self.shared.mapping)
-        self.shared.lacking = lambda: group.lacking
-        self.shared.monitors = InputMonitors(alignment, group.topics)
+        self.shared.inputs = self._inputs.join(self, self, self.shared.mapping)
+        self.shared.monitors = InputMonitors(alignment, self.shared.inputs.subscriptions)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
         self._jump_handle = self.get_clock().create_jump_callback(threshold, post_callback=self._note_jump)
 
     def _pause(self) -> None:
-        self.checkpoints.pause(self.shared.pipeline, running=self._listening)
+        self.checkpoints.pause(running=self._listening)
         self._listening = False
         if self.shared.pipeline is not None:
             self.shared.pipeline.interrupt()
@@ -210,14 +193,14 @@ class EstimatorNode(ManagedNode):
             self._watchdog_timer = None
 
     def _release(self) -> None:
-        self.checkpoints.close(self.shared.pipeline, running=self._listening)
+        self.checkpoints.close(running=self._listening)
         self._pause()
         self._inputs.leave(self)
         if self._publisher is not None:
             self._publisher.close()
         if self._jump_handle is not None:
             self._jump_handle.unregister()
-        self._input_group = self._publisher = self._jump_handle = None
+        self._publisher = self._jump_handle = None
         self._forget()
 
     def _forget(self) -> None:
@@ -255,7 +238,7 @@ class EstimatorNode(ManagedNode):
         if outputs:
             self.shared.step_times.add(time.perf_counter() - start)
         if pipeline.resets != resets:
-            self.checkpoints.note_wiped()
+            self.checkpoints.is_wiped = True
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
         return [self.serialize(output) for output in outputs]
 
@@ -297,7 +280,7 @@ class EstimatorNode(ManagedNode):
         return pipeline.fail()
 
     def _watch(self) -> None:
-        pipeline, inputs = self.shared.pipeline, self._input_group
+        pipeline, inputs = self.shared.pipeline, self.shared.inputs
         if pipeline is None or inputs is None:
             return
         inputs.drain()
@@ -309,21 +292,11 @@ class EstimatorNode(ManagedNode):
             self.announce(pipeline.mark_stale())
         elif pipeline.status in REPEATED and steady_ns - self.publisher.published_ns >= HEARTBEAT_NS:
             self.announce(pipeline.current())
-        self._watchdog_timer.timer_period_ns = self._next_watch_ns(pipeline.status)
+        steady_ns = self.steady_ns()
+        waited_ns = steady_ns - self.publisher.published_ns if pipeline.status in REPEATED else 0
+        pause_ns = self.watchdog.pause_ns(steady_ns, simulated=self.get_clock().ros_time_is_active)
+        self._watchdog_timer.timer_period_ns = min(pause_ns, max(HEARTBEAT_NS - waited_ns, NS_PER_S // 100))
         self._watchdog_timer.reset()
-
-    def _next_watch_ns(self, status: Status) -> int:
-        """Return how long to wait before watching again [ns]."""
-        steady_ns, simulated = self.steady_ns(), self.get_clock().ros_time_is_active
-        waited_ns = steady_ns - self.publisher.published_ns if status in REPEATED else 0
-        heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _MIN_WATCH_NS)
-        return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
-
-    @property
-    def inputs(self) -> InputGroup:
-        """The subscriptions of a configured node."""
-        assert self._input_group is not None
-        return self._input_group
 
     @property
     def publisher(self) -> EstimatePublisher:
@@ -332,15 +305,6 @@ class EstimatorNode(ManagedNode):
         return self._publisher
 
     # Services, each of which responds in every lifecycle state
-
-    def _offer_services(self) -> None:
-        services = {
-            'reset': self.reset_on_request,
-            'save_checkpoint': self.save_on_request,
-            'load_checkpoint': self.load_on_request,
-        }
-        for name, serve in services.items():
-            self.create_service(Trigger, f'~/{name}', partial(self._answer, serve))
 
     def _answer(self, serve: Callable[[EstimatorPipeline[Any]], str], _request: Any, response: Any) -> Any:
         logger, pipeline = self.get_logger(), self.shared.pipeline
@@ -364,7 +328,7 @@ class EstimatorNode(ManagedNode):
     def reset_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
         """Reset the estimator to the prior."""
         pipeline.reset()
-        self.checkpoints.note_wanted()
+        self.checkpoints.is_wiped = False
         self.watchdog.restart()
         if self.state != 'active':  # or else the next checkpoint comes soon
             self.checkpoints.save(pipeline)
@@ -391,13 +355,13 @@ class EstimatorNode(ManagedNode):
         if self._jumped_s == 0.0:
             return
         jumped_s, self._jumped_s = self._jumped_s, 0.0
-        self.status_changes.forget_time()
+        self.status_changes.since_ns = 0
         policy = self._settings.pipeline.time_jump_policy
         limit_ns = round(MAX_STEP_S * NS_PER_S)
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns
         if follow:
             pipeline.reset()
-            self.checkpoints.note_wiped()
+            self.checkpoints.is_wiped = True
         self.watchdog.restart()
         done = 'estimator reset' if follow else 'estimator continues'
         self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
@@ -419,33 +383,16 @@ def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
     yield 'resistance known to [m/s]', f'{seen.known[1]:.1f}'
 
 
-RESISTANCE: Final = EstimatorSpec(
-    kind=RESISTANCE_KIND,
-    shown=('resistance', *parameters(ResistanceEstimate)),
-    details=_details,
-)
+RESISTANCE: Final = EstimatorSpec(RESISTANCE_KIND, ('resistance', *parameters(ResistanceEstimate)), _details)
 SPEED_MODEL: Final = EstimatorSpec(
-    kind=SPEED_MODEL_KIND,
-    shown=('prediction_error', *parameters(SpeedModelEstimate), 'a', 'b', 'c', 'mass_factor'),
+    SPEED_MODEL_KIND, ('prediction_error', *parameters(SpeedModelEstimate), 'a', 'b', 'c', 'mass_factor')
 )
-BRAKE_RATE: Final = EstimatorSpec(
-    kind=BRAKE_RATE_KIND,
-    shown=('brake_rate', 'effective_particles'),
-)
+BRAKE_RATE: Final = EstimatorSpec(BRAKE_RATE_KIND, ('brake_rate', 'effective_particles'))
 SPECS: Final = {spec.kind.node_name: spec for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE)}
 """The nodes by name, in starting order."""
 
 
-def resistance_main() -> int:
-    """Run the resistance estimator as a program."""
-    return run_node(partial(EstimatorNode, RESISTANCE))
-
-
-def speed_model_main() -> int:
-    """Run the speed model estimator as a program."""
-    return run_node(partial(EstimatorNode, SPEED_MODEL))
-
-
-def brake_rate_main() -> int:
-    """Run the brake rate estimator as a program."""
-    return run_node(partial(EstimatorNode, BRAKE_RATE))
+# The programs, each of which returns its exit code.
+resistance_main, speed_model_main, brake_rate_main = (
+    partial(run_node, partial(EstimatorNode, spec)) for spec in SPECS.values()
+)

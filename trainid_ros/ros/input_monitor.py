@@ -1,20 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arrives on one input topic, and what is wrong with it, since when, and what to do."""
+"""What arrives on the inputs of a node, what is wrong with it, since when, and what to do; the state of the work."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from numpy.linalg import LinAlgError
 
-from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.records import (
+    BRAKE_TOPIC,
+    FORCE_TOPIC,
+    GRADIENT_TOPIC,
+    INPUT_TOPICS,
+    MASS_TOPIC,
+    NS_PER_S,
+    SPEED_TOPIC,
+)
 from trainid_ros.interface.results import Reason
 from trainid_ros.ros.inputs import label_of, required_inputs, subscribed_topics
 from trainid_ros.ros.topics import Publishers
@@ -22,29 +32,23 @@ from trainid_ros.ros.topics import Publishers
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import Rejection
-    from trainid_ros.ros.inputs import AnyTopic
+    from trainid_ros.ros.inputs import AnyTopic, InputGroup, NodeMapping
+    from trainid_ros.ros.node import ManagedNode, NodeParameters
+    from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.stream.alignment import AlignmentConfig
 
+NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
+"""What arithmetic on an invalid state raises; in old versions of numpy LinAlgError is not a ValueError."""
 # Rates and rejections are counted over this time [ns].
 _WINDOW_NS: Final = 5 * NS_PER_S
 # Difference of stamps from the clock of the node above which another clock set them, or messages were buffered [s].
 _MAX_AGE_S: Final = 2.0
 # Messages kept of each input: 5 s at 800 Hz.
 _MAX_KEPT: Final = 4096
-# Window whose smallest delay counts, as one message may be held up [ns].
-_DELAY_WINDOW_NS: Final = NS_PER_S
-# Largest difference of delays by jitter [s].
-_JITTER_S: Final = 0.1
-# Delay above which another clock has set the stamp [s]: no message is as late.
-_OTHER_CLOCK_S: Final = 3600.0
-_UNITS: Final = ((365.25 * 86400.0, 'years'), (86400.0, 'days'), (3600.0, 'h'), (60.0, 'min'))
 # Inputs that are silent for longer are missing, and not compared [s].
 _MAX_SILENCE_S: Final = 2.5
-# Largest number of rejections without a report, as after a jump of the stamps.
-_MAX_REJECTED: Final = 2
-# Share of all messages added to it [1].
-_MAX_REJECTED_SHARE: Final = 0.1
 _REJECTED: Final = {
     Reason.NOT_FINITE: 'correct the sensor or its publisher',
     Reason.OUT_OF_RANGE: 'correct its unit or sign',
@@ -95,10 +99,8 @@ class InputMonitor:
         self.longest_s = longest_s
         self.slowest_s = max(longest_s, slowest_s)
         self.optional = optional
-        self.count = 0
-        self.newest_ns = 0
+        self.count = self.newest_ns = self._last_ns = 0
         self.publishers = Publishers()
-        self._last_ns = 0
         self._arrivals: deque[int] = deque(maxlen=_MAX_KEPT)
         self._delays: deque[int] = deque(maxlen=_MAX_KEPT)
         self._rejected: deque[tuple[int, Rejection]] = deque(maxlen=_MAX_KEPT)
@@ -135,14 +137,14 @@ class InputMonitor:
     @property
     def delay_s(self) -> float:
         """Smallest time from the stamp to the arrival of the last messages [s]."""
-        recent = bisect_left(self._arrivals, self._last_ns - _DELAY_WINDOW_NS)
+        recent = bisect_left(self._arrivals, self._last_ns - NS_PER_S)  # within a second: one may be held up
         return min(islice(self._delays, recent, None), default=0) / NS_PER_S
 
     def judge_rejections(self, now_ns: int) -> Finding | None:
         """Return why the messages of the last seconds were not used; None if only a few were rejected."""
         self._forget_before(now_ns - _WINDOW_NS)
         count = len(self._rejected)
-        if count <= _MAX_REJECTED + _MAX_REJECTED_SHARE * len(self._arrivals):
+        if count <= 2 + 0.1 * len(self._arrivals):  # as after a jump of the stamps, and one in ten
             return None
         last = self._rejected[-1][1]
         text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {_shown(last)}'
@@ -163,12 +165,9 @@ class InputMonitor:
         return not self.optional and self.missing_for_s(now_ns) > stale_s
 
     def judge(self, now_ns: int, stale_s: float, skew_s: float = 0.0) -> Finding:
-        """Return the most important thing to know about the input.
+        """Return the most important thing to know about the input, whose timeout is ``stale_s``.
 
-        Args:
-            now_ns: The node's time [ns].
-            stale_s: Its timeout [s].
-            skew_s: How far its stamps are behind those of the other inputs, 0 if too small to report [s].
+        Its stamps are ``skew_s`` behind those of the other inputs [s], 0 if that is too small to report.
         """
         publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
         # A publisher that was killed still counts as heard for a while.
@@ -191,7 +190,11 @@ class InputMonitor:
         if skew_s:
             text = f'{_apart(skew_s)} those of the other inputs{f", {rejections.text}" if rejections else ""}'
             action = 'synchronise the clocks of the inputs, or send the late one sooner'
-            return Finding(DiagnosticStatus.WARN, text, _other_clock(skew_s) or action)
+            if abs(skew_s) >= 3600.0:  # no message is as late
+                action = (
+                    'set the clock of its computer, or give its publisher the same use_sim_time as those of the others'
+                )
+            return Finding(DiagnosticStatus.WARN, text, action)
         if rejections is not None:
             return rejections
         rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
@@ -207,21 +210,17 @@ class InputMonitor:
     def _missing(self, now_ns: int) -> Finding:
         heard = self.publishers.heard
         since = f'no message for {self.missing_for_s(now_ns):.1f} s' if self.count else 'never received'
-        if not heard:
+        if heard:
+            action = f'check sensor and network of {_names(heard)}, or whether it is active'
+            text = f'{since}, {len(heard)} publisher(s), but no messages arrive'
+        else:
             action = 'start the node that publishes it' + ('' if self.count else ', or remap the topic to its name')
-            return Finding(DiagnosticStatus.STALE, f'{since}, no publisher', action, self._last_ns)
-        action = f'check sensor and network of {_names(heard)}, or whether it is active'
-        text = f'{since}, {len(heard)} publisher(s), but no messages arrive'
+            text = f'{since}, no publisher'
         return Finding(DiagnosticStatus.STALE, text, action, self._last_ns)
 
 
 class InputMonitors:
-    """The monitors of all inputs of a node, by topic.
-
-    Args:
-        alignment: Settings that say how long each input may be missing.
-        topics: The topics.
-    """
+    """The monitors of all inputs of a node, by topic; the alignment says how long each input may be missing."""
 
     def __init__(self, alignment: AlignmentConfig, topics: Iterable[AnyTopic] = subscribed_topics()) -> None:
         longest = {
@@ -231,7 +230,7 @@ class InputMonitors:
             BRAKE_TOPIC: alignment.command_hold or alignment.command_timeout,
         }
         slowest_s = alignment.max_interval
-        self._max_skew_s = alignment.max_lag + _JITTER_S
+        self._max_skew_s = alignment.max_lag + 0.1  # by jitter
         self.by_topic = {
             topic: InputMonitor(topic, min(required, default=0.0), slowest_s, optional=not required)
             for topic in topics
@@ -263,17 +262,15 @@ class InputMonitors:
 
     def describe_missing(self, now_ns: int, timeout_s: Callable[[AnyTopic], float]) -> str:
         """Return which required inputs are missing or unusable, and since when, '' if none is; timeouts in [s]."""
-        found = (self._describe(item, now_ns, timeout_s(item.topic)) for item in self.by_topic.values())
-        return ', '.join(text for text in found if text)
-
-    def _describe(self, item: InputMonitor, now_ns: int, timeout_s: float) -> str:
-        name = item.label
-        if item.is_missing(now_ns, timeout_s):
-            return f'no {name} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
-        if not item.optional and (rejections := item.judge_rejections(now_ns)) is not None:
-            return f'{name}: {rejections.text}'
-        skew_s = self.skew_s(item.topic, now_ns)
-        return f'{name}: {_apart(skew_s)} those of the other inputs' if skew_s else ''
+        found = []
+        for topic, item in self.by_topic.items():
+            if item.is_missing(now_ns, timeout_s(topic)):
+                found.append(f'no {item.label} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}')
+            elif not item.optional and (rejections := item.judge_rejections(now_ns)) is not None:
+                found.append(f'{item.label}: {rejections.text}')
+            elif skew_s := self.skew_s(topic, now_ns):
+                found.append(f'{item.label}: {_apart(skew_s)} those of the other inputs')
+        return ', '.join(found)
 
 
 def _apart(delay_s: float) -> str:
@@ -281,21 +278,14 @@ def _apart(delay_s: float) -> str:
     return f'stamps are {shown_time(abs(delay_s))} {"behind" if delay_s > 0.0 else "ahead of"}'
 
 
-def _other_clock(skew_s: float) -> str:
-    """Return the remedy for stamps of different clocks, '' if the clocks agree."""
-    if abs(skew_s) < _OTHER_CLOCK_S:
-        return ''
-    return 'set the clock of its computer, or give its publisher the same use_sim_time as those of the others'
-
-
 def shown_time(time_s: float) -> str:
     """Return a time [s] in the largest unit of which it is at least two."""
-    size, unit = next((item for item in _UNITS if time_s >= 2.0 * item[0]), (1.0, 's'))
+    units = ((365.25 * 86400.0, 'years'), (86400.0, 'days'), (3600.0, 'h'), (60.0, 'min'))
+    size, unit = next((item for item in units if time_s >= 2.0 * item[0]), (1.0, 's'))
     return f'{time_s / size:.1f} {unit}'
 
 
 def _shown(last: Rejection) -> str:
-    """Return the reason of a rejection with its number."""
     name = last.reason.name
     if last.reason is Reason.NOT_FINITE:
         return f'{name} ({last.value:g})'
@@ -308,3 +298,63 @@ def _shown(last: Rejection) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return ', '.join(dict.fromkeys(names))
+
+
+class StepTimes:
+    """Computing time of the estimator per sample.
+
+    Attributes:
+        longest: The longest step since the start [s].
+        overruns: Number of steps since then that delayed the next sample, at 5 Hz.
+    """
+
+    def __init__(self) -> None:
+        self._recent: deque[float] = deque(maxlen=3000)  # ten minutes at 5 Hz
+        self.longest = 0.0
+        self.overruns = 0
+
+    def add(self, seconds: float) -> None:
+        """Record the time of one step [s]."""
+        self._recent.append(seconds)
+        self.longest = max(self.longest, seconds)
+        self.overruns += seconds > 0.2
+
+    def quantiles(self) -> tuple[float, float]:
+        """Return the 50 % and the 99 % quantile of the recent steps [s]; zeros before the first."""
+        p50, p99 = np.percentile(self._recent, (50.0, 99.0)) if self._recent else (0.0, 0.0)
+        return float(p50), float(p99)
+
+
+@dataclass(slots=True)
+class NodeContext:
+    """The node, as far as ROS goes, and the state of its work."""
+
+    node: ManagedNode  # Clocks, timers, logger, graph and lifecycle state
+    kind: EstimatorKind[Any]  # What it estimates
+    parameters: NodeParameters
+    mapping: NodeMapping
+    monitors: InputMonitors
+    # These are None while the node is not configured
+    inputs: InputGroup | None = None
+    pipeline: EstimatorPipeline[Any] | None = None
+    prior: Any = None  # Estimate before the first record
+    fault: str = ''  # Why the estimator cannot continue, '' if it can
+    step_times: StepTimes = field(default_factory=StepTimes)
+
+    def forget(self) -> None:
+        """Forget what configuring the node has made."""
+        self.inputs = self.pipeline = self.prior = None
+        self.fault, self.step_times = '', StepTimes()
+
+    def timeout_s(self, topic: AnyTopic) -> float:
+        """Return how long a topic may be missing [s]; 0 for one that need not come."""
+        required = required_inputs(topic)
+        if self.pipeline is None or not required:
+            return 0.0
+        return min(self.pipeline.timeout_ns(INPUT_TOPICS.index(item)) for item in required) / NS_PER_S
+
+    def missing_inputs(self) -> str:
+        """Return which inputs do not arrive and for how long, '' if all do."""
+        lacking = '' if self.inputs is None else self.inputs.lacking
+        found = (self.monitors.describe_missing(self.node.now_ns(), self.timeout_s), lacking)
+        return ', '.join(text for text in found if text)

@@ -33,6 +33,7 @@ from trainid_ros.interface.records import (
     GRADIENT_TOPIC,
     INPUT_TOPICS,
     MASS_TOPIC,
+    NS_PER_S,
     REQUIRED_TOPICS,
     SPEED_TOPIC,
     InputTopic,
@@ -52,8 +53,6 @@ from trainid_ros.setup.parameter_specs import MAPPING_FILE
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rclpy.node import Node
-
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.inputs.mapping import Mapping
@@ -72,10 +71,6 @@ _INPUTS: Final[dict[str, InputTopic | None]] = {
     'brake_command': BRAKE_TOPIC,
     'mass': MASS_TOPIC,
 }
-# Quantities that may be published once and then hold.
-_HELD: Final = frozenset({'gradient', 'brake_command', 'mass'})
-# Time without a message after which the next type of a topic is tried [ns].
-_PATIENCE_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,22 +81,17 @@ class ForeignTopic:
     quantities: tuple[str, ...]  # What is read from it
 
     @property
-    def label(self) -> str:
-        """Its name with what is read from it, for people."""
-        return f'{self.name} ({", ".join(self.quantities)})'
-
-    @property
     def may_be_held(self) -> bool:
         """True if its messages may be rare, so that none must be lost and a late subscriber wants the last one."""
-        return _HELD.issuperset(self.quantities)
+        return {'gradient', 'brake_command', 'mass'}.issuperset(self.quantities)
 
 
 AnyTopic: TypeAlias = InputTopic | ForeignTopic
 
 
 def label_of(topic: AnyTopic) -> str:
-    """Return the name of a topic for people."""
-    return topic.label if isinstance(topic, ForeignTopic) else topic.name
+    """Return the name of a topic for people, with what is read from a foreign one."""
+    return f'{topic.name} ({", ".join(topic.quantities)})' if isinstance(topic, ForeignTopic) else topic.name
 
 
 def required_inputs(topic: AnyTopic) -> tuple[InputTopic, ...]:
@@ -122,13 +112,9 @@ def subscribed_topics(mapping: Mapping = OWN) -> tuple[AnyTopic, ...]:
 
 
 def foreign_qos(topic: ForeignTopic, offered: Sequence[QoSProfile]) -> QoSProfile:
-    """Return a profile compatible with all publishers.
+    """Return a profile compatible with those of all publishers.
 
     It is reliable, or transient local, only if all of them offer it and the topic may be held.
-
-    Args:
-        topic: The topic.
-        offered: Profiles of its publishers.
     """
     profile = input_qos()
     if topic.may_be_held and all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered):
@@ -138,8 +124,8 @@ def foreign_qos(topic: ForeignTopic, offered: Sequence[QoSProfile]) -> QoSProfil
     return profile
 
 
-class ForeignSubscription:
-    """The subscription to one foreign topic, made again when its publishers have another type.
+class InputSubscription:
+    """The subscription to one topic; that to a foreign one is made again when its publishers have another type.
 
     Attributes:
         topic: The topic.
@@ -148,14 +134,8 @@ class ForeignSubscription:
         problem: Why messages cannot be read, '' if they can.
     """
 
-    def __init__(self, topic: ForeignTopic, open_: Callable[[Any, QoSProfile], Any], close: Callable[[Any], Any]):
-        """Prepare.
-
-        Args:
-            topic: The topic.
-            open_: Subscribes with a message class and a profile.
-            close: Ends a subscription.
-        """
+    def __init__(self, topic: AnyTopic, open_: Callable[[Any, QoSProfile], Any], close: Callable[[Any], Any]) -> None:
+        """Subscribe with a function of message class and profile; to a foreign topic as soon as its type is known."""
         self.topic = topic
         self.current: Any = None
         self.type = ''
@@ -163,6 +143,11 @@ class ForeignSubscription:
         self._open, self._close = open_, close
         self._profile = input_qos()
         self._alive_ns = 0
+        self._number = 0
+        self._steps_back: deque[bool] = deque(maxlen=20)
+        if isinstance(topic, InputTopic):
+            kind = message_class(topic)
+            self.current, self.type = open_(kind, input_qos()), type_name(kind)
 
     @property
     def profile(self) -> QoSProfile:
@@ -181,27 +166,34 @@ class ForeignSubscription:
         """Note that a message came, and why it cannot be read, by a steady clock [ns]."""
         self.problem, self._alive_ns = problem, steady_ns
 
+    def count(self, number: int | None) -> None:
+        """Note the count of its publisher in a message, None if the middleware does not state it."""
+        if number is not None:
+            self._steps_back.append(number <= self._number)
+            self._number = number
+
+    @property
+    def may_mix(self) -> bool:
+        """False if the last messages certainly came from one publisher at a time.
+
+        A publisher that was started again counts from one; the counts of two alternate.
+        """
+        return not self._steps_back or sum(self._steps_back) > 1
+
     def follow(self, publishers: Sequence[Any], steady_ns: int) -> bool:
-        """Subscribe as the publishers in the graph want it; return True if that is new.
+        """Subscribe to a foreign topic as its publishers in the graph want it; return True if that is new.
 
         A publisher that was killed is in the graph for a while, so a type with which no messages come is left.
-
-        Args:
-            publishers: What ``get_publishers_info_by_topic`` returns.
-            steady_ns: Time of a steady clock [ns].
         """
         types = list(dict.fromkeys(info.topic_type for info in publishers))
-        if not types:
+        if not types or isinstance(self.topic, InputTopic):
             return False
         kind = self.type if self.type in types else types[0]
-        if len(types) > 1 and kind == self.type and steady_ns - self._alive_ns > _PATIENCE_NS:
+        if len(types) > 1 and kind == self.type and steady_ns - self._alive_ns > NS_PER_S:
             kind = types[(types.index(kind) + 1) % len(types)]
         profile = foreign_qos(self.topic, [info.qos_profile for info in publishers if info.topic_type == kind])
         if kind == self.type and profile == self._profile:
             return False
-        return self._subscribe(kind, profile, steady_ns)
-
-    def _subscribe(self, kind: str, profile: QoSProfile, steady_ns: int) -> bool:
         self.close()
         self.type, self._profile, self._alive_ns, self.problem = kind, profile, steady_ns, ''
         try:
@@ -225,56 +217,40 @@ class NodeMapping:
     Attributes:
         topics: Topics that the file names, known from the start as they have parameters; none if it cannot be used,
             which is said on configure.
+        mapping: The mapping of a configured node.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: ManagedNode) -> None:
         """Read the file, if the node is given one."""
         self._node = node
         self._make: Callable[[], MappedInputs] | None = None
-        self._mapping = OWN
+        self.mapping = OWN
         self.topics: tuple[str, ...] = ()
-        given = node._parameter_overrides.get(MAPPING_FILE.name)  # rclpy gives no public access to them
-        if given is not None and isinstance(given.value, str) and given.value:
+        path = node.overrides.get(MAPPING_FILE.name)
+        if isinstance(path, str) and path:
             with suppress(InputError):
-                self.topics = load_mapping(Path(given.value).expanduser()).topics
+                self.topics = load_mapping(Path(path).expanduser()).topics
 
     def configure(self, train_file: TrainFile, settings: EstimatorSettings) -> EstimatorSettings:
-        """Read the file again; return settings that fit it.
-
-        Raises:
-            InputError: The file cannot be used.
-        """
+        """Read the file again; return settings that fit it; InputError if it cannot be used."""
         path = str(self._node.get_parameter(MAPPING_FILE.name).value)
         self._make = mapped_inputs(Path(path).expanduser() if path else None, train_file)
-        self._mapping = OWN if (inputs := self.inputs()) is None else inputs.mapping
+        inputs = self.inputs()
+        self.mapping = OWN if inputs is None else inputs.mapping
         if inputs is None:
             return settings
         return replace(settings, alignment=inputs.mapping.alignment(settings.alignment))
-
-    def named(self, text: str) -> str:
-        """Return a text for people with the topics that are read in place of our own ones."""
-        return self._mapping.named(text)
 
     def inputs(self) -> MappedInputs | None:
         """Return what makes records of the messages of foreign topics, None without a mapping."""
         return None if self._make is None else self._make()
 
 
-# Number of rounds without a message from before the round, after which the wall clock must have been set back.
-_MAX_IDLE_ROUNDS: Final = 3
-# Number of messages that show whether two publishers alternate.
-_MAX_NUMBERS: Final = 20
-# Time between looks at the graph for publishers of foreign topics [s].
-_DISCOVERY_S: Final = 0.25
-
-
 class _Arrival(NamedTuple):
-    """A message taken from a queue."""
-
     received_ns: int  # When the middleware received it, or when it was sent if that is not known [ns]
     number: int | None  # The count of its publisher, None if the middleware does not state it
-    topic: AnyTopic  # The topic
-    message: Any  # The message
+    topic: AnyTopic
+    message: Any
 
 
 def _arrival(topic: AnyTopic, message: Any, info: Any) -> _Arrival:
@@ -282,184 +258,10 @@ def _arrival(topic: AnyTopic, message: Any, info: Any) -> _Arrival:
     return _Arrival(received_ns, info['publication_sequence_number'], topic, message)
 
 
-class _Numbers:
-    """The counts of the publishers of a topic: one that was started again counts from one, two alternate."""
-
-    def __init__(self) -> None:
-        self._last = 0
-        self._steps_back: deque[bool] = deque(maxlen=_MAX_NUMBERS)
-
-    def add(self, number: int | None) -> None:
-        if number is not None:
-            self._steps_back.append(number <= self._last)
-            self._last = number
-
-    @property
-    def alternate(self) -> bool:
-        """False if the last messages certainly came from one publisher at a time."""
-        return not self._steps_back or sum(self._steps_back) > 1
-
-
-class InputSubscriptions:
-    """All input subscriptions of a node.
-
-    An executor takes one message of each subscription in turn. After a stall, the queue of a slow topic is therefore
-    emptied before that of a fast one: its stamps run ahead by as many periods, which an estimator takes for a time
-    jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
-
-    Args:
-        node: The node.
-        topics: The topics; a foreign one is subscribed as soon as its type is known.
-        deliver: Called with topic, message and the time of its reception [ns], in order of arrival.
-    """
-
-    def __init__(
-        self, node: ManagedNode, topics: Sequence[AnyTopic], deliver: Callable[[AnyTopic, Any, int], None]
-    ) -> None:
-        self._node = node
-        self._deliver = deliver
-        self._numbers = {topic: _Numbers() for topic in topics}
-        self._own = {
-            topic: self._subscribe(topic, message_class(topic), input_qos())
-            for topic in topics
-            if isinstance(topic, InputTopic)
-        }
-        self._foreign = {topic: self._prepare(topic) for topic in topics if isinstance(topic, ForeignTopic)}
-        self._said: set[tuple[str, str]] = set()
-        self._discovery: Any = None
-        if self._foreign:
-            self._discovery = node.create_timer(_DISCOVERY_S, self._discover, clock=node.steady_clock)
-            self._discover()
-
-    def _subscribe(self, topic: AnyTopic, kind: Any, profile: QoSProfile) -> Any:
-        def receive(message: Any, info: Any) -> None:
-            self.drain(_arrival(topic, message, info))
-
-        # Overrides of foreign topics are only declared where they are given: each type has its own default.
-        wanted = isinstance(topic, InputTopic) or self._is_overridden(topic.name)
-        return self._node.create_subscription(
-            kind,
-            topic.name,
-            receive,
-            profile,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            qos_overriding_options=overridable('subscription') if wanted else None,
-        )
-
-    def _is_overridden(self, topic: str) -> bool:
-        start = f'qos_overrides.{self._node.resolve_topic_name(topic)}.subscription.'
-        return any(name.startswith(start) for name in self._node._parameter_overrides)
-
-    def _prepare(self, topic: ForeignTopic) -> ForeignSubscription:
-        return ForeignSubscription(topic, partial(self._subscribe, topic), self._node.destroy_subscription)
-
-    def _discover(self) -> None:
-        """Subscribe to the foreign topics as their publishers want it."""
-        steady_ns = self._node.steady_ns()
-        for topic, foreign in self._foreign.items():
-            name = self._node.resolve_topic_name(topic.name)
-            if not foreign.follow(self._node.get_publishers_info_by_topic(name), steady_ns):
-                continue
-            if (name, foreign.type) not in self._said and not foreign.problem:
-                self._said.add((name, foreign.type))
-                self._node.get_logger().info(f'{name}: read as {foreign.type}: {", ".join(topic.quantities)}')
-
-    def _open(self) -> list[tuple[AnyTopic, Any]]:
-        """Return the topics that are subscribed, each with its subscription."""
-        foreign = ((topic, item.current) for topic, item in self._foreign.items() if item.current is not None)
-        return [*self._own.items(), *foreign]
-
-    def drain(self, *first: _Arrival) -> None:
-        """Deliver the given messages and all queued ones.
-
-        The queues are emptied in turn, so a message that arrives meanwhile on a later queue could overtake one on
-        an earlier queue. Each round therefore delivers only messages that arrived before the round began; the
-        others wait for the next round. Repeated rounds without such messages mean that the wall clock was set
-        back: then all are delivered as they are.
-        """
-        arrivals = list(first)
-        idle_rounds = 0
-        while True:
-            begin_ns = time.time_ns()
-            arrivals += self._take()
-            arrivals.sort(key=lambda arrival: arrival.received_ns)
-            due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
-            idle_rounds = 0 if due else idle_rounds + 1
-            if idle_rounds > _MAX_IDLE_ROUNDS:
-                due = len(arrivals)
-            for arrival in arrivals[:due]:
-                self._numbers[arrival.topic].add(arrival.number)
-                self._deliver(arrival.topic, arrival.message, arrival.received_ns)
-            arrivals = arrivals[due:]
-            if not arrivals:
-                return
-
-    def _take(self) -> list[_Arrival]:
-        taken_now = []
-        for topic, subscription in self._open():
-            with subscription.handle:
-                for _ in range(subscription.qos_profile.depth):
-                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-                    if taken is None:
-                        break
-                    taken_now.append(_arrival(topic, *taken))
-        return taken_now
-
-    def profile(self, topic: AnyTopic) -> QoSProfile:
-        """Return the quality of service of a topic, overrides of the user included."""
-        profile: QoSProfile = (
-            self._own[topic].qos_profile if isinstance(topic, InputTopic) else self._foreign[topic].profile
-        )
-        return profile
-
-    def type(self, topic: AnyTopic) -> str:
-        """Return the type with which a topic is subscribed, '' for a foreign one without publisher."""
-        return type_name(message_class(topic)) if isinstance(topic, InputTopic) else self._foreign[topic].type
-
-    def problem(self, topic: AnyTopic) -> Publishers | None:
-        """Return why messages of a topic cannot be read and what to do, None if they can."""
-        return None if isinstance(topic, InputTopic) else self._foreign[topic].unreadable()
-
-    def note(self, topic: ForeignTopic, problem: str) -> None:
-        """Note that a message came, and why it cannot be read, '' if it can."""
-        self._foreign[topic].arrived(problem, self._node.steady_ns())
-
-    def may_mix(self, topic: AnyTopic) -> bool:
-        """Return False if the last messages of a topic certainly came from one publisher at a time."""
-        return self._numbers[topic].alternate
-
-    def close(self) -> None:
-        """Destroy the subscriptions."""
-        for subscription in self._own.values():
-            self._node.destroy_subscription(subscription)
-        for foreign in self._foreign.values():
-            foreign.close()
-        if self._discovery is not None:
-            self._node.destroy_timer(self._discovery)
-        self._own, self._foreign = {}, {}
-
-
-class Saver(Protocol):
-    """Saves the state of a node from time to time."""
-
-    @property
-    def is_due(self) -> bool:
-        """Whether the period is over."""
-
-    @property
-    def saved_at(self) -> float:
-        """When it last saved [s]."""
-
-    def save_if_due(self) -> None:
-        """Begin to save if the period is over."""
-
-
 class Consumer(Protocol):
     """A node that takes in inputs."""
 
-    @property
-    def checkpoints(self) -> Saver:
-        """Its checkpoints."""
+    checkpoints: Any  # Its Checkpoints
 
     def running_pipeline(self) -> EstimatorPipeline[Any] | None:
         """Return the pipeline if it takes in records now."""
@@ -475,16 +277,15 @@ class Consumer(Protocol):
 
 
 class InputGroup:
-    """Nodes that take in the same topics through one set of subscriptions.
+    """Nodes that take in the same topics through one set of subscriptions, which the first of them keeps.
 
-    Args:
-        node: The first node. It keeps the subscriptions until the last node has left.
-        mapping: Where the inputs come from.
+    An executor takes one message of each subscription in turn. After a stall, the queue of a slow topic is therefore
+    emptied before that of a fast one: its stamps run ahead by as many periods, which an estimator takes for a time
+    jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
 
     Attributes:
-        subscriber: Its name.
-        topics: The topics, foreign ones of the mapping included.
-        subscriptions: What is subscribed, and how.
+        subscriber: Name of the first node.
+        subscriptions: The subscriptions by topic; a foreign one is made as soon as its type is known.
         mapped: What makes records of the messages of foreign topics, None without a mapping.
     """
 
@@ -493,8 +294,15 @@ class InputGroup:
         self._node = node
         self.subscriber = str(node.get_name())
         self.mapped = mapping.inputs()
-        self.topics = subscribed_topics(OWN if self.mapped is None else self.mapped.mapping)
-        self.subscriptions = InputSubscriptions(self._node, self.topics, self.receive)
+        self.subscriptions = {
+            topic: InputSubscription(topic, partial(self._subscribe, topic), node.destroy_subscription)
+            for topic in subscribed_topics(mapping.mapping)
+        }
+        self._said: set[tuple[str, str]] = set()
+        self._discovery: Any = None
+        if any(isinstance(topic, ForeignTopic) for topic in self.subscriptions):
+            self._discovery = node.create_timer(0.25, self._discover, clock=node.steady_clock)
+            self._discover()
 
     def __contains__(self, node: Consumer) -> bool:
         return node in self._members
@@ -511,32 +319,99 @@ class InputGroup:
         self._members.append(node)
 
     def remove(self, node: Consumer) -> bool:
-        """Let a node leave; return True, and close the subscriptions, if it was the last one."""
+        """Let a node leave; return True, and destroy the subscriptions, if it was the last one."""
         self._members.remove(node)
-        if not self._members:
-            self.subscriptions.close()
-        return not self._members
+        if self._members:
+            return False
+        for subscription in self.subscriptions.values():
+            subscription.close()
+        if self._discovery is not None:
+            self._node.destroy_timer(self._discovery)
+        return True
 
-    def drain(self) -> None:
-        """Take in all queued messages."""
-        self.subscriptions.drain()
+    # Subscriptions
+
+    def _subscribe(self, topic: AnyTopic, kind: Any, profile: QoSProfile) -> Any:
+        def receive(message: Any, info: Any) -> None:
+            self.drain(_arrival(topic, message, info))
+
+        # Overrides of foreign topics are only declared where they are given: each type has its own default.
+        start = f'qos_overrides.{self._node.resolve_topic_name(topic.name)}.subscription.'
+        wanted = isinstance(topic, InputTopic) or any(name.startswith(start) for name in self._node.overrides)
+        return self._node.create_subscription(
+            kind,
+            topic.name,
+            receive,
+            profile,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            qos_overriding_options=overridable('subscription') if wanted else None,
+        )
+
+    def _discover(self) -> None:
+        steady_ns = self._node.steady_ns()
+        for topic, subscription in self.subscriptions.items():
+            if not isinstance(topic, ForeignTopic):
+                continue
+            name = self._node.resolve_topic_name(topic.name)
+            if not subscription.follow(self._node.get_publishers_info_by_topic(name), steady_ns):
+                continue
+            if (name, subscription.type) not in self._said and not subscription.problem:
+                self._said.add((name, subscription.type))
+                self._node.get_logger().info(f'{name}: read as {subscription.type}: {", ".join(topic.quantities)}')
+
+    # Messages
+
+    def drain(self, *first: _Arrival) -> None:
+        """Take in the given messages and all queued ones.
+
+        The queues are emptied in turn, so a message that arrives meanwhile on a later queue could overtake one on
+        an earlier queue. Each round therefore takes in only messages that arrived before the round began; the
+        others wait for the next round. Repeated rounds without such messages mean that the wall clock was set
+        back: then all are taken in as they are.
+        """
+        arrivals = list(first)
+        idle_rounds = 0
+        while True:
+            begin_ns = time.time_ns()
+            arrivals += self._queued()
+            arrivals.sort(key=lambda arrival: arrival.received_ns)
+            due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
+            idle_rounds = 0 if due else idle_rounds + 1
+            if idle_rounds > 3:
+                due = len(arrivals)
+            for arrival in arrivals[:due]:
+                self.subscriptions[arrival.topic].count(arrival.number)
+                self.receive(arrival.topic, arrival.message, arrival.received_ns)
+            arrivals = arrivals[due:]
+            if not arrivals:
+                return
+
+    def _queued(self) -> list[_Arrival]:
+        queued = []
+        for topic, item in self.subscriptions.items():
+            if (subscription := item.current) is None:
+                continue
+            with subscription.handle:
+                for _ in range(subscription.qos_profile.depth):
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                    if taken is None:
+                        break
+                    queued.append(_arrival(topic, *taken))
+        return queued
 
     def receive(self, topic: AnyTopic, message: Any, received_ns: int = 0) -> None:
         """Take in one message: all estimators step, then all estimates are published, then the rest is done.
 
-        Args:
-            topic: Its topic.
-            message: The message.
-            received_ns: When it was received, by the clock of the machine [ns].
+        The clock of the machine says when it was received [ns].
         """
         try:
             records, stamp_ns = self._read(topic, message, received_ns)
         except InputError as error:
             if isinstance(topic, ForeignTopic):
-                self.subscriptions.note(topic, str(error))
+                self.subscriptions[topic].arrived(str(error), self._node.steady_ns())
             return
         if isinstance(topic, ForeignTopic) and self.mapped is not None:
-            self.subscriptions.note(topic, self.mapped.problem(topic.name))
+            self.subscriptions[topic].arrived(self.mapped.problem(topic.name), self._node.steady_ns())
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
@@ -590,9 +465,8 @@ class SharedInputs:
 def _wiring(node: ManagedNode, mapping: NodeMapping) -> object:
     """Return what subscriptions depend on: topic names, overrides of the quality of service, and the mapping."""
     mapped = mapping.inputs()
-    topics = subscribed_topics(OWN if mapped is None else mapped.mapping)
-    names = tuple(node.resolve_topic_name(topic.name) for topic in topics)
-    overrides = node._parameter_overrides  # rclpy gives no public access to them
+    names = tuple(node.resolve_topic_name(topic.name) for topic in subscribed_topics(mapping.mapping))
+    overrides = node.overrides
     given = (name for name in overrides if name.startswith('qos_overrides.') and '.subscription.' in name)
-    qos = tuple(sorted((name, str(overrides[name].value)) for name in given))
+    qos = tuple(sorted((name, str(overrides[name])) for name in given))
     return node.context, names, qos, None if mapped is None else mapped.key

@@ -93,10 +93,7 @@ def guarded(
 
 @contextmanager
 def creation_of(name: str) -> Iterator[None]:
-    """Raise an InputError where ROS cannot create a node.
-
-    As without the keys or libraries of DDS security, or with a number for ``use_sim_time``.
-    """
+    """Raise an InputError where ROS cannot create a node, as without keys of DDS security."""
     try:
         yield
     except (RCLError, InvalidParameterTypeException) as error:
@@ -110,13 +107,14 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
+        steady_clock: The clock of the timers, which never jumps.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         with creation_of(name):
             super().__init__(name, **options)
         self.failure = ''
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         change_state = self._service_change_state.callback
 
         def answer(request: Any, response: Any) -> Any:
@@ -136,9 +134,9 @@ class ManagedNode(LifecycleNode):
         return str(self._state_machine.current_state[1])
 
     @property
-    def steady_clock(self) -> Clock:
-        """The clock of the timers, which never jumps."""
-        return self._steady
+    def overrides(self) -> dict[str, object]:
+        """Parameters given at start, by name; rclpy gives no public access to them."""
+        return {name: parameter.value for name, parameter in self._parameter_overrides.items()}
 
     def now_ns(self) -> int:
         """Return the time of the node's clock [ns]."""
@@ -146,7 +144,7 @@ class ManagedNode(LifecycleNode):
 
     def steady_ns(self) -> int:
         """Return the time of the steady clock [ns]."""
-        return int(self._steady.now().nanoseconds)
+        return int(self.steady_clock.now().nanoseconds)
 
     def about(self) -> str:
         """Return what the node does, for the log."""
@@ -193,9 +191,6 @@ class ManagedNode(LifecycleNode):
         return super().on_error(state)
 
 
-_INT64: Final = (-(2**63), 2**63 - 1)
-
-
 class NodeParameters:
     """All parameters of one node.
 
@@ -204,26 +199,20 @@ class NodeParameters:
         on_live_change: Called with the names of parameters that were set and take effect at once.
     """
 
-    def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
+    def __init__(self, node: ManagedNode, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
         """Declare the parameters; problems with the given values are kept for :meth:`check`.
 
-        Args:
-            node: The node.
-            specs: The parameters to declare.
-            expected: Names of parameters that other code declares later.
+        Other code declares the ``expected`` names later.
         """
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._internal = False
         self.on_live_change: Callable[[set[str]], None] = lambda _: None
-        self._fallback: dict[str, str] = {}
-        overrides = node._parameter_overrides  # rclpy gives no public access to them
-        self.given = {name for name in overrides if name in self._specs}
-        given = {name: parameter.value for name, parameter in overrides.items()}
-        values, self._problems = validate_overrides(given, self._specs, {*node._parameters, *expected})
+        self._filed: set[str] = set()  # Names of the values that the train file states
+        values, self._problems = validate_overrides(node.overrides, self._specs, {*node._parameters, *expected})
         taken = find_taken(values) if values.get(TRAIN_FILE.name) else ()
         self._taken: Values = {name: values.pop(name) for name in taken}
-        self.given -= self._taken.keys()
+        self.given = node.overrides.keys() & self._specs.keys() - self._taken.keys()
         for spec in self._specs.values():
             value = values.get(spec.name, spec.default)
             node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
@@ -248,8 +237,8 @@ class NodeParameters:
         for problem in self._problems.values():
             logger.error(problem)
         given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
-        filed = [f'{name} = {self.value(name)}' for name in self._fallback if name not in self.given]
-        rest = [name for name in self._specs if name not in self.given and name not in self._fallback]
+        filed = [f'{name} = {self.value(name)}' for name in self._specs if name in self._filed - self.given]
+        rest = [name for name in self._specs if name not in self.given | self._filed]
         logger.info(
             f'parameters given: {", ".join(given) or "none"}; from the train file: {", ".join(filed) or "none"}; '
             f'defaults: {_grouped(rest)}'
@@ -269,27 +258,20 @@ class NodeParameters:
         return {name: self.value(name) for name in self._specs}
 
     def fall_back(self, values: Mapping[str, float], source: str) -> None:
-        """Use values from a file for the parameters that the user did not set.
-
-        Raises:
-            InputError: A value is out of the parameter's range.
-        """
-        self._fallback = dict.fromkeys(values, source)
+        """Use values from a file for the parameters that the user did not set; InputError if one is out of range."""
+        self._filed = set(values)
         new = {name: value for name, value in values.items() if name not in self.given}
         check_fallback(new, self._specs, source)
-        self._warn_of_mixture(values, source)
+        logger = self._node.get_logger()
+        if text := describe_differences({name: self.value(name) for name in self.given}, values):
+            logger.warning(f'{source}: parameters replace values of the train file: {text}')
+        if text := describe_differences(self._taken, values):
+            logger.warning(f'{source}: values that a dump took from another train file are ignored: {text}')
+        self._taken = {}
         changes: dict[str, Value] = {**new, TAKEN.name: taken_values(new)}
         self._internal = True
         self._node.set_parameters([Parameter(name, value=value) for name, value in changes.items()])
         self._internal = False
-
-    def _warn_of_mixture(self, filed: Mapping[str, float], source: str) -> None:
-        logger = self._node.get_logger()
-        if text := describe_differences({name: self.value(name) for name in self.given}, filed):
-            logger.warning(f'{source}: parameters replace values of the train file: {text}')
-        if text := describe_differences(self._taken, filed):
-            logger.warning(f'{source}: values that a dump took from another train file are ignored: {text}')
-        self._taken = {}
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
@@ -308,13 +290,11 @@ class NodeParameters:
         if self._internal:
             return
         for parameter in parameters:
-            if parameter.name in self._specs:
-                self.given.add(parameter.name)
-                self._problems.pop(parameter.name, None)
-                if parameter.name not in LIVE:
-                    self._node.get_logger().info(
-                        f'{parameter.name} = {parameter.value} takes effect on the next configure'
-                    )
+            if (name := parameter.name) in self._specs:
+                self.given.add(name)
+                self._problems.pop(name, None)
+                if name not in LIVE:
+                    self._node.get_logger().info(f'{name} = {parameter.value} takes effect on the next configure')
         if names := {parameter.name for parameter in parameters} & LIVE:
             self.on_live_change(names)
 
@@ -328,8 +308,8 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
         limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
         descriptor.floating_point_range = [limits]
     elif isinstance(spec.default, int) and not isinstance(spec.default, bool):
-        low, high = max(spec.low, _INT64[0]), min(spec.high, _INT64[1])
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        low, high = int(max(spec.low, -(2**63))), int(min(spec.high, 2**63 - 1))
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
     return descriptor
 
 
@@ -342,32 +322,25 @@ def _grouped(names: list[str]) -> str:
     return ', '.join(texts) or 'none'
 
 
-# A waiting executor notices a signal only when it returns [s].
-_REACTION_S: Final = 0.2
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-
-
-_EXIT_INTERRUPTED: Final = 130
-
-
 class _StopRequest:
     """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first.
 
     From then on, and once the nodes are closed, further ones are ignored until the process has ended.
     """
 
-    def __init__(self) -> None:
-        self.requested = False
+    requested = False
 
     def install(self) -> None:
         self.requested = False
-        for number in _SIGNALS:
-            signal.signal(number, self._note)
+        self._handle(self._note)
+
+    def ignore_more(self) -> None:
+        self._handle(signal.SIG_IGN)
 
     @staticmethod
-    def ignore_more() -> None:
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+    def _handle(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, handler)
 
     def _note(self, _number: int, _frame: Any) -> None:
         if self.requested:
@@ -382,10 +355,7 @@ _STOP: Final = _StopRequest()
 def start_ros(ros_args: Sequence[str]) -> list[str]:
     """Start ROS with the arguments that follow ``--ros-args``; return all arguments passed to ROS.
 
-    From then on, SIGINT and SIGTERM only end :func:`spin_nodes`.
-
-    Raises:
-        InputError: ROS cannot use the arguments.
+    From then on, SIGINT and SIGTERM only end :func:`spin_nodes`. InputError if ROS cannot use the arguments.
     """
     return _start(['trainid', '--ros-args', *ros_args])
 
@@ -407,11 +377,8 @@ def stop_ros() -> None:
 def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: False) -> None:
     """Spin nodes in one thread until a signal or a condition; then deactivate and destroy them, and stop ROS.
 
-    The process is expected to end after that: it ignores further signals.
-
-    Args:
-        nodes: The nodes, created in the default context after :func:`start_ros`.
-        until: Checked after every callback.
+    The nodes were created in the default context after :func:`start_ros`; the condition is checked after every
+    callback. The process is expected to end after that: it ignores further signals.
     """
     executor = None
     try:
@@ -422,7 +389,7 @@ def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: Fal
         gc.collect()
         gc.freeze()
         while not (_STOP.requested or until()):
-            executor.spin_once(timeout_sec=_REACTION_S)
+            executor.spin_once(timeout_sec=0.2)  # a signal is only noticed when it returns
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -452,6 +419,6 @@ def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
         sys.stderr.write(f'{error}\n')
         return 2
     except KeyboardInterrupt:
-        return _EXIT_INTERRUPTED
+        return 128 + signal.SIGINT
     spin_nodes([node])
     return 0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -25,7 +26,7 @@ from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.interface.text import pluralise
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import foreign_class, is_hash, message_class, message_from_record, source_qos, time_message
-from trainid_ros.setup.parameter_specs import AUTOSTART, TRAIN_FILE, ParameterSpec
+from trainid_ros.setup.parameter_specs import AUTOSTART, SEED, TRAIN_FILE, on_configure
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
 from trainid_ros.train.train_file import load_train_file
@@ -36,12 +37,10 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.bag.types import StoredType
     from trainid_ros.interface.records import Record
+    from trainid_ros.setup.parameter_specs import ParameterSpec
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts [ns].
 _TICK_NS: Final = NS_PER_S // 20
-# Catching up on more than this at once could overflow the queues of the subscribers [ns of record].
-_MAX_BURST_NS: Final = NS_PER_S
-
 
 Entry: TypeAlias = 'tuple[int, str, Record | bytes | None]'
 """Log time [ns], topic, and record or stored message of a foreign topic; without that only the clock ticks."""
@@ -83,11 +82,7 @@ def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterato
 
 
 class Pacer:
-    """Maps recorded time to steady time.
-
-    Args:
-        rate: Recorded seconds per second [1].
-    """
+    """Maps recorded time to steady time, at a rate in recorded seconds per second [1]."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
@@ -102,21 +97,19 @@ class Pacer:
         if self._anchor is None:
             self._anchor = (time_ns, steady_ns)
         due = self._anchor[1] + round((time_ns - self._anchor[0]) / self._rate)
-        if (steady_ns - due) * self._rate > _MAX_BURST_NS * max(self._rate, 1.0):
+        # Catching up on more than a second of the record at once could overflow the queues of the subscribers.
+        if (steady_ns - due) * self._rate > NS_PER_S * max(self._rate, 1.0):
             self._anchor = (time_ns, steady_ns)
             return steady_ns
         return due
 
 
-# Time between looks for subscribers [ns], and longest wait for all their acknowledgements [ns].
+# Time between looks for subscribers [ns].
 _POLL_NS: Final = NS_PER_S // 50
-_MAX_ACKNOWLEDGE_NS: Final = 30 * NS_PER_S
 # Messages after which the player waits until all are acknowledged, and between two looks whether they are [1]: the
 # publishers keep 10,000 of each topic, and a subscriber that falls further behind would lose the oldest.
 _MAX_UNACKNOWLEDGED: Final = 4000
 _LOOK_EVERY: Final = 64
-# Best-effort subscribers send no acknowledgement; they get this long to take the last messages [s].
-_LINGER_S: Final = 0.3
 # A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then [ns].
 _DISCOVERY_NS: Final = NS_PER_S // 2
 # A longer wait for subscribers is logged, and again as what it waits for changes [ns].
@@ -125,15 +118,14 @@ _LONG_WAIT_NS: Final = 3 * NS_PER_S
 
 def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
     """Return the parameters of every playback node; if ``live``, records are stamped with the present by default."""
-    next_configure = 'takes effect on the next configure'
     return (
-        ParameterSpec('rate', 1.0, f'recorded seconds per second [1]; {next_configure}', 0.01, 1000.0),
-        ParameterSpec('start', 0.0, f'where to start, after the beginning [s]; {next_configure}', 0.0, 1e7),
-        ParameterSpec('duration', 0.0, f'how long to play, 0 = to the end [s]; {next_configure}', 0.0, 1e7),
-        ParameterSpec('loop', False, f'start over at the end; {next_configure}'),
-        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {next_configure}', 0, 1000),
-        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {next_configure}'),
-        ParameterSpec('restamp', live, f'shift all stamps to the present; needs rate 1; {next_configure}'),
+        on_configure('rate', 1.0, 'recorded seconds per second [1]', 0.01, 1000.0),
+        on_configure('start', 0.0, 'where to start, after the beginning [s]', 0.0, 1e7),
+        on_configure('duration', 0.0, 'how long to play, 0 = to the end [s]', 0.0, 1e7),
+        on_configure('loop', False, 'start over at the end'),
+        on_configure('wait', 0, 'subscribers to wait for on each topic', 0, 1000),
+        on_configure('publish_clock', not live, 'publish recorded time on /clock'),
+        on_configure('restamp', live, 'shift all stamps to the present; needs rate 1'),
         AUTOSTART,
     )
 
@@ -150,14 +142,7 @@ class PlaybackNode(ManagedNode):
     def __init__(
         self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
     ) -> None:
-        """Declare all parameters.
-
-        Args:
-            name: Name of the node.
-            specs: All its parameters, including those of :func:`playback_parameters`.
-            arguments: ROS arguments of the process, searched for parameter files.
-            options: Options of the rclpy node.
-        """
+        """Declare all parameters; the ROS arguments of the process are searched for parameter files."""
         super().__init__(name, **options)
         self.parameters = NodeParameters(self, specs)
         self.parameters.check_sections(arguments, name)
@@ -168,11 +153,7 @@ class PlaybackNode(ManagedNode):
         self._release()
 
     def open_timeline(self) -> Timeline:
-        """Return the timeline to play; called on configure.
-
-        Raises:
-            InputError: There is nothing to play.
-        """
+        """Return the timeline to play; called on configure. InputError if there is nothing to play."""
         raise NotImplementedError
 
     def close_timeline(self) -> None:
@@ -183,30 +164,26 @@ class PlaybackNode(ManagedNode):
         """Open the timeline and create the publishers."""
         self.failure = ''
         self.parameters.check()
-        if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
-            raise InputError(f'restamp needs rate = 1, not {self.parameters.value("rate")}')
+        rate, restamp = float(self.parameters.value('rate')), self.parameters.value('restamp')
+        if restamp and rate != 1.0:
+            raise InputError(f'restamp needs rate = 1, not {rate}')
         self.timeline = self.open_timeline()
-        if self.parameters.value('restamp') and self.timeline.foreign:
+        if restamp and self.timeline.foreign:
             raise InputError('restamp does not change messages of foreign topics: leave out restamp or mapping_file')
         for topic in INPUT_TOPICS:
             if topic.name not in self.timeline.replaced:
-                self._outputs[topic.name] = self.create_lifecycle_publisher(
-                    message_class(topic), topic.name, source_qos()
-                )
-        for name, kind in self.timeline.foreign.items():
-            self._offer(name, kind)
+                kind = message_class(topic)
+                self._outputs[topic.name] = self.create_lifecycle_publisher(kind, topic.name, source_qos())
+        for name, stored in self.timeline.foreign.items():
+            self._offer(name, stored)
         if self.parameters.value('publish_clock'):
             self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', source_qos())
-        self._pacer = Pacer(float(self.parameters.value('rate')))
+        self._pacer = Pacer(rate)
         self._rewind()
         return super().on_configure(state)
 
     def _offer(self, name: str, kind: StoredType) -> None:
-        """Create the publisher of a foreign topic.
-
-        Raises:
-            InputError: Its type is not installed, or in another version than that of the bag.
-        """
+        """Create the publisher of a foreign topic; InputError if its type is not installed as in the bag."""
         publisher = self.create_lifecycle_publisher(foreign_class(kind.name), name, source_qos())
         self._outputs[name] = publisher
         for info in self.get_publishers_info_by_topic(publisher.topic_name):
@@ -219,7 +196,7 @@ class PlaybackNode(ManagedNode):
         """Start or resume playback."""
         result = super().on_activate(state)
         self._anchor()
-        self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
+        self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self.steady_clock)
         return result
 
     def _pause(self) -> None:
@@ -240,12 +217,9 @@ class PlaybackNode(ManagedNode):
         self._pacer = Pacer(1.0)
         self.timeline = Timeline(0, 0, lambda: iter(()))
         self.finished = False
-        self._complete_ns = 0
-        self._waiting_ns = 0
-        self._blocked_ns = self._acknowledged = 0
+        self._complete_ns = self._waiting_ns = self._blocked_ns = self._acknowledged = 0
         self._said = ''
-        self.position_ns = 0
-        self.played = 0
+        self.position_ns = self.played = 0
 
     def _rewind(self) -> None:
         start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
@@ -261,7 +235,6 @@ class PlaybackNode(ManagedNode):
         self._shift_ns: int | None = None
 
     def _play(self) -> None:
-        """Publish the entries that are due and sleep until the next one is."""
         if self.finished or self._is_waiting():
             return
         now = self.steady_ns()
@@ -283,23 +256,16 @@ class PlaybackNode(ManagedNode):
             return False
         now = self.steady_ns()
         counts = {output.topic_name: output.get_subscription_count() for output in self._outputs.values()}
-        if lacking := {topic: count for topic, count in counts.items() if count < wanted}:
-            self._complete_ns = 0
-            self._say_waiting(lacking, wanted, now)
-            return True
-        self._complete_ns = self._complete_ns or now
-        return now - self._complete_ns < _DISCOVERY_NS
-
-    def _say_waiting(self, lacking: dict[str, int], wanted: int, now_ns: int) -> None:
-        """Log what a long wait is for: topics with fewer subscribers than wanted, each with their number."""
-        self._waiting_ns = self._waiting_ns or now_ns
-        if now_ns - self._waiting_ns < _LONG_WAIT_NS:
-            return
-        found = ', '.join(f'{topic} has {count}' for topic, count in sorted(lacking.items()))
-        text = f'waiting for {pluralise(wanted, "subscriber")} on each topic: {found}'
-        if text != self._said:
+        lacking = [f'{topic} has {count}' for topic, count in sorted(counts.items()) if count < wanted]
+        if not lacking:
+            self._complete_ns = self._complete_ns or now
+            return now - self._complete_ns < _DISCOVERY_NS
+        self._complete_ns, self._waiting_ns = 0, self._waiting_ns or now
+        text = f'waiting for {pluralise(wanted, "subscriber")} on each topic: {", ".join(lacking)}'
+        if now - self._waiting_ns >= _LONG_WAIT_NS and text != self._said:
             self._said = text
             self.get_logger().warning(text)
+        return True
 
     def _sleep(self, pause_ns: int) -> None:
         self._timer.timer_period_ns = max(pause_ns, 1000)
@@ -312,17 +278,13 @@ class PlaybackNode(ManagedNode):
         if content is None:
             return
         if not isinstance(content, bytes):
-            content = message_from_record(self._stamped(time_ns, content))
+            if self.parameters.value('restamp'):
+                if self._shift_ns is None:
+                    self._shift_ns = self.now_ns() - time_ns
+                content = replace(content, stamp_ns=content.stamp_ns + self._shift_ns)
+            content = message_from_record(content)
         self._outputs[topic].publish(content)
         self.played += 1
-
-    def _stamped(self, time_ns: int, record: Record) -> Record:
-        """Return the record with the stamp to publish."""
-        if not self.parameters.value('restamp'):
-            return record
-        if self._shift_ns is None:
-            self._shift_ns = self.now_ns() - time_ns
-        return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
 
     def _is_too_far_ahead(self) -> bool:
         """Return whether too many messages are not acknowledged; if so, look again later."""
@@ -341,7 +303,7 @@ class PlaybackNode(ManagedNode):
             return
         if not self._is_acknowledged(must_wait=True):
             return
-        time.sleep(_LINGER_S)
+        time.sleep(0.3)  # best-effort subscribers take the last messages, and acknowledge none
         self._pause()
         self.finished = True
         self.get_logger().info(f'played {self.played} records')
@@ -355,7 +317,7 @@ class PlaybackNode(ManagedNode):
             return False
         now = self.steady_ns()
         self._blocked_ns = self._blocked_ns or now
-        if now - self._blocked_ns > _MAX_ACKNOWLEDGE_NS:
+        if now - self._blocked_ns > 30 * NS_PER_S:
             self._blocked_ns = 0
             return True
         # Signals are served between two looks.
@@ -363,12 +325,11 @@ class PlaybackNode(ManagedNode):
         return False
 
 
-BAG_PLAYER: Final = 'bag_player'
 _BAG_PARAMETERS: Final = (
-    ParameterSpec('bag', '', 'rosbag2 directory, .mcap or .db3 file; takes effect on the next configure'),
-    ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
-    ParameterSpec('mapping_file', '', 'mapping file, whose topics are played; takes effect on the next configure'),
-    ParameterSpec('max_chunk', 64, 'largest chunk to unpack [MB]; takes effect on the next configure', 1, 4095),
+    on_configure('bag', '', 'rosbag2 directory, .mcap or .db3 file'),
+    on_configure('bag_namespace', '/', 'namespace of the topics in the bag'),
+    on_configure('mapping_file', '', 'mapping file, whose topics are played'),
+    on_configure('max_chunk', 64, 'largest chunk to unpack [MB]', 1, 4095),
     *playback_parameters(live=False),
 )
 
@@ -378,14 +339,10 @@ class BagPlayer(PlaybackNode):
 
     def __init__(self, arguments: Any = (), **options: Any) -> None:
         self._reader: BagReader | None = None
-        super().__init__(BAG_PLAYER, _BAG_PARAMETERS, arguments=arguments, **options)
+        super().__init__('bag_player', _BAG_PARAMETERS, arguments=arguments, **options)
 
     def open_timeline(self) -> Timeline:
-        """Open the bag.
-
-        Raises:
-            InputError: It cannot be read or has no messages on the input topics, or the packages for bags are missing.
-        """
+        """Open the bag; InputError if it cannot be read or has no inputs, or the packages for bags are missing."""
         path = str(self.parameters.value('bag'))
         if not path:
             raise InputError('no bag: give the parameter bag')
@@ -416,30 +373,22 @@ class BagPlayer(PlaybackNode):
             self._reader = None
 
 
-def bag_player_main() -> int:
-    """Run the bag player as a program."""
-    return run_node(BagPlayer)
-
-
-TRAIN_SIMULATOR: Final = 'train_simulator'
 _SIMULATOR_PARAMETERS: Final = (
     TRAIN_FILE,
-    ParameterSpec(
+    on_configure(
         'world',
         '',
-        'type of railway, with its own train unless train_file is given, whose values are the stated ones, not true; '
-        'takes effect on the next configure',
+        'type of railway, with its own train unless train_file is given, whose values are the stated ones, not true',
         choices=('', *WORLDS),
     ),
-    ParameterSpec(
+    on_configure(
         'realism',
         'clean',
-        'with world only: clean, the train file is exact, or field, it has errors as on real trains; '
-        'takes effect on the next configure',
+        'with world only: clean, the train file is exact, or field, it has errors as on real trains',
         choices=tuple(REALISMS),
     ),
-    ParameterSpec('runs', 4, 'runs from stop to stop; takes effect on the next configure', 1, 1000),
-    ParameterSpec('seed', 1, 'seed of the random numbers; takes effect on the next configure', 0, 2**31 - 1),
+    on_configure('runs', 4, 'runs from stop to stop', 1, 1000),
+    SEED,
     *playback_parameters(live=True),
 )
 
@@ -448,14 +397,10 @@ class TrainSimulator(PlaybackNode):
     """Lifecycle node that simulates on configure and publishes while active."""
 
     def __init__(self, arguments: Any = (), **options: Any) -> None:
-        super().__init__(TRAIN_SIMULATOR, _SIMULATOR_PARAMETERS, arguments=arguments, **options)
+        super().__init__('train_simulator', _SIMULATOR_PARAMETERS, arguments=arguments, **options)
 
     def open_timeline(self) -> Timeline:
-        """Simulate, and return the records as a timeline.
-
-        Raises:
-            InputError: The train file is missing or cannot be simulated.
-        """
+        """Simulate, and return the records; InputError if the train file is missing or cannot be simulated."""
         rng = np.random.default_rng(int(self.parameters.value('seed')))
         records = simulate(self._scenario(rng), rng).records
         entries = [(record.stamp_ns, input_topic(record).name, record) for record in records]
@@ -476,6 +421,5 @@ class TrainSimulator(PlaybackNode):
         return make_case(world, stated, unknowns_of(realism, (), stated), runs, rng.spawn(1)[0]).scenario
 
 
-def train_simulator_main() -> int:
-    """Run the simulator as a program."""
-    return run_node(TrainSimulator)
+# The programs, each of which returns its exit code.
+bag_player_main, train_simulator_main = partial(run_node, BagPlayer), partial(run_node, TrainSimulator)

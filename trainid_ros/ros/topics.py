@@ -28,10 +28,10 @@ from trainid_msgs import msg as trainid_msgs
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
-    INPUT_TOPICS,
     NS_PER_S,
     InputTopic,
     Record,
+    input_topic,
     output_values,
     record_values,
     stamp_of,
@@ -53,9 +53,6 @@ def message_class(topic: InputTopic | OutputTopic) -> Any:
     return getattr(trainid_msgs, topic.message)
 
 
-_MESSAGES: Final = {topic.record: message_class(topic) for topic in INPUT_TOPICS}
-
-
 def time_message(time_ns: int) -> Time:
     """Return a time [ns] as a ``builtin_interfaces/Time``."""
     sec, nanosec = divmod(time_ns, NS_PER_S)
@@ -64,7 +61,7 @@ def time_message(time_ns: int) -> Time:
 
 def message_from_record(record: Record) -> Any:
     """Return the input message of a record."""
-    return _fill(_MESSAGES[type(record)](), record.stamp_ns, record_values(record))
+    return _fill(message_class(input_topic(record))(), record.stamp_ns, record_values(record))
 
 
 class SerializedEstimate(NamedTuple):
@@ -86,17 +83,16 @@ def _fill(message: Any, stamp_ns: int, values: Mapping[str, Any]) -> Any:
     return message
 
 
-DEADLINE_S: Final = 1.0
-"""An active node publishes its estimate at least this often [s], where speeds come at 2 Hz or more."""
-LEASE_S: Final = 2.0
-"""Time without a sign of life after which a node counts as gone [s]."""
-LIFESPAN_S: Final = 2.0
-"""Age at which an estimate that could not be delivered is dropped [s]."""
+DEADLINE_S: Final = 1.0  # an active node publishes at least this often [s], where speeds come at 2 Hz or more
+LEASE_S: Final = 2.0  # without a sign of life for this time, a node counts as gone [s]
+LIFESPAN_S: Final = 2.0  # age at which an estimate that could not be delivered is dropped [s]
+_LEASE: Final = {'liveliness': LivelinessPolicy.AUTOMATIC, 'liveliness_lease_duration': Duration(seconds=LEASE_S)}
 
 
 # Each function returns a new profile: rclpy writes the overrides of a user into the profile that it is given.
-def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability)
+def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy, **more: Any) -> QoSProfile:
+    history = HistoryPolicy.KEEP_LAST
+    return QoSProfile(history=history, depth=depth, reliability=reliability, durability=durability, **more)
 
 
 def input_qos() -> QoSProfile:
@@ -113,33 +109,19 @@ def source_qos() -> QoSProfile:
 
 
 def estimate_qos() -> QoSProfile:
-    """Return the profile of a subscriber of the estimates, which also hears publishers that promise less."""
+    """Return the profile of ``/diagnostics``, and of subscribers of estimates: they also hear who promises less."""
     return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
 def offered_estimate_qos() -> QoSProfile:
     """Return the profile of the estimates with what their publisher promises: deadline, liveliness and lifespan."""
-    profile = _with_lease(estimate_qos())
-    profile.deadline = Duration(seconds=DEADLINE_S)
-    profile.lifespan = Duration(seconds=LIFESPAN_S)
-    return profile
+    promised = {'deadline': Duration(seconds=DEADLINE_S), 'lifespan': Duration(seconds=LIFESPAN_S), **_LEASE}
+    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, **promised)
 
 
 def latched_qos() -> QoSProfile:
     """Return the profile of the last valid estimates: a late joiner gets the newest one, however old it is."""
-    return _with_lease(_keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL))
-
-
-def _with_lease(profile: QoSProfile) -> QoSProfile:
-    """Add to a profile that the middleware informs subscribers whether the publisher is alive."""
-    profile.liveliness = LivelinessPolicy.AUTOMATIC
-    profile.liveliness_lease_duration = Duration(seconds=LEASE_S)
-    return profile
-
-
-def diagnostics_qos() -> QoSProfile:
-    """Return the profile of ``/diagnostics``."""
-    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+    return _keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL, **_LEASE)
 
 
 def overridable(entity: str) -> QoSOverridingOptions:
@@ -163,8 +145,7 @@ def publisher_events(logger: RcutilsLogger, topic: str) -> PublisherEventCallbac
     return PublisherEventCallbacks(incompatible_qos=log, use_default_callbacks=False)
 
 
-NAMELESS: Final = 'a node without a name'
-"""A publisher that is not of ROS, or whose node is not known yet."""
+NAMELESS: Final = 'a node without a name'  # it is not of ROS, or not known yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +155,6 @@ class Publishers:
     heard: tuple[str, ...] = ()  # Nodes whose messages arrive, one name for each publisher
     unheard: tuple[str, ...] = ()  # One sentence for each publisher whose messages cannot arrive or be read
     remedy: str = 'correct this publisher'  # What to do about those
-
-    @property
-    def count(self) -> int:
-        """Number of all publishers."""
-        return len(self.heard) + len(self.unheard)
 
     def at_a_time(self) -> Publishers:
         """Return the same where messages come from one publisher at a time.
@@ -201,13 +177,8 @@ def is_hash(text: str) -> bool:
     return text.startswith('RIHS')
 
 
-def _node_name(info: Any) -> str:
-    unknown = info.node_name.startswith('_NODE_NAME_UNKNOWN')
-    return NAMELESS if unknown else f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-
-
 def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile: QoSProfile) -> Publishers:
-    """Sort publishers by whether a subscription hears them.
+    """Sort publishers in the graph by whether a subscription hears them, with its message type and profile.
 
     Args:
         infos: What ``get_publishers_info_by_topic`` returns.
@@ -218,7 +189,8 @@ def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile:
     """
     heard, unheard = [], []
     for info in infos:
-        name = _node_name(info)
+        is_known = not info.node_name.startswith('_NODE_NAME_UNKNOWN')
+        name = f'{info.node_namespace.rstrip("/")}/{info.node_name}' if is_known else NAMELESS
         if info.topic_type != wanted:
             unheard.append(f'{name} publishes {info.topic_type} instead of {wanted}')
             continue
@@ -234,16 +206,12 @@ def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile:
     return Publishers(tuple(sorted(heard)), tuple(sorted(unheard)))
 
 
-_TYPE: Final = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
-
-
 def foreign_class(name: str) -> Any:
     """Return the class of a message type by its name in the graph, such as ``std_msgs/msg/Float64``.
 
-    Raises:
-        InputError: Its package is not installed, or has no such type.
+    InputError if its package is not installed, or has no such type.
     """
-    if (match := _TYPE.fullmatch(name)) is None:
+    if (match := re.fullmatch(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)', name)) is None:
         raise InputError(f'{name!r} is not a type of messages')
     package, kind = match.groups()
     try:

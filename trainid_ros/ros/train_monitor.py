@@ -19,14 +19,7 @@ from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, record_fr
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.ros.node import creation_of
-from trainid_ros.ros.topics import (
-    NO_SUBSCRIPTION_EVENTS,
-    diagnostics_qos,
-    estimate_qos,
-    input_qos,
-    message_class,
-    type_name,
-)
+from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, estimate_qos, input_qos, message_class, type_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,14 +30,10 @@ if TYPE_CHECKING:
     from trainid_ros.monitor.trains import Train
     from trainid_ros.monitor.view import TrainView
 
-# Time between looks at the graph [s].
-_LOOK_S: Final = 0.5
-_TOPICS: Final = (*INPUT_TOPICS, *OUTPUT_TOPICS)
-_TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPICS}
+_TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
 
 
 def _checked(namespace: str) -> str:
-    """Return a namespace with its leading slash; without one it is below the root."""
     name = f'/{namespace.removeprefix("/").removesuffix("/")}'
     try:
         validate_namespace(name)
@@ -58,17 +47,8 @@ class TrainMonitor(Node):
     """Subscribes to the topics of one namespace, or of all in which a topic of ours is published."""
 
     def __init__(self, arguments: Sequence[str], namespace: str | None, **options: Any) -> None:
-        """Subscribe.
-
-        Args:
-            arguments: Arguments of ROS.
-            namespace: Namespace of the train, None for all that are found.
-            options: Options of the rclpy node.
-
-        Raises:
-            InputError: No namespace can have this name.
-        """
-        wanted = None if namespace is None else _checked(namespace)
+        """Subscribe in a namespace, in all that are found for None; InputError if no namespace can have this name."""
+        self._wanted = None if namespace is None else _checked(namespace)
         name = f'trainid_monitor_{os.getpid()}'
         silent = Parameter('start_type_description_service', value=False)  # a service with a number in its name
         with creation_of(name):
@@ -81,21 +61,20 @@ class TrainMonitor(Node):
                 **options,
             )
         self.trains = Trains()
-        self._wanted = wanted
         self._looked_s = 0.0
         self._listening: dict[str, list[Any]] = {}
         self.create_subscription(
             DiagnosticArray,
             '/diagnostics',
             self._on_diagnostics,
-            diagnostics_qos(),
+            estimate_qos(),
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
         )
 
     def views(self) -> tuple[TrainView, ...]:
         """Return what to show now, after a look at the graph if the last one is old."""
         now_s = time.monotonic()
-        if now_s - self._looked_s >= _LOOK_S:
+        if now_s - self._looked_s >= 0.5:  # [s]
             self._looked_s = now_s
             self._look()
         return self.trains.views(now_s, self.get_clock().now().nanoseconds)
@@ -142,22 +121,19 @@ class TrainMonitor(Node):
 
     def _subscribe(self, namespace: str) -> None:
         train = self.trains.add(namespace)
-        given = [
-            self._listen(namespace, topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS
+        self._listening[namespace] = [
+            *(self._listen(namespace, topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS),
+            *(
+                self._listen(namespace, topic, estimate_qos(), partial(self._on_estimate, train, topic))
+                for topic in OUTPUT_TOPICS
+            ),
         ]
-        made = [
-            self._listen(namespace, topic, estimate_qos(), partial(self._on_estimate, train, topic))
-            for topic in OUTPUT_TOPICS
-        ]
-        self._listening[namespace] = [*given, *made]
 
     def _listen(
         self, namespace: str, topic: InputTopic | OutputTopic, profile: QoSProfile, receive: Callable[[Any], None]
     ) -> Any:
-        name = _full(namespace, topic.name)
-        return self.create_subscription(
-            message_class(topic), name, receive, profile, event_callbacks=NO_SUBSCRIPTION_EVENTS
-        )
+        kind, name = message_class(topic), _full(namespace, topic.name)
+        return self.create_subscription(kind, name, receive, profile, event_callbacks=NO_SUBSCRIPTION_EVENTS)
 
     def _on_estimate(self, train: Train, topic: OutputTopic, message: Any) -> None:
         train.on_estimate(topic, message, time.monotonic(), self.get_clock().now().nanoseconds)
