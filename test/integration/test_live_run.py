@@ -14,16 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
-from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
 from test.foreign_bag import MAPPING, write_foreign
-from test.hang import HANG_S
+from test.ros.graph import Graph
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.demo import node_parameters
@@ -121,29 +118,15 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Listener:
+class Listener(Graph):
     """Collects all estimates on the graph of the processes."""
 
     def __init__(self, domain: int) -> None:
+        super().__init__(domain)
         self.received: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self.node = rclpy.create_node('listener', context=self._context)
-        self._executor.add_node(self.node)
+        self.node = self.plain('listener')
         for topic, (kind, _) in OUTPUTS.items():
             self.node.create_subscription(kind, topic, self.received[topic].append, QoSProfile(depth=10000))
-
-    def until(self, condition: Callable[[], object]) -> None:
-        end = time.monotonic() + HANG_S
-        while not condition():
-            assert time.monotonic() < end, 'condition not met in time'
-            self._executor.spin_once(timeout_sec=0.05)
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self._executor.shutdown()
-        rclpy.shutdown(context=self._context)
 
 
 @pytest.fixture
@@ -184,57 +167,42 @@ def without_stale_repeats(outputs: list[Any]) -> list[dict[str, bytes]]:
     return contents
 
 
+@pytest.mark.parametrize('is_foreign', [False, True], ids=['own', 'foreign'])
 def test_live_estimates_equal_the_replay_to_the_bit(
-    processes: Processes, listener: Listener, bag: Path, tmp_path: Path
+    processes: Processes, listener: Listener, bag: Path, tmp_path: Path, is_foreign: bool
 ) -> None:
+    played, played_s, mapping, topics = bag, PLAYED_S, None, tuple(OUTPUTS)
+    options, parameters = [], node_parameters()
+    if is_foreign:
+        played, played_s, mapping, topics = tmp_path / 'foreign', FOREIGN_S, tmp_path / 'map.yaml', topics[:1]
+        mapping.write_text(MAPPING, encoding='utf-8')
+        with BagReader(bag) as reader:
+            write_foreign(played, list(reader.records())[: round(20.0 * FOREIGN_S)])
+        reliable = {'history': 'keep_last', 'depth': 1000, 'reliability': 'reliable'}
+        overrides = {topic: {'subscription': dict(reliable)} for topic in load_mapping(mapping).topics}
+        parameters = yaml.safe_dump({'resistance_estimator': {'ros__parameters': {'qos_overrides': overrides}}})
+        options = ['--map', str(mapping)]
     # By default inputs are best effort and may be lost on a busy machine; these nodes lose none.
     lossless = tmp_path / 'lossless.yaml'
-    lossless.write_text(node_parameters(), encoding='utf-8')
-    ros_args = ('--params-file', str(lossless), '-p', 'use_sim_time:=true')
-    nodes = processes.start('run', '--train', str(TRAIN), '--ros-args', *ros_args)
-    assert [line.split()[0] for line in wait_for_lines(nodes, 3)] == [
-        'resistance_estimator',
-        'speed_model_estimator',
-        'brake_rate_estimator',
-    ]
-    listener.until(lambda: all(listener.node.count_publishers(topic) for topic in OUTPUTS))
-    player = processes.start('play', str(bag), '--rate', RATE, '--wait', '1')
+    lossless.write_text(parameters, encoding='utf-8')
+    names = [f'{topic.removeprefix("trainid/")}_estimator' for topic in topics]
+    chosen = ['--node', names[0]] if is_foreign else []
+    ros_args = ('--ros-args', '--params-file', str(lossless), '-p', 'use_sim_time:=true')
+    nodes = processes.start('run', '--train', str(TRAIN), *options, *chosen, *ros_args)
+    assert [line.split()[0] for line in wait_for_lines(nodes, len(names))] == names
+    listener.until(lambda: all(listener.node.count_publishers(topic) for topic in topics))
+    player = processes.start('play', str(played), *options, '--rate', RATE, '--wait', '1')
     listener.until(lambda: player.poll() is not None)
     code, _, err = finish(player)
     assert (code, 'Traceback' in err) == (0, False), err
-    expected = {topic: replayed(bag, topic) for topic in OUTPUTS}
+    expected = {topic: replayed(played, topic, mapping) for topic in topics}
     last = {topic: outputs[-1].header.stamp for topic, outputs in expected.items()}
-    listener.until(lambda: all(listener.received[topic][-1].header.stamp == last[topic] for topic in OUTPUTS))
+    listener.until(lambda: all(listener.received[topic][-1].header.stamp == last[topic] for topic in topics))
     code, _, err = finish(nodes, signal.SIGTERM)
     assert (code, 'Traceback' in err) == (0, False), err
     for topic, outputs in expected.items():
         assert without_stale_repeats(listener.received[topic]) == without_stale_repeats(outputs)
-        assert len(outputs) > 0.9 * 5.0 * PLAYED_S
-
-
-def test_a_foreign_bag_gives_live_what_its_replay_gives(
-    processes: Processes, listener: Listener, bag: Path, tmp_path: Path
-) -> None:
-    mapping, foreign, lossless = tmp_path / 'map.yaml', tmp_path / 'foreign', tmp_path / 'lossless.yaml'
-    mapping.write_text(MAPPING, encoding='utf-8')
-    with BagReader(bag) as reader:
-        write_foreign(foreign, list(reader.records())[: round(20.0 * FOREIGN_S)])
-    reliable = {'history': 'keep_last', 'depth': 1000, 'reliability': 'reliable'}
-    overrides = {topic: {'subscription': dict(reliable)} for topic in load_mapping(mapping).topics}
-    parameters = {'resistance_estimator': {'ros__parameters': {'qos_overrides': overrides}}}
-    lossless.write_text(yaml.safe_dump(parameters), encoding='utf-8')
-    options = ('--train', str(TRAIN), '--map', str(mapping), '--node', 'resistance_estimator')
-    nodes = processes.start('run', *options, '--ros-args', '--params-file', str(lossless), '-p', 'use_sim_time:=true')
-    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
-    listener.until(lambda: listener.node.count_publishers('trainid/resistance'))
-    player = processes.start('play', str(foreign), '--map', str(mapping), '--rate', RATE, '--wait', '1')
-    listener.until(lambda: player.poll() is not None)
-    code, _, err = finish(player)
-    assert (code, 'Traceback' in err) == (0, False), err
-    expected, received = replayed(foreign, 'trainid/resistance', mapping), listener.received['trainid/resistance']
-    listener.until(lambda: received[-1].header.stamp == expected[-1].header.stamp)
-    assert without_stale_repeats(received) == without_stale_repeats(expected)
-    assert len(expected) > 0.9 * 5.0 * FOREIGN_S
+        assert len(outputs) > 0.9 * 5.0 * played_s
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
