@@ -49,7 +49,7 @@ def root() -> Array:
 
 @pytest.fixture(scope='module')
 def information(columns: Array, root: Array) -> Information:
-    return eliminate(columns.T @ columns, NUISANCES, root)
+    return eliminate(columns.T @ columns, root)
 
 
 def evidence(columns: Array, root: Array, candidates: list[int], std: float) -> float:
@@ -113,7 +113,7 @@ def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None
     apart = [factors * (dataset.point_run == k)[:, None] for k in range(len(dataset.runs))]
     X = whitener.apply(np.concatenate([columns, *apart], axis=1))
     order = [0, *range(2, X.shape[1]), 1]
-    joint = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
+    joint = eliminate((X.T @ X)[np.ix_(order, order)], np.diag(np.tile(std, 3)))
     assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((joint.yy, joint.b[0], joint.A[0, 0]))
     assert cost == pytest.approx(joint.log_det)
     white = Whitening.of(whitener, factors, std).apply(columns)

@@ -13,7 +13,7 @@ the *response* ``-sum dt r / inertia``, which is linear in r. w(v) uses the meas
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -33,21 +33,20 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+    Indices = NDArray[np.intp]
 
-MIN_SPEED: Final = 0.3
-"""Speed [m/s] below which the brake may hold the train, so the force balance is not valid."""
 MAX_RUN_S: Final = 240.0
 """Maximum length of a run [s]: a longer drive is split, so that errors by gusts do not accumulate over all of it."""
-MIN_RUN_S: Final = 15.0
-"""Minimum length of a run [s]."""
-_STANDSTILL: Final = 1e-3
-"""Speed up to which the train stands [m/s]."""
-_MIN_MEASURED: Final = 0.5
-"""Minimum share of samples with a measured position for a run to be located on the line [1]."""
 PULLING: Final = 1.0
 """Traction above this is taken as traction [N/kN]; less is noise."""
 BRAKING: Final = -1.0
 """Brake force below this is taken as braking [N/kN]."""
+MAD_TO_STD: Final = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
+_MIN_RUN_S: Final = 15.0  # Minimum length of a run [s]
+_MIN_SPEED: Final = 0.3  # Speed below which the brake may hold the train, so the force balance is not valid [m/s]
+_STANDSTILL: Final = 1e-3  # Speed up to which the train stands [m/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,31 +73,29 @@ class Run:
     travelled: float  # Integral of measured speed between those standstills [m]
 
 
-_Row = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
-
-
-@dataclass(slots=True)
 class RunCollector:
-    """Collects the samples of one bag into runs."""
+    """Collects the samples of one bag into runs.
 
-    train_file: TrainFile  # Train file with the mass and the brake model
-    bag: int = 0  # Number of the bag
-    origin_ns: int = 0  # Time stamp at which times are zero; 0 = that of the first sample
-    runs: list[Run] = field(init=False, default_factory=list)  # Completed runs
-    _rows: list[_Row] = field(init=False, default_factory=list)
-    _actuator: BrakeActuator = field(init=False)
-    _stamp_ns: int = field(init=False, default=0)
-    _heat: float = field(init=False, default=0.0)
-    _since_release: float = field(init=False, default=math.inf)
-    _distance: float = field(init=False, default=0.0)
-    _start_position: float = field(init=False, default=math.nan)
-    _travelled: float = field(init=False, default=0.0)
-    _speed: float = field(init=False, default=math.nan)
-    _weighed: bool = field(init=False, default=False)
+    Attributes:
+        runs: Completed runs.
+        origin_ns: Time stamp at which times are zero.
+    """
 
-    def __post_init__(self) -> None:
-        """Begin with a released brake."""
-        self._actuator = BrakeActuator(self.train_file.brake)
+    def __init__(self, train_file: TrainFile, bag: int = 0, origin_ns: int = 0) -> None:
+        """Begin with a released brake.
+
+        Args:
+            train_file: Train file with the mass and the brake model.
+            bag: Number of the bag.
+            origin_ns: Time stamp at which times are zero; 0 = that of the first sample.
+        """
+        self.origin_ns, self.runs = origin_ns, list[Run]()
+        self._train_file, self._bag = train_file, bag
+        self._rows: list[tuple[float, ...]] = []
+        self._distance = self._travelled = 0.0
+        self._start_position = self._speed = math.nan
+        self._weighed = False
+        self.start_over()
 
     def add(self, sample: Sample) -> None:
         """Add one sample."""
@@ -114,7 +111,9 @@ class RunCollector:
             self._travelled += moved
         self._speed = sample.speed
         if sample.speed <= _STANDSTILL:
-            self._on_standstill(sample)
+            if self._rows:
+                self.end_run(sample.position)
+            self._start_position, self._travelled = sample.position, 0.0
             return
         known = (sample.force_mean, sample.gradient_mean, sample.brake_command)
         if sample.emergency or not all(map(math.isfinite, known)):
@@ -125,18 +124,22 @@ class RunCollector:
     def start_over(self) -> None:
         """End the current run and forget the history of the drive, as after a jump of the stamps."""
         self.end_run()
-        self._actuator, self._stamp_ns = BrakeActuator(self.train_file.brake), 0
+        self._actuator, self._stamp_ns = BrakeActuator(self._train_file.brake), 0
         self._heat, self._since_release, self._speed = 0.0, math.inf, math.nan
 
     def _add_row(self, sample: Sample, brake: float) -> None:
         # A brake that is still releasing at departure may hold the train or drag; which of them is unknown.
-        if not self._rows and (sample.speed < MIN_SPEED or brake < BRAKE_APPLIED):
+        if not self._rows and (sample.speed < _MIN_SPEED or brake < BRAKE_APPLIED):
             return
-        mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
+        train = self._train_file.train
+        mass = sample.mass if math.isfinite(sample.mass) else train.mass
         self._weighed = sample.weighed
-        inertia = specific_inertia(1.0, self.train_file.train.rotary_mass)
-        braking = inertia * brake if brake < BRAKE_APPLIED else 0.0
-        traction = _traction(specific_force(sample.force_mean, mass), braking)
+        braking = specific_inertia(1.0, train.rotary_mass) * brake if brake < BRAKE_APPLIED else 0.0
+        traction = specific_force(sample.force_mean, mass)
+        # While the brake acts, its force follows from its command. The reported force is the sum of both: if it is
+        # positive there is still traction, otherwise there is none.
+        if braking:
+            traction = traction - braking if traction > PULLING else 0.0
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
@@ -146,38 +149,28 @@ class RunCollector:
         if row[0] - self._rows[0][0] > MAX_RUN_S:
             self.end_run()
 
-    def _on_standstill(self, sample: Sample) -> None:
-        if self._rows:
-            self.end_run(sample.position)
-        self._start_position = sample.position
-        self._travelled = 0.0
-
     def end_run(self, stop_position: float = math.nan) -> None:
-        """End the current run; discard it if it is too short.
-
-        Args:
-            stop_position: Measured position of the standstill that ends it [m], NaN if there is none.
-        """
+        """End the current run, at a measured position [m] if the train stands; discard it if it is too short."""
         rows, self._rows = self._rows, []
-        while rows and rows[-1][2] < MIN_SPEED:
+        while rows and rows[-1][2] < _MIN_SPEED:
             rows.pop()
         start, self._start_position = self._start_position, math.nan
-        if not rows or rows[-1][0] - rows[0][0] < MIN_RUN_S:
+        if not rows or rows[-1][0] - rows[0][0] < _MIN_RUN_S:
             return
         columns = np.array(rows).T.copy()
         time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns
         dt[0] = 0.0
         position, positioned = _bridged(position, distance)
         run = Run(
-            self.bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
-            traction, brake, heat, release, distance, positioned, self._weighed,
-            (start, stop_position), self._travelled,
+            self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
+            traction, brake, heat, release, distance, positioned, self._weighed, (start, stop_position),
+            self._travelled,
         )  # fmt: skip
         self.runs.append(run)
 
     def _follow_brake(self, sample: Sample, *, gap: bool) -> float:
         """Return the mean acceleration by the train file's brake model since the previous sample [m/s^2, <= 0]."""
-        actuator, now, rate = self._actuator, sample.stamp_ns, self.train_file.brake.rate_at(sample.speed)
+        actuator, now, rate = self._actuator, sample.stamp_ns, self._train_file.brake.rate_at(sample.speed)
         before, self._stamp_ns = self._stamp_ns, now
         if gap or before == 0:  # what has acted until now is not known
             actuator.output = min(0.0, actuator.commands.value(now - actuator.delay_ns))
@@ -190,49 +183,26 @@ class RunCollector:
 
 
 def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
-    """Return positions with gaps bridged by the distance travelled [m], shape (n,), and True if most were measured.
+    """Return positions with gaps bridged by the distance travelled [m], shape (n,), and True if half were measured.
 
     Otherwise return the distance travelled, which gives no location on the line.
     """
     known = np.isfinite(position)
-    if np.mean(known) < _MIN_MEASURED:
+    if np.mean(known) < 0.5:
         return distance.copy(), False
     way = 1.0 if position[known][-1] >= position[known][0] else -1.0
     offset = position[known] - way * distance[known]
     return np.where(known, position, way * distance + np.interp(distance, distance[known], offset)), True
 
 
-def _traction(reported: float, brake: float) -> float:
-    """Return the traction without the force of the brake [N/kN].
-
-    While the brake acts, its force follows from its command. The reported force is the sum of both: if it is positive
-    there is still traction, otherwise there is none.
-    """
-    if not brake:
-        return reported
-    return reported - brake if reported > PULLING else 0.0
-
-
-POINT_S: Final = 1.0
-"""Time over which a grid point averages [s]."""
-MAD_TO_STD: Final = 1.4826
-"""Standard deviation of normal noise over its median absolute deviation."""
-_COLUMN_BATCH: Final = 16
-"""Columns integrated at once, to bound the memory."""
-_HALF_WINDOW: Final = 15
-"""Samples on either side of one that define its level."""
-_OUTLIER: Final = 5.0
-"""Deviation from the level beyond which a speed is an outlier [std of the window]."""
-_FLANK: Final = 2.0
-"""The same for samples beside an outlier."""
-_MIN_JUMP: Final = 0.5
-"""Minimum jump between two samples that shows a burst cut by the begin or end of a run [m/s]."""
-_EDGE: Final = 20
-"""Samples from begin or end of a run within which such a jump is looked for."""
-_NEAR: Final = 5
-"""Samples before and after the jump whose medians must confirm it."""
-_MIN_SCALE: Final = 0.03
-"""Minimum std of the speed in a window [m/s]."""
+_POINT_S: Final = 1.0  # Time over which a grid point averages [s]
+_HALF_WINDOW: Final = 15  # Samples on either side of one that define its level
+_OUTLIER: Final = 5.0  # Deviation from the level beyond which a speed is an outlier [std of the window]
+_FLANK: Final = 2.0  # The same for samples beside an outlier
+_MIN_SCALE: Final = 0.03  # Minimum std of the speed in a window [m/s]
+_MIN_JUMP: Final = 0.5  # Minimum jump between two samples of a burst cut by the begin or end of a run [m/s]
+_EDGE: Final = 20  # Samples from begin or end of a run within which such a jump is looked for
+_NEAR: Final = 5  # Samples before and after the jump whose medians must confirm it
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,16 +211,16 @@ class Dataset:
 
     runs: tuple[Run, ...]  # The runs
     inertia: float  # Specific force per acceleration [N/kN per m/s^2]
-    run_of: NDArray[np.intp]  # Run of each sample, shape (n,)
-    starts: NDArray[np.intp]  # First sample of each run, shape (R,)
+    run_of: Indices  # Run of each sample, shape (n,)
+    starts: Indices  # First sample of each run, shape (R,)
     dt: Array  # Length of the stage that ends at each sample [s], shape (n,)
     time: Array  # Time [s], shape (n,)
     speed: Array  # Mean speed of the stage, interpolated over outliers [m/s], shape (n,)
     gap: Array  # Measured less predicted speed [m/s], shape (n,)
-    outlier: NDArray[np.bool_]  # True where the measured speed is excluded, shape (n,)
+    outlier: Flags  # True where the measured speed is excluded, shape (n,)
     deviation: Array  # Deviation of an outlier from its neighbours [m/s], 0 elsewhere, shape (n,)
-    point_starts: NDArray[np.intp]  # First sample of each grid point, shape (m,)
-    point_run: NDArray[np.intp]  # Run of each grid point, shape (m,)
+    point_starts: Indices  # First sample of each grid point, shape (m,)
+    point_run: Indices  # Run of each grid point, shape (m,)
     point_time: Array  # Mean time of each grid point [s], shape (m,)
     point_count: Array  # Number of samples in each grid point without outliers, shape (m,)
     following: Array  # Share of these samples that lie at the end of each stage or after it [1], shape (n,)
@@ -277,9 +247,9 @@ class Dataset:
         """
         if resistance.ndim == 1:
             return self._response(resistance[:, None])[:, 0]
-        # In batches: a hundred columns over hours of samples take gigabytes.
-        parts = [resistance[:, k : k + _COLUMN_BATCH] for k in range(0, resistance.shape[1], _COLUMN_BATCH)]
-        return np.concatenate([self._response(part) for part in parts], axis=1)
+        # In batches of 16: a hundred columns over hours of samples take gigabytes.
+        batches = [resistance[:, k : k + 16] for k in range(0, resistance.shape[1], 16)]
+        return np.concatenate([self._response(batch) for batch in batches], axis=1)
 
     def _response(self, resistance: Array) -> Array:
         """Return the column of each of k resistances, shape (n, k) to (m, k)."""
@@ -297,12 +267,9 @@ class Dataset:
 
 
 def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = None) -> Dataset:
-    """Return the dataset of one or more runs.
+    """Return the dataset of one or more runs, compared with the model of a train file.
 
-    Args:
-        runs: The runs.
-        train_file: Train file with the model to compare with.
-        extra: Resistance of known effects, in addition to Davis and gradient, mean over each stage [N/kN], shape (n,).
+    ``extra`` is the resistance of its effects, mean over each stage [N/kN], shape (n,).
     """
     inertia = specific_inertia(1.0, train_file.train.rotary_mass)
     sizes = np.array([run.time.size for run in runs])
@@ -330,20 +297,17 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
     )  # fmt: skip
 
 
-def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
+def find_outliers(gap: Array, starts: Indices) -> Flags:
     """Return the samples whose speed leaves the level of the surrounding seconds and returns to it, shape (n,).
 
-    A permanent step, as a late brake causes, is not an outlier: the level steps as well.
-
-    Args:
-        gap: Measured less predicted speed [m/s], shape (n,).
-        starts: First sample of each run, shape (R,).
+    A permanent step, as a late brake causes, is not an outlier: the level steps as well. ``gap`` is the measured less
+    the predicted speed [m/s], shape (n,), ``starts`` the first sample of each run, shape (R,).
     """
     edges = np.append(starts, gap.size)
     return np.concatenate([_outliers_of(gap[a:b]) for a, b in pairwise(edges)])
 
 
-def _outliers_of(gap: Array) -> NDArray[np.bool_]:
+def _outliers_of(gap: Array) -> Flags:
     """Return the outliers of one run, shape (n,); fewer than three samples define no level."""
     if gap.size < 3:
         return np.zeros(gap.size, dtype=bool)
@@ -368,7 +332,7 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     return clear | _with_flanks(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
 
 
-def _cut_bursts(gap: Array, least: float) -> NDArray[np.bool_]:
+def _cut_bursts(gap: Array, least: float) -> Flags:
     """Return the samples before a jump that no train can make: a burst that began before the run."""
     early = gap[: _EDGE + _NEAR]
     outlier = np.zeros(gap.size, dtype=bool)
@@ -379,14 +343,14 @@ def _cut_bursts(gap: Array, least: float) -> NDArray[np.bool_]:
     return outlier
 
 
-def _with_flanks(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:
+def _with_flanks(clear: Flags, side: Array) -> Flags:
     """Return outliers with their flanks: adjacent samples that deviate to the same side (1, -1, else 0)."""
     edges = np.flatnonzero(np.diff(side)) + 1
     burst = np.searchsorted(edges, np.arange(side.size), side='right')
     return np.asarray((side != 0.0) & np.isin(burst, burst[clear]))
 
 
-def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
+def _stage_means(speed: Array, starts: Indices) -> Array:
     """Return the mean of the speeds at both ends of each stage [m/s], shape (n,)."""
     means = speed.copy()
     means[1:] = 0.5 * (speed[1:] + speed[:-1])
@@ -394,7 +358,7 @@ def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
     return means
 
 
-def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) -> Array:
+def _bridge(gap: Array, outlier: Flags, run_of: Indices) -> Array:
     """Interpolate over outliers within each run."""
     if not outlier.any():
         return gap
@@ -407,16 +371,16 @@ def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) ->
     return bridged
 
 
-def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> NDArray[np.intp]:
+def _divide(time: Array, starts: Indices, run_of: Indices) -> Indices:
     """Return the first sample of each grid point, shape (m,)."""
     since = time - time[starts][run_of]
-    number = np.floor(since / POINT_S + 1e-9)
+    number = np.floor(since / _POINT_S + 1e-9)
     fresh = np.ones(time.size, dtype=bool)
     fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
     return np.flatnonzero(fresh)
 
 
-def _point_times(time: Array, outlier: NDArray[np.bool_], point_starts: NDArray[np.intp]) -> tuple[Array, Array]:
+def _point_times(time: Array, outlier: Flags, point_starts: Indices) -> tuple[Array, Array]:
     """Return the mean time [s] and the number of the samples of each grid point that are no outliers, shapes (m,).
 
     If all are outliers, the time is the mean of all.
@@ -428,7 +392,7 @@ def _point_times(time: Array, outlier: NDArray[np.bool_], point_starts: NDArray[
     return np.where(count > 0.0, counting, every), count
 
 
-def _following(outlier: NDArray[np.bool_], point_starts: NDArray[np.intp]) -> Array:
+def _following(outlier: Flags, point_starts: Indices) -> Array:
     """Return the share of the samples of each point, without outliers, that are not before each sample, shape (n,)."""
     sizes = np.diff(point_starts, append=outlier.size)
     so_far = np.cumsum(~outlier)

@@ -17,28 +17,17 @@ from trainid_ros.train.effects import EFFECTS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Dataset
+    from trainid_ros.explain.dataset import Array, Dataset
     from trainid_ros.train.effects import EffectKind, Parameter, TrackPoint
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
-    Array = NDArray[np.float64]
-
-_DAVIS_STEPS: Final = (0.1, 0.01, 0.0002)
-"""Steps of a, b, c for derivatives [N/kN, N/kN per m/s, N/kN per (m/s)^2]."""
-_PROBES: Final = 60
-"""Points used to test whether an effect depends on a, b, c."""
-_CACHE_SIZE: Final = 400
-"""Resistances kept in the cache, to bound the memory."""
-_POSITION_STD: Final = 80.0
-"""Prior std of a position about its initial value [m]."""
-_TIME_STD: Final = 60.0
-"""Prior std of a time about its initial value [s]."""
-_MIN_LENGTH_M: Final = 50.0
-"""Minimum length of an effect on a section of the line [m]."""
-_UNIFORM_WIDTH: Final = math.sqrt(2.0 * math.pi)
-"""Width of a uniform density as high as the peak of a normal one [std]."""
+_DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
+_PROBES: Final = 60  # Points used to test whether an effect depends on a, b, c
+_CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
+_POSITION_STD: Final = 80.0  # Prior std of a position about its initial value [m]
+_TIME_STD: Final = 60.0  # Prior std of a time about its initial value [s]
+_MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect on a section of the line [m]
+_UNIFORM_WIDTH: Final = math.sqrt(2.0 * math.pi)  # Width of a uniform density as high as a normal one [std]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +36,7 @@ class EffectTerm:
 
     name: str  # Its name in train files
     parameters: Mapping[str, float]  # Its parameters, in the units of the effect
-    covariance: NDArray[np.float64] | None = None  # Their covariance in the same order, None before a fit
+    covariance: Array | None = None  # Their covariance in the same order, None before a fit
 
     @property
     def size(self) -> float:
@@ -92,13 +81,13 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
         limits = kind.parameters[name]
         if name == kind.amplitude:
             cost += ((value - kind.neutral) / width) ** 2
-        elif limits.search is not None:
+            continue
+        if limits.search is None:
+            span = float(np.ptp(dataset.joined('position') if limits.is_place else dataset.time))
+        else:
             low, high = limits.search
             span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
-            cost += 2.0 * math.log(max(span / (_UNIFORM_WIDTH * width), 1.0))
-        else:
-            along = dataset.joined('position') if limits.unit == 'm' else dataset.time
-            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_UNIFORM_WIDTH * width), 1.0))
+        cost += 2.0 * math.log(max(span / (_UNIFORM_WIDTH * width), 1.0))
     return cost
 
 
@@ -108,10 +97,8 @@ def prior_width(effect: str, name: str, value: float) -> float:
     if name == kind.amplitude:
         return 3.0 * kind.typical_size
     limits = kind.parameters[name]
-    if limits.unit == 'm' and limits.search is None:
-        return _POSITION_STD
     if limits.search is None:
-        return _TIME_STD
+        return _POSITION_STD if limits.is_place else _TIME_STD
     return max(abs(value), limits.search[0])
 
 
@@ -125,19 +112,15 @@ def _inside(value: float, limits: Parameter) -> float:
 
 def _ordered(parameters: dict[str, float]) -> dict[str, float]:
     """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
-    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _MIN_LENGTH_M:
-        middle = 0.5 * (parameters['start'] + parameters['end'])
-        return {**parameters, 'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
-    return parameters
+    start, end = parameters.get('start'), parameters.get('end')
+    if start is None or end is None or end - start >= _MIN_LENGTH_M:
+        return parameters
+    middle = 0.5 * (start + end)
+    return {**parameters, 'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
 
 
 class EffectEvaluator:
-    """Resistances of effects at all stages of a dataset.
-
-    Attributes:
-        dataset: The dataset.
-        davis: Davis parameters a, b, c of the train file.
-    """
+    """Resistances of effects at all stages of a dataset, by default with a, b, c of the train file."""
 
     def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
         self.dataset, self.davis = dataset, train_file.resistance
@@ -151,10 +134,7 @@ class EffectEvaluator:
     def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
         """Return the resistance of an effect on each stage [N/kN], shape (n,).
 
-        Args:
-            name: The effect.
-            parameters: Its parameters.
-            davis: Davis parameters, where they differ from the train file: headwind and tunnel act through c.
+        ``davis`` is given where it differs from the train file: headwind and tunnel act through c.
 
         Raises:
             InputError: The resistance is not finite or cannot be calculated.
@@ -179,24 +159,21 @@ class EffectEvaluator:
         function = EFFECTS[name].resistance
         if function is None:
             return np.zeros(len(self._points))
+        shown = ', '.join(f'{key}={value:g}' for key, value in parameters.items())
         try:
             each = map(function, repeat(parameters), repeat(davis), self._points)
             values = np.fromiter(each, dtype=float, count=len(self._points))
         except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise InputError(
-                f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
-            ) from error
+            raise InputError(f'effect {name}: its resistance cannot be calculated for {shown}: {error}') from error
         if not np.isfinite(values).all():
-            raise InputError(f'effect {name}: its resistance is not finite for {_formatted(parameters)}')
+            raise InputError(f'effect {name}: its resistance is not finite for {shown}')
         return values
 
     def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
         """Return the derivative of an effect's resistance by a, b, c, shape (n, 3); None if independent of them."""
         function = EFFECTS[name].resistance
         some = self._points[:: max(1, len(self._points) // _PROBES)]
-        changed = [
-            replace(davis, **{key: getattr(davis, key) + step}) for key, step in zip('abc', _DAVIS_STEPS, strict=True)
-        ]
+        changed = [replace(davis, **{key: getattr(davis, key) + step}) for key, step in _DAVIS_STEPS.items()]
         if function is None or all(
             function(parameters, other, point) == function(parameters, davis, point)
             for other in changed
@@ -204,7 +181,7 @@ class EffectEvaluator:
         ):
             return None
         here = self.resistance(name, parameters, davis)
-        rows = zip(changed, _DAVIS_STEPS, strict=True)
+        rows = zip(changed, _DAVIS_STEPS.values(), strict=True)
         return np.stack([(self.resistance(name, parameters, other) - here) / step for other, step in rows], axis=1)
 
     def total(self, effects: Sequence[Effect]) -> Array:
@@ -214,10 +191,6 @@ class EffectEvaluator:
             if not EFFECTS[effect.name].on_records:
                 total += self.resistance(effect.name, dict(effect.parameters))
         return total
-
-
-def _formatted(parameters: Mapping[str, float]) -> str:
-    return ', '.join(f'{key}={value:g}' for key, value in parameters.items())
 
 
 def unit_resistance(
@@ -259,17 +232,16 @@ def merged(current: Sequence[Effect], added: Sequence[Effect]) -> tuple[Effect, 
     one effect. Records are never corrected for slip, so slip that was found replaces that of the train file.
     """
     before = {effect.name: effect for effect in current if EFFECTS[effect.name].on_records}
-    total = tuple(
-        _sum(before[new.name], new) if new.name in before and EFFECTS[new.name].resistance is not None else new
-        for new in added
-    )
+    total = tuple(_sum(before.get(new.name), new) for new in added)
     names = {effect.name for effect in total if effect.name in before}
     return (*(effect for effect in current if effect.name not in names), *total)
 
 
-def _sum(before: Effect, new: Effect) -> Effect:
+def _sum(before: Effect | None, new: Effect) -> Effect:
     """Return the combination of two effects of one kind: ratios are multiplied, other amplitudes are added."""
     kind = EFFECTS[new.name]
+    if before is None or kind.resistance is None:
+        return new
     old, parameters = dict(before.parameters)[kind.amplitude], dict(new.parameters)
     more = parameters[kind.amplitude]
     parameters[kind.amplitude] = more * old if kind.neutral else more + old

@@ -30,9 +30,7 @@ from trainid_ros.interface.errors import NoAnswerError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from trainid_ros.explain.dataset import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +50,7 @@ class Gram:
         return cls((white.T @ white)[:C, :C], by_run[:, :C], by_run[:, C:])
 
     def reduced(self, std: Array) -> tuple[Array, float]:
-        """Integrate out the factors of runs.
-
-        Args:
-            std: Prior standard deviation of each factor, shape (F,).
+        """Integrate out the factors of runs, with prior standard deviations of shape (F,).
 
         Returns:
             Products of columns, shape (C, C), and the log determinant of the marginalisation.
@@ -99,14 +94,14 @@ class Information:
     log_det: float  # Log determinant of the marginalisation of the nuisances
 
 
-def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
-    """Integrate out the nuisances, which follow y in column 0.
+def eliminate(products: Array, prior_factor: Array) -> Information:
+    """Integrate out the nuisances.
 
     Args:
         products: Products of y, nuisances and candidates, shape (C, C).
-        nuisances: Number of nuisances, columns 1 to ``nuisances``.
-        prior_factor: L with L L' the prior covariance of the nuisances, shape (nuisances, nuisances).
+        prior_factor: L with L L' the prior covariance of the n nuisances, shape (n, n).
     """
+    nuisances = len(prior_factor)
     own = slice(1, 1 + nuisances)
     found = Nuisances.of(products[own, own], prior_factor)
     keep = np.concatenate([[0], np.arange(1 + nuisances, products.shape[0])])
@@ -168,27 +163,19 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
     return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
 
 
+# Prior median of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
+# payload [1], brake [1], map [per mille]; the payload is that of weighed trains.
 _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
-"""Prior median of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
-payload [1], brake [1], map [per mille]; the payload is that of weighed trains."""
-_WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])
-"""Prior std of these logs [1]."""
-_GUST, _GUST_TIME, _PAYLOAD = 1, 2, 4
-"""Indices among the hyperparameters."""
-_OF_RUN: Final = 4
-"""Number of hyperparameters of the noise along a run, which come first: others need no new whitening."""
-_UNWEIGHED: Final = 0.03
-"""Prior median of the relative error of the mass if it is not measured [1]."""
-_STEP: Final = 0.05
-"""Step of the logs for curvature by central differences [1]."""
-_SMALL: Final = 1e-3
-"""Step of the logs for the gradient by forward differences [1]."""
-_MAX_MOVE: Final = 2.0
-"""Maximum step of the search in any of the logs [1]."""
+_WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])  # Prior std of these logs [1]
+_GUST, _GUST_TIME, _PAYLOAD = 1, 2, 4  # Indices among the hyperparameters
+_OF_RUN: Final = 4  # Number of hyperparameters of the noise along a run, which come first: others need no new whitening
+_UNWEIGHED: Final = 0.03  # Prior median of the relative error of the mass if it is not measured [1]
+_STEP: Final = 0.05  # Step of the logs for curvature by central differences [1]
+_SMALL: Final = 1e-3  # Step of the logs for the gradient by forward differences [1]
+_MAX_MOVE: Final = 2.0  # Maximum step of the search in any of the logs [1]
+# The search ends when a step gains less than this in 2 ln of the likelihood [1]: verdicts need whole units.
 _SETTLED: Final = 0.05
-"""The search ends when a step gains less than this in 2 ln of the likelihood [1]: verdicts need whole units."""
 _MAX_STEPS: Final = 30
-"""Maximum number of steps of the search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,8 +205,7 @@ class MarginalLikelihood:
         """
         self._grid, self._factors = grid, factors.shape[1]
         self._columns = np.concatenate([columns, factors], axis=1)
-        self._common = common_std
-        self._root = map_root
+        self._common, self._root = common_std, map_root
         self._median = _MEDIAN.copy()
         if not weighed:
             self._median[_PAYLOAD] = math.log(_UNWEIGHED)
@@ -305,7 +291,7 @@ class MarginalLikelihood:
         _, gram, log_det = self._gram
         products, cost = gram.reduced(spread.of_run)
         factor = prior_factor(self._common, self._root, spread)
-        information = eliminate(products, len(factor), factor)
+        information = eliminate(products, factor)
         prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
         return information.yy + log_det + cost + information.log_det + prior
 

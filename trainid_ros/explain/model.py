@@ -42,25 +42,17 @@ from trainid_ros.train.train_file import Davis
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Dataset, Run
+    from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices, Run
     from trainid_ros.explain.likelihood import Hyperparameters, Information
     from trainid_ros.explain.noise import Noise, Spread
     from trainid_ros.train.train_file import TrainFile
 
-    Array = NDArray[np.float64]
-
-_STOPPING_M: Final = 1.5
-"""Std of the stopping position, both ends of a run together [m]."""
-_COMMON: Final = 0.0015
-"""Relative error of the map's distances, common to all runs [1]."""
-_MAX_EXCESS: Final = 0.1
-"""Deviation of the ratio from one beyond which it is not due to the wheel [1]."""
-_NEAR_M: Final = 60.0
-"""Distance from a stopping point within which a train counts as stopped there [m]."""
+_STOPPING_M: Final = 1.5  # Std of the stopping position, both ends of a run together [m]
+_COMMON: Final = 0.0015  # Relative error of the map's distances, common to all runs [1]
+_MAX_EXCESS: Final = 0.1  # Deviation of the ratio from one beyond which it is not due to the wheel [1]
+_NEAR_M: Final = 60.0  # Distance from a stopping point within which a train counts as stopped there [m]
+# Ratio of the variances of median and mean of normal values [1]: pi / 2, slightly more for few values.
 _MEDIAN_VARIANCE: Final = 1.6
-"""Ratio of the variances of median and mean of normal values (pi / 2, slightly more for few values)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +64,7 @@ class Odometry:
 
     @classmethod
     def of(cls, dataset: Dataset, stops: Sequence[float]) -> Odometry:
-        """Return the ratio from all runs between two standstills.
-
-        Args:
-            dataset: The dataset.
-            stops: Stopping positions of the line [m].
-        """
+        """Return the ratio from all runs between two standstills; ``stops`` are those of the line [m]."""
         ratios, weights = [], []
         for run, travelled in zip(dataset.runs, _travelled(dataset), strict=True):
             distance = _distance(run, travelled, stops)
@@ -116,53 +103,17 @@ def _distance(run: Run, travelled: float, stops: Sequence[float]) -> float | Non
     return abs(end - begin) or None
 
 
-SLIP: Final = 'wheel_slip'
-_MIN_SAMPLES: Final = 3
-"""Minimum number of samples of a burst."""
-_MIN_BURSTS: Final = 4
-"""Minimum number of bursts."""
-_AGREEING: Final = 0.8
-"""Minimum share of the bursts during traction or braking that have the sign of the force."""
-_MIN_SHARE: Final = 0.004
-"""Minimum share of samples in bursts."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Bursts:
-    """Bursts with the sign of the force."""
-
-    peaks: tuple[float, ...]  # Their peaks [m/s]
-    samples: int  # Number of their samples
-    forced: int  # Number of all bursts during traction or braking, of either sign
+_MIN_SAMPLES: Final = 3  # Minimum number of samples of a burst
+_MIN_BURSTS: Final = 4  # Minimum number of bursts with the sign of the force
+_AGREEING: Final = 0.8  # Their minimum share in the bursts during traction or braking [1]
+_MIN_SHARE: Final = 0.004  # Minimum share of samples in them [1]
 
 
 def find_slip(dataset: Dataset) -> tuple[EffectTerm, float] | None:
     """Return the slip of a dataset and its evidence, 2 ln of a likelihood ratio; None if there is none."""
-    starts, ends = _bursts(dataset)
-    bursts = _agreeing(dataset, starts, ends)
-    count, share = len(bursts.peaks), bursts.samples / dataset.dt.size
-    if count < _MIN_BURSTS or count < _AGREEING * bursts.forced or share < _MIN_SHARE:
-        return None
-    # The sample maximum underestimates the upper limit of the peaks.
-    largest = max(bursts.peaks) * (count + 1) / count
-    spread = largest / count
-    variances = [(share / math.sqrt(count)) ** 2 + (0.2 * share) ** 2, spread**2 + 0.1**2]
-    return EffectTerm(SLIP, {'share': share, 'speed': largest}, np.diag(variances)), _evidence(dataset, count)
-
-
-def _evidence(dataset: Dataset, count: int) -> float:
-    """Return 2 ln of the likelihood ratio of ``count`` bursts with the sign of the force against chance (Poisson)."""
-    # Number of bursts expected by chance from independent outliers, half of them with the sign of the force.
-    single = float(np.mean(dataset.outlier))
-    chance = max(0.5, 0.5 * dataset.dt.size * single**_MIN_SAMPLES)
-    return 2.0 * (count * math.log(count / chance) - count + chance) if count > chance else 0.0
-
-
-def _agreeing(dataset: Dataset, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> _Bursts:
-    """Return the bursts in which the wheel is faster under traction, or slower while braking."""
     force = dataset.joined('traction') + dataset.joined('brake')
     peaks, samples, forced = [], 0, 0
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+    for start, end in zip(*(edges.tolist() for edges in _bursts(dataset)), strict=True):
         deviation, pull = dataset.deviation[start:end], float(np.median(force[start:end]))
         peak = float(deviation[np.argmax(np.abs(deviation))])
         if abs(pull) <= PULLING:
@@ -171,10 +122,20 @@ def _agreeing(dataset: Dataset, starts: NDArray[np.intp], ends: NDArray[np.intp]
         if peak * pull > 0.0:
             peaks.append(abs(peak))
             samples += end - start
-    return _Bursts(tuple(peaks), samples, forced)
+    count, share = len(peaks), samples / dataset.dt.size
+    if count < _MIN_BURSTS or count < _AGREEING * forced or share < _MIN_SHARE:
+        return None
+    # The sample maximum underestimates the upper limit of the peaks.
+    largest = max(peaks) * (count + 1) / count
+    variances = [(share / math.sqrt(count)) ** 2 + (0.2 * share) ** 2, (largest / count) ** 2 + 0.1**2]
+    # Number of bursts expected by chance from independent outliers, half of them with the sign of the force (Poisson).
+    single = float(np.mean(dataset.outlier))
+    chance = max(0.5, 0.5 * dataset.dt.size * single**_MIN_SAMPLES)
+    evidence = 2.0 * (count * math.log(count / chance) - count + chance) if count > chance else 0.0
+    return EffectTerm('wheel_slip', {'share': share, 'speed': largest}, np.diag(variances)), evidence
 
 
-def _bursts(dataset: Dataset) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _bursts(dataset: Dataset) -> tuple[Indices, Indices]:
     """Return first sample and end of all bursts: successive outliers of one sign in one run, shapes (k,)."""
     sign = np.where(dataset.outlier, np.sign(dataset.deviation), 0.0)
     fresh = np.ones(sign.size, dtype=bool)
@@ -187,25 +148,15 @@ def _bursts(dataset: Dataset) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 POINTS: Final = {'front': 0.0, 'middle': 0.5, 'rear': 1.0}
 """Points of the train and their distance behind its front, as a share of its length."""
-_MIN_EVIDENCE: Final = 15.0
-"""2 ln of the Bayes factor required for the value at a point."""
-_SHARES: Final = (0.5, 1.5)
-"""Limits of the estimated share of the change from the mean to the value at a point."""
-_CELL_M: Final = 5.0
-"""Length of a cell of the gradient profile [m]."""
-_PLACES: Final = 24
-"""Points under the train over which the gradient is averaged."""
+_MIN_EVIDENCE: Final = 15.0  # 2 ln of the Bayes factor required for the value at a point
+_CELL_M: Final = 5.0  # Length of a cell of the gradient profile [m]
+_PLACES: Final = 24  # Points under the train over which the gradient is averaged
 
 
 def read_at(point: str, runs: Sequence[Run], length: float) -> tuple[Run, ...]:
-    """Return runs with the gradient, given at one of :data:`POINTS`, averaged under the train.
+    """Return runs with the gradient, given at one of :data:`POINTS`, averaged under a train of this length [m].
 
     The gradient ahead of and behind the point is taken from all runs in the same direction.
-
-    Args:
-        point: Point of the train at which the gradient is given.
-        runs: The runs.
-        length: Length of the train [m].
     """
     profiles = {way: _Profile([run for run in runs if run.direction == way]) for way in {r.direction for r in runs}}
     behind = length * ((np.arange(_PLACES) + 0.5) / _PLACES - POINTS[point])
@@ -215,10 +166,7 @@ def read_at(point: str, runs: Sequence[Run], length: float) -> tuple[Run, ...]:
 def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str | None:
     """Return the point at which gradients are given, if the data support it more than a shift of the map; else None.
 
-    Args:
-        model: Model without effects.
-        hyper: Hyperparameters estimated with it.
-        shift: Evidence of a shifted map, 2 ln of its Bayes factor.
+    The model has no effects; ``shift`` is the evidence of a shifted map, 2 ln of its Bayes factor.
     """
     dataset, length = model.dataset, model.train_file.train.length
     given = dataset.joined('gradient')
@@ -229,7 +177,8 @@ def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str |
     A, b = np.diag(found.A), found.b
     share, evidence = b / (A + 1.0), log_bayes(A, b, 1.0, 1)
     best = int(np.argmax(evidence))
-    if evidence[best] > max(_MIN_EVIDENCE, shift) and _SHARES[0] < share[best] < _SHARES[1]:
+    # The share of the change from the mean to the value at the point must be near one.
+    if evidence[best] > max(_MIN_EVIDENCE, shift) and 0.5 < share[best] < 1.5:
         return tuple(POINTS)[best]
     return None
 
@@ -257,12 +206,9 @@ def _middles(run: Run) -> Array:
 
 WHEEL: Final = 'wheel_diameter'
 """The effect on which distances between stops give information too."""
-_KEPT: Final = 8
-"""Maximum number of hyperparameters for which the whitening is kept, to bound the memory."""
-_MAX_STEPS: Final = 5
-"""Maximum number of Gauss-Newton steps."""
-_SETTLED: Final = 0.1
-"""They end when no parameter moves by more than this [std]."""
+_KEPT: Final = 8  # Maximum number of hyperparameters for which the whitening is kept, to bound the memory
+_MAX_STEPS: Final = 5  # Maximum number of Gauss-Newton steps
+_SETTLED: Final = 0.1  # They end when no parameter moves by more than this [std]
 
 
 class Model:
@@ -318,12 +264,7 @@ class Model:
         return self.with_terms((*self.terms[:k], *self.terms[k + 1 :]))
 
     def with_nuisances(self, columns: Array, std: float) -> Model:
-        """Return the same model with further nuisances that all runs share.
-
-        Args:
-            columns: Responses at the grid points [m/s], shape (m, k).
-            std: Prior std of their coefficients.
-        """
+        """Return the same model with further nuisances: responses [m/s] (m, k), and prior std of their coefficients."""
         other = copy(self)
         other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
         other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
@@ -414,12 +355,9 @@ class Model:
     def informations(
         self, hyper: Hyperparameters, candidates: Sequence[Array], *, terms: bool = True
     ) -> list[Information]:
-        """Return the information on groups of candidate columns, each alone, with all nuisances eliminated.
+        """Return the information on groups of columns at the grid points (m, k), each alone, all nuisances eliminated.
 
-        Args:
-            hyper: Hyperparameters of noise and nuisances.
-            candidates: Columns of each group at the grid points, shapes (m, k).
-            terms: Eliminate the parameters of the effects too; otherwise they are fixed.
+        With ``terms`` the parameters of the effects are eliminated too; otherwise they are fixed.
         """
         columns, root = self.white_columns(hyper), self.prior_factor(hyper.spread)
         if not terms:
@@ -437,7 +375,7 @@ class Model:
         return posterior(products, self.prior_factor(hyper.spread))
 
     @property
-    def without_terms(self) -> NDArray[np.bool_]:
+    def without_terms(self) -> Flags:
         """True for nuisance columns that are not parameters of effects, shape (q + k,)."""
         kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
         for _, here in self.places():

@@ -21,19 +21,13 @@ import numpy as np
 from scipy.linalg import cholesky_banded
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Dataset
+    from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices
     from trainid_ros.train.train_file import TrainFile
 
-    Array = NDArray[np.float64]
-
-_DIFFUSE: Final = 1e2
-"""Variance of an unknown initial speed error [(m/s)^2]."""
+_DIFFUSE: Final = 1e2  # Variance of an unknown initial speed error [(m/s)^2]
+# Minimum process noise of a step [(m/s)^2, (N/kN)^2], which keeps the information matrix finite.
 _MIN_VARIANCE: Final = 1e-12
-"""Minimum process noise of a step [(m/s)^2, (N/kN)^2], which keeps the information matrix finite."""
-_SHARED: Final = 0.1
-"""Share of the noise variance that the samples of a grid point share [1]: quantised speeds repeat."""
+_SHARED: Final = 0.1  # Share of the noise variance that the samples of a grid point share [1]: quantised speeds repeat
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +45,8 @@ class Grid:
     """Grid points of all runs side by side, longest run first, padded to its length; N grid points by R runs."""
 
     edges: tuple[int, ...]  # First grid point of each run in the dataset, and the number of grid points, shape (R + 1,)
-    inside: NDArray[np.bool_]  # True for grid points, False for padding, shape (N, R)
-    order: NDArray[np.intp]  # Index in the dataset of each point of the grid, row by row, shape (m,)
+    inside: Flags  # True for grid points, False for padding, shape (N, R)
+    order: Indices  # Index in the dataset of each point of the grid, row by row, shape (m,)
     dt: Array  # Time since the previous grid point [s], shape (N, R)
     # Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R)
     share: Array
@@ -143,13 +137,7 @@ class Whitening:
 
     @classmethod
     def of(cls, whitener: Whitener, factors: Array, std: Array) -> Whitening:
-        """Prepare the whitening.
-
-        Args:
-            whitener: The filter.
-            factors: Columns of the factors at the grid points, shape (m, F).
-            std: Prior standard deviation of each factor, shape (F,).
-        """
+        """Prepare the whitening for factors at the grid points (m, F) with their prior standard deviations (F,)."""
         scaled = whitener.apply(factors) * std
         squares, V = np.linalg.eigh(np.stack([scaled[run].T @ scaled[run] for run in whitener.grid.runs]))
         along = np.concatenate([scaled[run] @ v for run, v in zip(whitener.grid.runs, V, strict=True)])
@@ -218,22 +206,15 @@ def _inverse(A: Array) -> Array:
     return np.asarray(np.stack((A[2], -A[1], A[0])) / (A[0] * A[2] - A[1] * A[1]))
 
 
-_MAX_BINS: Final = 100
-"""Maximum number of bins of the line for map errors, to bound time and memory."""
-_MIN_BIN_M: Final = 100.0
-"""Minimum length of a bin for map errors [m]."""
-_FINER: Final = 2.0
-"""Bins for map errors, which are smooth, over those for effects on sections [1]."""
-_MAP_LENGTH_M: Final = 200.0
-"""Correlation length of map errors [m]."""
-_DAVIS_SHARE: Final = 0.4
-"""Prior std of a, b, c as a share of the train file's values [1], beside the minimum below."""
+_MAX_BINS: Final = 100  # Maximum number of bins of the line for map errors, to bound time and memory
+_MIN_BIN_M: Final = 100.0  # Minimum length of a bin for map errors [m]
+_MAP_LENGTH_M: Final = 200.0  # Correlation length of map errors [m]
+_DAVIS_SHARE: Final = 0.4  # Prior std of a, b, c as a share of the train file's values [1], beside the minimum below
+# Prior std of a, b, c for values of zero [N/kN, N/kN per m/s, N/kN per (m/s)^2].
 _DAVIS_MIN_STD: Final = np.array([0.15, 0.02, 0.0004])
-"""Prior std of a, b, c for values of zero [N/kN, N/kN per m/s, N/kN per (m/s)^2]."""
+# Prior std of skew of traction and of brake [s], shift of the map [m], gain of traction and of brake [1].
 _CLOCK_MAP_GAIN_STD: Final = (0.1, 0.04, 15.0, 0.003, 0.004)
-"""Prior std of skew of traction and of brake [s], shift of the map [m], gain of traction and of brake [1]."""
-_MASS_STD: Final = {True: 0.003, False: 0.015}
-"""Prior std of the mass common to all runs, if it is weighed or not [1]."""
+_MASS_STD: Final = {True: 0.003, False: 0.015}  # Prior std of the mass common to all runs, if it is weighed or not [1]
 DAVIS: Final = slice(0, 3)
 """Indices of a, b, c among the nuisances."""
 
@@ -262,10 +243,13 @@ class Bins:
 
     @classmethod
     def of(cls, dataset: Dataset, length: float, *, fine: bool = False) -> Bins:
-        """Return bins over the line that a train of the given length [m] has passed."""
+        """Return bins over the line that a train of the given length [m] has passed.
+
+        Map errors are smooth; bins for effects on sections are half as long (``fine``).
+        """
         position = dataset.joined('position')
         low, high = float(position.min()) - length, float(position.max()) + length
-        width = max(_MIN_BIN_M, (high - low) / _MAX_BINS) / (_FINER if fine else 1.0)
+        width = max(_MIN_BIN_M, (high - low) / _MAX_BINS) / (2.0 if fine else 1.0)
         return cls(low, width, math.ceil((high - low) / width))
 
     @property
@@ -309,10 +293,8 @@ def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
 def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
     """Return L with L L' the prior covariance of nuisances that all runs share and of map errors.
 
-    Args:
-        common: Prior std of the former, shape (q,).
-        map_root: Cholesky factor of the correlation of the latter, shape (k, k).
-        spread: Standard deviations, of which that of the map is used.
+    ``common`` is the prior std of the former (q,), ``map_root`` the Cholesky factor of the correlation of the latter
+    (k, k).
     """
     q, k = len(common), len(map_root)
     factor = np.zeros((q + k, q + k))
@@ -338,9 +320,7 @@ def _rate(force: Array, dataset: Dataset) -> Array:
 def integrated_covariance(t: Array, tau: float) -> Array:
     """Return the covariance at times t [s] of the integral of an Ornstein-Uhlenbeck process over std^2 tau^2, (n, n).
 
-    Args:
-        t: Times, the integral being 0 at t = 0 [s], shape (n,).
-        tau: Correlation time of the process [s].
+    The integral is 0 at t = 0; tau is the correlation time of the process [s].
     """
     lesser, decay = np.minimum(t[:, None], t[None, :]), np.exp(-t / tau)
     apart = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)

@@ -32,26 +32,16 @@ from trainid_ros.train.effects import EFFECTS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Dataset, Run
+    from trainid_ros.explain.dataset import Array, Dataset, Flags, Run
     from trainid_ros.explain.search import Selection
     from trainid_ros.train.train_file import TrainFile
 
-    Array = NDArray[np.float64]
-
-_MAX_FOLDS: Final = 12
-"""Maximum number of fits."""
-MIN_RUNS: Final = 2
-"""Minimum number of runs to hold one out."""
+_MAX_FOLDS: Final = 12  # Maximum number of fits
+# Maximum plausible gusts, payloads, brakes and map errors [1]; see MarginalLikelihood.excess.
 _MAX_EXCESS: Final = 14.0
-"""Maximum plausible gusts, payloads, brakes and map errors [1]; see :meth:`MarginalLikelihood.excess`."""
-_MAX_EXCESS_NAMED: Final = 30.0
-"""The same when effects with evidence of their own have been found [1]."""
-_MAX_SIZE: Final = 12.0
-"""Maximum plausible amplitude of an effect, in units of its typical value [1]."""
-_WORSE: Final = 1.1
-"""Effects that increase the gap on held-out runs by this factor are not reported, whatever their evidence."""
+_MAX_EXCESS_NAMED: Final = 30.0  # The same when effects with evidence of their own have been found [1]
+_MAX_SIZE: Final = 12.0  # Maximum plausible amplitude of an effect, in units of its typical value [1]
+_WORSE: Final = 1.1  # Effects that increase the gap on held-out runs by this factor are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +53,9 @@ class HeldOut:
 
 
 def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
-    """Return the gaps of all runs, each held out in turn; None with fewer than :data:`MIN_RUNS` runs."""
+    """Return the gaps of all runs, each held out in turn; None of a single run."""
     runs = len(model.dataset.runs)
-    if runs < MIN_RUNS:
+    if runs < 2:
         return None
     products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
@@ -96,7 +86,7 @@ def _neutral(model: Model) -> Array:
     return change
 
 
-def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) -> tuple[Array, Array]:
+def _centred(model: Model, at: Flags, left: Array, expected: Array) -> tuple[Array, Array]:
     """Return the residual of one run less its mean, and the std expected of it [m/s], shapes (m,)."""
     known = model.dataset.point_count[at] > 0.0
     weight = known / max(float(known.sum()), 1.0)
@@ -111,10 +101,12 @@ def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap |
     if before is None or after is None:
         return None
     known = model.dataset.point_count > 0.0
-    return Gap(_rms(before.gap[known]), _rms(after.gap[known]), _rms(after.std[known]), len(model.dataset.runs))
+    rms = (math.sqrt(float(np.mean(np.square(values[known])))) for values in (before.gap, after.gap, after.std))
+    without, with_effects, floor = rms
+    return Gap(without, with_effects, floor, len(model.dataset.runs))
 
 
-def _noise(model: Model, hyper: Hyperparameters, at: NDArray[np.bool_], covariance: Array) -> Array:
+def _noise(model: Model, hyper: Hyperparameters, at: Flags, covariance: Array) -> Array:
     """Return the covariance of the speed errors of one run that a correct model leaves [(m/s)^2].
 
     It covers integrated gusts, sensor noise, payload and brake, and the uncertainty of a, b, c and of the map as fitted
@@ -129,10 +121,6 @@ def _noise(model: Model, hyper: Hyperparameters, at: NDArray[np.bool_], covarian
     gusts = (noise.gust * noise.gust_time / model.dataset.inertia) ** 2 * integrated_covariance(t, noise.gust_time)
     nuisances = columns @ covariance[np.ix_(base, base)] @ columns.T
     return np.asarray(gusts + factors @ factors.T + np.diag(white) + nuisances)
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,67 +155,48 @@ def assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, 
     if (gap := outcome.gap) is None or gap.after <= _WORSE * gap.before:
         return outcome
     # Despite their evidence, the effects do not improve the simulation of held-out runs.
-    return Outcome(Verdict.UNEXPLAINED, _no_better(final, gap), hyper, base, base, before, before)
+    remaining = (
+        f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed: the gap '
+        f'on held-out runs would increase from {gap.before:.3f} to {gap.after:.3f} m/s.'
+    )
+    return Outcome(Verdict.UNEXPLAINED, remaining, hyper, base, base, before, before)
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
-    generic = selection.groups[0].evidence if selection.groups else 0.0
-    if generic > max(GENERIC, LEFT_OVER * sum(selection.evidence)) or not _credible(selection, slipping=slipping):
+    final, terms = selection.final, selection.final.model.terms
+    # With slip the noise is not checked, since its bursts look like gusts.
+    is_noisy = not slipping and final.excess >= (_MAX_EXCESS_NAMED if terms else _MAX_EXCESS)
+    if (
+        selection.groups[0].evidence > max(GENERIC, LEFT_OVER * sum(selection.evidence))
+        or is_noisy
+        or any(term.size >= _MAX_SIZE for term in terms)
+    ):
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
 
 
-def _credible(selection: Selection, *, slipping: bool) -> bool:
-    """Return False if an amplitude or the noise is implausibly large.
-
-    With slip the noise is not checked, since its bursts look like gusts.
-    """
-    terms = selection.final.model.terms
-    most = _MAX_EXCESS_NAMED if terms else _MAX_EXCESS
-    usual = slipping or selection.final.excess < most
-    return usual and all(term.size < _MAX_SIZE for term in terms)
-
-
 def _remaining(selection: Selection, verdict: Verdict) -> str:
-    strongest = selection.groups[0] if selection.groups else None
-    if strongest is not None and strongest.evidence >= GENERIC:
+    strongest = selection.groups[0]
+    if strongest.evidence >= GENERIC:
         size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends slightly'
         return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
-    if verdict is Verdict.UNEXPLAINED:
-        return f'Unmeasured forces exceed plausible noise: {_unusual(selection.final.hyper)}.'
-    return 'What is left is noise: gusts, errors of the map and of the sensors.'
-
-
-def _no_better(model: Model, gap: Gap) -> str:
-    """Return why effects with enough evidence are not reported."""
-    names = ' and '.join(sorted({term.name for term in model.terms}))
+    if verdict is not Verdict.UNEXPLAINED:
+        return 'What is left is noise: gusts, errors of the map and of the sensors.'
+    noise, spread = selection.final.hyper.noise, selection.final.hyper.spread
     return (
-        f'The evidence for {names} is not confirmed: the gap on held-out runs would increase from {gap.before:.3f} to '
-        f'{gap.after:.3f} m/s.'
+        f'Unmeasured forces exceed plausible noise: gusts of {noise.gust:.2f} N/kN lasting {noise.gust_time:.0f} s, '
+        f'errors of {spread.payload:.1%} of the mass, {spread.brake:.1%} of the brake force from run to run and '
+        f'{spread.map:.2f} per mille of the map gradient.'
     )
 
 
-def _unusual(hyper: Hyperparameters) -> str:
-    """Return as text the gusts, payloads, brakes and map errors that would be needed to explain the gap."""
-    noise, spread = hyper.noise, hyper.spread
-    return (
-        f'gusts of {noise.gust:.2f} N/kN lasting {noise.gust_time:.0f} s, errors of {spread.payload:.1%} of the mass, '
-        f'{spread.brake:.1%} of the brake force from run to run and {spread.map:.2f} per mille of the map gradient'
-    )
-
-
-PRIOR: Final = 3.0
-"""Prior std of the missing resistance in one part [N/kN]: without data the estimate stays near zero with this std."""
-RELEASED_S: Final = 10.0
-"""Time after brake release for which the mode is 'just released' [s]."""
-_PLACES: Final = 40
-"""Parts of the line in which the gap is located."""
-_MAX_NAMED: Final = 3
-"""Maximum number of places where an effect is reported to act."""
-_MIN_SIGMAS: Final = 3.0
-"""Significance of such a place [std]."""
+_PRIOR: Final = 3.0  # Prior std of the missing resistance in one part, which that of a part without data has [N/kN]
+_RELEASED_S: Final = 10.0  # Time after brake release for which the mode is 'just released' [s]
+_PLACES: Final = 40  # Parts of the line in which the gap is located
+_MAX_NAMED: Final = 3  # Maximum number of places where an effect is reported to act
+_MIN_SIGMAS: Final = 3.0  # Significance of such a place [std]
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,17 +207,11 @@ class _Axis:
     unit: str
     labels: tuple[str, ...]
     edges: tuple[tuple[float, float], ...]
-    inside: NDArray[np.bool_]
+    inside: Flags
 
 
 def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Location, ...]:
-    """Return the missing resistance along all axes that the data cover.
-
-    Args:
-        before: Model without the effects.
-        after: Model with the effects.
-        hyper: Hyperparameters of noise and nuisances.
-    """
+    """Return the missing resistance of a model without and with the effects along all axes that the data cover."""
     axes = _axes(before.dataset)
     columns = [before.dataset.column(axis.inside.astype(float)) for axis in axes]
     estimates = [_estimate(model, hyper, columns) for model in (before, after)]
@@ -264,12 +227,9 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
 
 
 def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) -> str:
-    """Return as text where the resistance of an effect differs most significantly from its mean.
+    """Return as text where the resistance of an effect on each stage [N/kN] differs most significantly from its mean.
 
-    Args:
-        resistance: Resistance of the effect on each stage [N/kN], shape (n,).
-        dataset: The dataset.
-        locations: Result of :func:`locate` for the dataset.
+    ``locations`` is the result of :func:`locate` for the dataset.
     """
     weight = dataset.dt / dataset.dt.sum()
     mean = float(weight @ resistance)
@@ -291,7 +251,7 @@ def _estimate(model: Model, hyper: Hyperparameters, columns: list[Array]) -> lis
     """Return means and covariances of the parts of each axis, one axis at a time."""
     estimates: list[tuple[Array, Array]] = []
     for found in model.informations(hyper, columns, terms=False):
-        covariance = np.asarray(np.linalg.inv(found.A + np.eye(len(found.b)) / PRIOR**2))
+        covariance = np.asarray(np.linalg.inv(found.A + np.eye(len(found.b)) / _PRIOR**2))
         estimates.append((covariance @ found.b, covariance))
     return estimates
 
@@ -308,7 +268,7 @@ def _axes(dataset: Dataset) -> list[_Axis]:
     position, heat, release = dataset.joined('position'), dataset.joined('heat'), dataset.joined('since_release')
     rising, inside, curved = dataset.direction > 0, dataset.joined('tunnel') >= 0.5, dataset.joined('radius') > 0.0
     braking, pulling = brake < BRAKING, traction > PULLING
-    released = ~braking & (release < RELEASED_S)
+    released = ~braking & (release < _RELEASED_S)
     modes = (pulling & ~released, ~pulling & ~braking & ~released, braking, released)
     runs = tuple(dataset.run_of == k for k in range(len(dataset.runs)))
     ways = [('position', np.full(v.size, dataset.positioned))]
@@ -341,7 +301,7 @@ def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
     return _Axis(name, unit, labels, edges, inside[:, seen])
 
 
-def _kinds(name: str, labels: tuple[str, ...], kinds: tuple[NDArray[np.bool_], ...]) -> _Axis:
+def _kinds(name: str, labels: tuple[str, ...], kinds: tuple[Flags, ...]) -> _Axis:
     """Return an axis of categories, without empty ones."""
     inside = np.stack(kinds, axis=1)
     seen = np.flatnonzero(inside.any(axis=0)).tolist()

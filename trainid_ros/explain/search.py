@@ -18,6 +18,7 @@ abruptly elsewhere.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING, Final
 
@@ -32,29 +33,18 @@ from trainid_ros.explain.noise import Bins
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Dataset
+    from trainid_ros.explain.dataset import Array, Dataset, Indices
     from trainid_ros.explain.effects import EffectEvaluator
 
-    Array = NDArray[np.float64]
-
-_SHAPES: Final = 6
-"""Grid points of a shape parameter."""
-_MAX_TIMES: Final = 40
-"""Maximum number of grid points of a time."""
-_PLACES: Final = {1: 40, 2: 16}
-"""Grid points of each position, by the number of positions in a shape."""
-_PLACES_OF_MANY: Final = 6
-"""Grid points of each position of shapes with more positions."""
-_LASTING_S: Final = 60.0
-"""Driving time needed before and after a change in time to detect it [s]."""
+_SHAPES: Final = 6  # Grid points of a shape parameter
+_MAX_TIMES: Final = 40  # Maximum number of grid points of a time
+_PLACES: Final = (40, 16, 6)  # Grid points of each position in shapes with one, two, and more positions
+_LASTING_S: Final = 60.0  # Driving time needed before and after a change in time to detect it [s]
+# Amplitudes tried for an effect without shape parameters, in units of its typical value: it may be non-linear.
 _SIZES: Final = (1.0, -1.0, 2.0, -2.0)
-"""Amplitudes tried for an effect without shape parameters, in units of its typical value: it may be non-linear."""
-_SAME: Final = 0.05
-"""Relative tolerance within which two columns count as equal."""
+_SAME: Final = 0.05  # Relative tolerance within which two columns count as equal
 SECTIONS: Final = ('gradient_error', 'local_drag')
 """Effects on a section of the line, scanned over all starts and ends at once by sums over bins."""
 
@@ -76,45 +66,37 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
     for kind in EFFECTS.values():
         if kind.resistance is None or kind.name in SECTIONS:
             continue
-        shapes, columns = _columns(kind, evaluator)
-        seen = [i for i, column in enumerate(columns) if np.any(column)]
+        seen = [(shape, column) for shape, column in _columns(kind, evaluator) if np.any(column)]
         if seen:
-            resistance = np.stack([columns[i] for i in seen], axis=1)
-            families.append(
-                Family(kind.name, tuple(shapes[i] for i in seen), resistance, kind.typical_size, sign(kind))
-            )
+            shapes, columns = zip(*seen, strict=True)
+            families.append(Family(kind.name, shapes, np.stack(columns, axis=1), kind.typical_size, sign(kind)))
     return tuple(families)
 
 
-def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> tuple[list[dict[str, float]], list[Array]]:
-    """Return shapes and their columns; a shape is repeated where the response is not linear in the amplitude."""
+def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> list[tuple[dict[str, float], Array]]:
+    """Return shapes with their columns; a shape is repeated where the response is not linear in the amplitude."""
     shapes = _shapes(kind, evaluator.dataset)
     if shape_names(kind) or sign(kind):
-        return shapes, [unit_resistance(evaluator, kind, shape) for shape in shapes]
+        return [(shape, unit_resistance(evaluator, kind, shape)) for shape in shapes]
     columns: list[Array] = []
     for times in _SIZES:
         column = unit_resistance(evaluator, kind, shapes[0], times)
         if not any(np.allclose(column, other, rtol=_SAME, atol=_SAME * np.abs(other).max()) for other in columns):
             columns.append(column)
-    return shapes * len(columns), columns
+    return [(shapes[0], column) for column in columns]
 
 
 def _shapes(kind: EffectKind, dataset: Dataset) -> list[dict[str, float]]:
     """Return the grid of all parameters except the amplitude."""
     names = shape_names(kind)
-    axes = [_axis(kind.parameters[name], dataset, _place_count(kind, names)) for name in names]
+    places = sum(kind.parameters[name].is_place for name in names)
+    axes = [_axis(kind.parameters[name], dataset, _PLACES[min(places, len(_PLACES)) - 1]) for name in names]
     shapes = (dict(zip(names, values, strict=True)) for values in product(*axes))
     return [shape for shape in shapes if not ('start' in shape and 'end' in shape and shape['start'] >= shape['end'])]
 
 
-def _place_count(kind: EffectKind, names: Sequence[str]) -> int:
-    """Return the number of grid points of each position, which limits the number of combinations."""
-    places = sum(kind.parameters[name].is_place for name in names)
-    return _PLACES.get(places, _PLACES_OF_MANY)
-
-
 def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
-    """Return the grid points of one parameter."""
+    """Return the grid points of one parameter, as many as ``places`` of a position."""
     if limits.is_place:
         if not dataset.positioned:
             return []
@@ -132,10 +114,8 @@ def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
     return [float(value) for value in values]
 
 
-_KNOTS: Final = 5
-"""Knots of a piecewise-linear dependence."""
-_MAX_RUNS: Final = 60
-"""With more runs than this, the dependence on the run is replaced by one on time."""
+_KNOTS: Final = 5  # Knots of a piecewise-linear dependence
+_MAX_RUNS: Final = 60  # With more runs than this, the dependence on the run is replaced by one on time
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,22 +133,25 @@ def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
     pulling, braking = traction > PULLING, brake < BRAKING
     coasting = ~pulling & ~braking
     direction = dataset.direction.astype(float)[:, None]
-    tunnel, radius = dataset.joined('tunnel'), dataset.joined('radius')
+    tunnel, radius, gradient = (dataset.joined(name) for name in ('tunnel', 'radius', 'gradient'))
     curvature = np.where(radius > 0.0, 300.0 / np.maximum(radius, 100.0), 0.0)
     since = dataset.time - dataset.time[dataset.starts][dataset.run_of]
     # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
-    acceleration = traction + brake - dataset.joined('gradient') - 2.0
+    acceleration = traction + brake - gradient - 2.0
     relative = v / max(float(v.max()), 1.0)
     heat = dataset.joined('heat')
     heat = heat / max(float(heat.max()), 1.0)
     powers = np.stack((np.ones_like(v), relative, relative**2), axis=1)
     heats = np.stack((heat, heat**2, heat * relative), axis=1)
     modes = np.stack((pulling, braking), axis=1)
-    places = (
-        (Group('place', 'the place', Bins.of(dataset, length).shares(dataset, length)),) if dataset.positioned else ()
-    )
+    if len(dataset.runs) > _MAX_RUNS:
+        runs = _hats(dataset.time, _MAX_RUNS)
+    else:
+        runs = np.asarray(dataset.run_of[:, None] == np.arange(len(dataset.runs)), dtype=float)
+    bins = Bins.of(dataset, length)
+    places = [Group('place', 'the place', bins.shares(dataset, length))] if dataset.positioned else []
     return (
-        Group('run', 'the run', _runs(dataset)),
+        Group('run', 'the run', runs),
         *places,
         Group('time', 'the time', _hats(dataset.time, 6)),
         Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
@@ -183,21 +166,9 @@ def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
         Group('inertia', 'the acceleration', np.stack((acceleration, np.abs(acceleration)), axis=1) / 50.0),
         Group('tunnel', 'the tunnel', tunnel[:, None] * powers),
         Group('curve', 'curves', np.stack((curvature, curvature**2, curvature * relative**2), axis=1)),
-        Group('gradient', 'the gradient', _gradient(dataset)),
+        Group('gradient', 'the gradient', np.stack((gradient / 10.0, np.abs(gradient / 10.0)), axis=1)),
         Group('mode-direction', 'the direction and the driving mode', direction * modes),
     )
-
-
-def _runs(dataset: Dataset) -> Array:
-    """Return a column for each run, or functions of time if there are many runs, shape (n, k)."""
-    if len(dataset.runs) > _MAX_RUNS:
-        return _hats(dataset.time, _MAX_RUNS)
-    return np.asarray(dataset.run_of[:, None] == np.arange(len(dataset.runs)), dtype=float)
-
-
-def _gradient(dataset: Dataset) -> Array:
-    i = dataset.joined('gradient') / 10.0
-    return np.stack((i, np.abs(i)), axis=1)
 
 
 def _hats(x: Array, count: int) -> Array:
@@ -209,14 +180,11 @@ def _hats(x: Array, count: int) -> Array:
     return np.stack(columns, axis=1)
 
 
+# Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them.
 _GROUP_STDS: Final = (0.1, 0.3, 1.0)
-"""Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them."""
-_SHARES: Final = (0.3, 1.0)
-"""The same for the amplitude of an effect, in units of its typical value."""
-_MIN_LENGTH_M: Final = 60.0
-"""Minimum length of a section that is tried [m]."""
-_MAX_LENGTH_M: Final = 2500.0
-"""Maximum length of such a section [m]."""
+_SHARES: Final = (0.3, 1.0)  # The same for the amplitude of an effect, in units of its typical value
+_MIN_LENGTH_M: Final = 60.0  # Minimum length of a section that is tried [m]
+_MAX_LENGTH_M: Final = 2500.0  # Maximum length of such a section [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +202,7 @@ class EffectScorer:
 
     def __init__(self, model: Model) -> None:
         dataset, length = model.dataset, model.train_file.train.length
-        self._families: tuple[Family, ...] = named_families(model.evaluator)
-        self._groups: tuple[Group, ...] = generic_groups(dataset, length)
+        self._families, self._groups = named_families(model.evaluator), generic_groups(dataset, length)
         self._bins = Bins.of(dataset, length, fine=True)
         shares = self._bins.shares(dataset, length)
         # In the order of SECTIONS: the sign of a gradient error depends on the direction, that of a drag does not.
@@ -258,7 +225,7 @@ class EffectScorer:
             values = [group_log_bayes(A, b, std) for std in _GROUP_STDS]
             groups.append(EffectScore(group.name, _mean_evidence(np.array(values)), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
-        return sorted(named, key=_strongest), sorted(groups, key=_strongest)
+        return _by_evidence(named), _by_evidence(groups)
 
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the grid points, shape (m, k)."""
@@ -266,7 +233,7 @@ class EffectScorer:
         return self._columns[len(self._families) + k]
 
 
-def stretch_sums(A: Array, b: Array, first: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Array, Array]:
+def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Array, Array]:
     """Return A and b of the sums of columns ``first`` to ``end - 1``, shapes (k, k) and (k,) to (s,) each."""
     n = len(b)
     corner = np.zeros((n + 1, n + 1))
@@ -300,12 +267,8 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     weight = 1.0 / (j - i)
     best = int(np.argmax(values[-1]))
     size = along[best] / (block[best] + kind.typical_size**-2)
-    edges = bins.edges
-    parameters = {
-        'start': float(edges[i[best]]),
-        'end': float(edges[j[best]]),
-        kind.amplitude: kind.neutral + float(size),
-    }
+    start, end = bins.edges[[i[best], j[best]]].tolist()
+    parameters = {'start': start, 'end': end, kind.amplitude: kind.neutral + float(size)}
     return EffectScore(name, _mean_evidence(values, weight / weight.sum()), parameters)
 
 
@@ -315,38 +278,28 @@ def _mean_evidence(values: Array, weight: Array | None = None) -> float:
     return float(2.0 * (logsumexp(0.5 * values, b=weights) - np.log(weights.sum())))
 
 
-def _strongest(score: EffectScore) -> float:
-    return -score.evidence
+def _by_evidence(scores: Iterable[EffectScore]) -> list[EffectScore]:
+    """Return scores, the best first."""
+    return sorted(scores, key=lambda score: -score.evidence)
 
 
-NAMED: Final = 15.0
-"""2 ln of the Bayes factor required to add an effect."""
-NAMED_IN_GAP: Final = 6.0
-"""The same while a generic dependence remains that exceeds :data:`GENERIC`."""
 GENERIC: Final = 18.0
 """2 ln of the Bayes factor of a generic dependence for the verdict that no effect fits."""
 LEFT_OVER: Final = 0.15
 """Share of the evidence that may remain after the named effects, since equations of real effects differ slightly."""
-TWIN: Final = 6.0
-"""Difference of evidence below which two effects are indistinguishable."""
-MAX_EFFECTS: Final = 3
-"""Maximum number of effects in a model."""
-_MIN_SCORE: Final = 2.5
-"""2 ln of the Bayes factor of effects and dependences that are fitted in full."""
-_MAX_CANDIDATES: Final = 3
-"""Maximum number of such effects."""
-_MIN_AT_MEDIAN: Final = 30.0
-"""The minimum score with the hyperparameters at the median of their priors."""
-_MAX_AT_MEDIAN: Final = 2
-"""Maximum number of effects that are fitted in full by that score."""
-_MAX_BEHIND: Final = 25.0
-"""Maximum distance of such an effect from the best one, in 2 ln of the Bayes factor."""
-_MIN_SIGMAS: Final = 2.5
-"""Minimum significance of the amplitude of an effect [std]."""
-_MAX_GROUPS: Final = 2
-"""Maximum number of generic dependences that are fitted in full."""
-_GROUP_STD: Final = 0.3
-"""Prior std of their coefficients [N/kN]."""
+# The other limits of evidence are in 2 ln of the Bayes factor too.
+_NAMED: Final = 15.0  # Evidence required to add an effect
+_NAMED_IN_GAP: Final = 6.0  # The same while a generic dependence remains that exceeds GENERIC
+_TWIN: Final = 6.0  # Difference of evidence below which two effects are indistinguishable
+_MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
+_MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
+_MAX_CANDIDATES: Final = 3  # Maximum number of such effects
+_MIN_AT_MEDIAN: Final = 30.0  # The minimum evidence with the hyperparameters at the median of their priors
+_MAX_AT_MEDIAN: Final = 2  # Maximum number of effects that are fitted in full by that evidence
+_MAX_BEHIND: Final = 25.0  # Maximum distance of such an effect from the best one
+_MIN_SIGMAS: Final = 2.5  # Minimum significance of the amplitude of an effect [std]
+_MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted in full
+_GROUP_STD: Final = 0.3  # Prior std of their coefficients [N/kN]
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +308,7 @@ class State:
 
     model: Model  # The model
     hyper: Hyperparameters  # Its hyperparameters
-    logs: NDArray[np.float64]  # Their logs, shape (7,)
+    logs: Array  # Their logs, shape (7,)
 
     @property
     def excess(self) -> float:
@@ -380,22 +333,14 @@ class Search:
 
     Attributes:
         base: The model without effects.
-        scorer: Scores of all effects and generic dependences.
     """
 
     def __init__(self, model: Model, advance: Callable[[str], None] = lambda _: None) -> None:
         self._advance = advance
         advance('noise')
-        hyper, logs = model.evidence().maximise()
-        self.base = State(model, hyper, logs)
-        self.scorer = EffectScorer(model)
-        self._known: dict[tuple[Model, Hyperparameters], tuple[list[EffectScore], list[EffectScore]]] = {}
-
-    def _scores(self, model: Model, hyper: Hyperparameters) -> tuple[list[EffectScore], list[EffectScore]]:
-        """Return the evidence of all effects and groups, calculated once."""
-        if (model, hyper) not in self._known:
-            self._known[model, hyper] = self.scorer.scores(model, hyper)
-        return self._known[model, hyper]
+        self.base = State(model, *model.evidence().maximise())
+        self._scorer = EffectScorer(model)
+        self._scores = cache(self._scorer.scores)
 
     def gradient_point(self) -> str | None:
         """Return the point of the train at which gradients are given, None if they are means under it."""
@@ -406,12 +351,12 @@ class Search:
     def run(self) -> Selection:
         """Return the best set of effects found."""
         state = self.base
-        while len(state.model.terms) < MAX_EFFECTS and (extended := self._add(state, NAMED)) is not None:
+        while len(state.model.terms) < _MAX_EFFECTS and (extended := self._add(state, _NAMED)) is not None:
             state = extended
         groups = self._generic(state)
         if groups[0].evidence > GENERIC:
             # A dependence certainly remains, so an effect that accounts for it needs less evidence of its own.
-            extended = self._add(state, NAMED_IN_GAP) if len(state.model.terms) < MAX_EFFECTS else None
+            extended = self._add(state, _NAMED_IN_GAP) if len(state.model.terms) < _MAX_EFFECTS else None
             if extended is not None and (rest := self._generic(extended))[0].evidence < GENERIC:
                 state, groups = extended, rest
         state = replace(state, model=with_onsets(state.model, state.hyper))
@@ -428,11 +373,11 @@ class Search:
         required, found = self._evidence(state) + threshold, []
         for candidate in self._candidates(state):
             self._advance(candidate.name)
-            found.append(self._extend(state, candidate))
+            found.append(self._extend(state.model, candidate, state))
         for extended in sorted(found, key=lambda one: -self._evidence(one)):
-            if self._evidence(extended) > required and self._is_supported(
-                exchanged := self._exchange(extended), threshold
-            ):
+            if self._evidence(extended) <= required:
+                break
+            if self._is_supported(exchanged := self._exchange(extended), threshold):
                 return exchanged
         return None
 
@@ -465,19 +410,16 @@ class Search:
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
             if _MIN_SCORE < found < GENERIC:
-                model = state.model.with_nuisances(self.scorer.group_columns(score.name), _GROUP_STD)
+                model = state.model.with_nuisances(self._scorer.group_columns(score.name), _GROUP_STD)
                 hyper, _ = model.evidence().maximise(state.logs)
                 found = max(found, hyper.evidence - state.hyper.evidence)
             judged.append(replace(score, evidence=found))
-        return sorted([*judged, *groups[_MAX_GROUPS:]], key=lambda score: -score.evidence)
+        return _by_evidence([*judged, *groups[_MAX_GROUPS:]])
 
-    def _extend(self, state: State, score: EffectScore) -> State:
-        terms = (*state.model.terms, EffectTerm(score.name, score.parameters))
-        return self._refit(state.model.with_terms(terms), state)
-
-    def _refit(self, model: Model, before: State) -> State:
-        """Fit the parameters, estimate the hyperparameters again, and fit once more."""
-        model = model.fit(before.hyper)
+    def _extend(self, model: Model, score: EffectScore, before: State) -> State:
+        """Add an effect to a model: fit the parameters, estimate the hyperparameters again, and fit once more."""
+        term = EffectTerm(score.name, score.parameters)
+        model = model.with_terms((*model.terms, term)).fit(before.hyper)
         hyper, logs = model.evidence().maximise(before.logs)
         return State(model.fit(hyper), hyper, logs)
 
@@ -488,11 +430,9 @@ class Search:
 
     def _gain(self, state: State, k: int) -> float:
         """Return 2 ln of the Bayes factor of effect k given the others, at the hyperparameters of the full model."""
-        term, without = state.model.terms[k], state.model.without(k)
-        cost = prior_cost(term, state.model.dataset) + state.model.odometry_cost
-        return (
-            state.model.evidence().at(state.logs) - cost - (without.evidence().at(state.logs) - without.odometry_cost)
-        )
+        model, without = state.model, state.model.without(k)
+        cost = prior_cost(model.terms[k], model.dataset) + model.odometry_cost
+        return model.evidence().at(state.logs) - cost - (without.evidence().at(state.logs) - without.odometry_cost)
 
     def _exchange(self, state: State) -> State:
         """Replace an effect by another one where the data prefer it, given the other effects."""
@@ -502,7 +442,7 @@ class Search:
             without = state.model.without(k)
             best = self._best_alternative(state.model.terms[k].name, without, state.hyper)
             if best is not None and best.evidence > self._gain(state, k) + 2.0:
-                state = self._refit(without.with_terms((*without.terms, EffectTerm(best.name, best.parameters))), state)
+                state = self._extend(without, best, state)
         return state
 
     def _is_supported(self, state: State, threshold: float) -> bool:
@@ -519,15 +459,14 @@ class Search:
         """Return the evidence of effect k given the others, and its best alternative if that is indistinguishable."""
         own = self._gain(state, k)
         nearest = self._best_alternative(state.model.terms[k].name, state.model.without(k), state.hyper)
-        return own, (nearest.name,) if nearest is not None and nearest.evidence > own - TWIN else ()
+        return own, (nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ()
 
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
         """Return the best effect other than ``name`` that can be added to a model."""
         return next((score for score in self._named(model, hyper) if score.name != name), None)
 
 
-_TIMES: Final = 120
-"""Grid points of the onset time."""
+_TIMES: Final = 120  # Grid points of the onset time
 
 
 def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
@@ -540,10 +479,7 @@ def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
 def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> EffectTerm:
     """Return a fitted effect with the posterior mean and variance of its onset time; unchanged if it has none.
 
-    Args:
-        term: The fitted effect.
-        without: The model without it.
-        hyper: Hyperparameters of noise and nuisances.
+    ``without`` is the model without it.
     """
     kind = EFFECTS[term.name]
     names = [n for n in shape_names(kind) if kind.parameters[n].unit == 's' and kind.parameters[n].search is None]
@@ -567,10 +503,8 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     return replace(term, parameters={**term.parameters, name: mean}, covariance=covariance)
 
 
-_VISIBLE: Final = 3.0
-"""Significance from which the other runs can show an effect [std]."""
-_MIN_SHOWN: Final = 0.4
-"""Minimum share of its amplitude that they must then show [1]."""
+_VISIBLE: Final = 3.0  # Significance from which the other runs can show an effect [std]
+_MIN_SHOWN: Final = 0.4  # Minimum share of its amplitude that they must then show [1]
 
 
 def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
@@ -587,6 +521,6 @@ def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> 
     size = term.parameters[kind.amplitude] - kind.neutral
     most = int(np.argmax(size * products[:, 0, -1]))
     root = without.prior_factor(hyper.spread)
-    others = eliminate(products.sum(axis=0) - products[most], len(root), root)
+    others = eliminate(products.sum(axis=0) - products[most], root)
     A, b = float(others.A[0, 0]), float(others.b[0])
     return A * size * size < _VISIBLE**2 or b / (A * size) > _MIN_SHOWN

@@ -29,24 +29,14 @@ class _Line:
         return self.y[right - 1] + share * (self.y[right] - self.y[right - 1])
 
 
-class _Ahead:
-    """The values of a line ahead of one x."""
+class _From:
+    """The values of a line at distances from one x, ahead of it (way 1) or before it (way -1)."""
 
-    def __init__(self, line: _Line, x: float) -> None:
-        self.line, self.x = line, x
-
-    def __call__(self, distance: float) -> float:
-        return self.line.at(self.x + distance)
-
-
-class _Before:
-    """The values of a line before one x."""
-
-    def __init__(self, line: _Line, x: float) -> None:
-        self.line, self.x = line, x
+    def __init__(self, line: _Line, x: float, way: float) -> None:
+        self.line, self.x, self.way = line, x, way
 
     def __call__(self, distance: float) -> float:
-        return self.line.at(self.x - distance)
+        return self.line.at(self.x + self.way * distance)
 
 
 def track_points(
@@ -89,9 +79,9 @@ def track_points(
             brake=push,
             heat=heat,
             acceleration=a,
-            brake_before=_Before(brake, t),
-            traction_before=_Before(traction, t),
-            gradient_ahead=_Ahead(gradient, way),
+            brake_before=_From(brake, t, -1.0),
+            traction_before=_From(traction, t, -1.0),
+            gradient_ahead=_From(gradient, way, 1.0),
         )
         for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
     ]

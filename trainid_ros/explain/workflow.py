@@ -21,15 +21,7 @@ from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.model import Model, find_slip, read_at
 from trainid_ros.explain.noise import DAVIS, integrated_covariance
 from trainid_ros.explain.proof import assess, locate, where
-from trainid_ros.explain.result import (
-    Alternative,
-    Explanation,
-    FoundEffect,
-    Location,
-    NoiseLevels,
-    RunTrace,
-    Verdict,
-)
+from trainid_ros.explain.result import Alternative, Explanation, FoundEffect, Location, NoiseLevels, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
@@ -41,9 +33,7 @@ from trainid_ros.train.train_file import Davis, Effect
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.explain.dataset import Run
+    from trainid_ros.explain.dataset import Array, Run
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.proof import Outcome
     from trainid_ros.resistance.suggested_drive import Run as PlannedRun
@@ -51,18 +41,13 @@ if TYPE_CHECKING:
     from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import TrainFile
 
-    Array = NDArray[np.float64]
-
-_MIN_SAMPLES: Final = 200
-"""Minimum number of samples of all runs together."""
-MAX_SEARCHED_S: Final = 3000.0
-"""Maximum driving time that is searched for effects [s]."""
-MAX_COMPARED_S: Final = 12000.0
-"""Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory."""
+_MIN_SAMPLES: Final = 200  # Minimum number of samples of all runs together
+_MAX_SEARCHED_S: Final = 3000.0  # Maximum driving time that is searched for effects [s]
+# Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory.
+_MAX_COMPARED_S: Final = 12000.0
+# Relative error of parameters [1], since equations of real effects differ slightly from those of the library.
 _EQUATION_SHARE: Final = 0.03
-"""Relative error of parameters [1], since equations of real effects differ slightly from those of the library."""
-_CLOCK_S: Final = 0.04
-"""Error of times [s]: time stamps are read at 5 Hz."""
+_CLOCK_S: Final = 0.04  # Error of times [s]: time stamps are read at 5 Hz
 
 
 def explain(
@@ -82,11 +67,11 @@ def explain(
     if sum(run.time.size for run in runs) < _MIN_SAMPLES:
         raise NoAnswerError(f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare')
     # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
-    compared = _some(runs, MAX_COMPARED_S)
-    search = _search(compared, train_file, advance)
+    compared = _some(runs, _MAX_COMPARED_S)
+    search = Search(Model.of(_some(compared, _MAX_SEARCHED_S), train_file), advance)
     if point := search.gradient_point():
         compared = read_at(point, compared, train_file.train.length)
-        search = _search(compared, train_file, advance)
+        search = Search(Model.of(_some(compared, _MAX_SEARCHED_S), train_file), advance)
     # 2. Search: the effects that the marginal likelihood calls for, and what else explains the data as well.
     selection = search.run()
     if (rest := without_replaced(selection.final.model.terms, train_file)) is not None:
@@ -102,17 +87,6 @@ def explain(
     if slip is not None:
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
-    return _result(outcome, train_file, found, locations, point, provenance)
-
-
-def _result(
-    outcome: Outcome,
-    train_file: TrainFile,
-    found: Sequence[FoundEffect],
-    locations: tuple[Location, ...],
-    point: str | None,
-    provenance: str,
-) -> Explanation:
     davis, davis_std = _davis(outcome.final, outcome.hyper)
     noise, spread = outcome.hyper.noise, outcome.hyper.spread
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
@@ -132,13 +106,8 @@ def _result(
     )
 
 
-def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
-    """Return the search over a subset of the runs of at most :data:`MAX_SEARCHED_S`."""
-    return Search(Model.of(_some(runs, MAX_SEARCHED_S), train_file), advance)
-
-
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
-    """Return all runs, or an evenly spaced subset that lasts about ``seconds``."""
+    """Return all runs, or an evenly spaced subset that lasts about so many seconds."""
     driven = sum(float(run.time[-1] - run.time[0]) for run in runs)
     if driven <= seconds:
         return runs
@@ -150,19 +119,15 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
 def _found(
     selection: Selection, outcome: Outcome, locations: tuple[Location, ...], train_file: TrainFile
 ) -> list[FoundEffect]:
-    model = outcome.final
-    rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
-    evaluator, dataset = model.evaluator, model.dataset
+    """Return the effects of the model, the most evident first."""
+    model, found = outcome.final, []
     fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
-    return [
-        _effect(
-            term,
-            evidence,
-            tuple(Alternative(name, _drive(term, name, fit)) for name in twins),
-            where(evaluator.resistance(term.name, term.parameters), dataset, locations),
-        )
-        for term, evidence, twins in rows
-    ]
+    rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
+    for term, evidence, twins in rows:
+        alternatives = tuple(Alternative(name, _drive(term, name, fit)) for name in twins)
+        place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset, locations)
+        found.append(_effect(term, evidence, alternatives, place))
+    return found
 
 
 def _drive(term: EffectTerm, twin: str, fit: FitSummary) -> str:
@@ -218,29 +183,16 @@ def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     return tuple(traces)
 
 
-_CLEAR: Final = 4.0
-"""Amplitude over its standard deviation from which two effects are distinguished [1]."""
-_MAX_TIMES: Final = 3
-"""Maximum number of times that one run is driven."""
-_SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)
-"""Speeds that are held in addition to the usual manoeuvres [m/s]."""
-_SLOW_S: Final = 60.0
-"""How long they are held [s]."""
-_DAVIS_WIDER: Final = 3.0
-"""Prior std of a, b, c over their std in the fit [1]: the other effect would change them too."""
-_TWIN_SIZE: Final = 10.0
-"""Prior std of the other effect in multiples of its typical amplitude [1]."""
-_MIN_STD: Final = 1e-6
-"""Lower bound of a prior std, which keeps its inverse finite [unit of the value]."""
-_STEPS: Final = 5
-"""Steps of a plan whose speeds are averaged to one."""
-_SAMPLES: Final = 2.0
-"""Speed samples per step of a plan."""
-_MAP_M: Final = 250.0
-"""Correlation length of map errors [m]."""
-_WARM_M: Final = 1e6
-"""A long way into the day, when the bearings are warm [m]."""
-_COUNTS: Final = {1: 'once', 2: 'twice'}
+_CLEAR: Final = 4.0  # Amplitude over its standard deviation from which two effects are distinguished [1]
+_COUNTS: Final = {1: 'once', 2: 'twice', 3: '3 times'}  # Numbers of times that one run is driven
+_SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)  # Speeds that are held for a minute beside the usual manoeuvres [m/s]
+_DAVIS_WIDER: Final = 3.0  # Prior std of a, b, c over their std in the fit [1]: the other effect would change them too
+_TWIN_SIZE: Final = 10.0  # Prior std of the other effect in multiples of its typical amplitude [1]
+_MIN_STD: Final = 1e-6  # Lower bound of a prior std, which keeps its inverse finite [unit of the value]
+_STEPS: Final = 5  # Steps of a plan whose speeds are averaged to one
+_SAMPLES: Final = 2.0  # Speed samples per step of a plan
+_MAP_M: Final = 250.0  # Correlation length of map errors [m]
+_WARM_M: Final = 1e6  # A long way into the day, when the bearings are warm [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,11 +208,7 @@ class FitSummary:
 def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, fit: FitSummary) -> str:
     """Return the shortest drive that tells an effect from its twin, with the std it promises; '' if none does.
 
-    Args:
-        name: The effect.
-        parameters: Its parameters as found.
-        twin: The other effect, of any size.
-        fit: What the runs so far have told.
+    ``parameters`` are those of the effect as found; the twin may have any size.
     """
     kind, other = EFFECTS[name], EFFECTS[twin]
     shape = _typical(other)
@@ -268,11 +216,11 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
         return ''
     size = abs(parameters[kind.amplitude] - kind.neutral)
     found: list[tuple[float, PlannedRun, int, float]] = []
-    slow = (plan_run(Manoeuvre(v, v, _SLOW_S), fit.train_file, fit.davis) for v in _SLOW)
+    slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in _SLOW)
     for run in chain(planned_runs(fit.train_file, fit.davis), (run for run in slow if run is not None)):
         effect = _resistances(run, kind, parameters, fit.davis) / max(size, 1e-12)
         information = _information(run, effect, _resistances(run, other, shape, fit.davis), fit)
-        for times in range(1, _MAX_TIMES + 1):
+        for times in _COUNTS:
             std = _std(times * information, fit)
             if size >= _CLEAR * std:
                 found.append((times * run.duration_s, run, times, std))
@@ -280,8 +228,8 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
         return ''
     _, run, times, std = min(found, key=lambda item: item[0])
     unit = kind.parameters[kind.amplitude].unit
-    count, length = _COUNTS.get(times, f'{times} times'), f'{times * run.length_m / 1000.0:.1f} km'
-    return f'{run.manoeuvre.text} {count} ({length}): {kind.amplitude} ± {std:.2g}{f" {unit}" if unit else ""}'
+    length = f'{times * run.length_m / 1000.0:.1f} km'
+    return f'{run.manoeuvre.text} {_COUNTS[times]} ({length}): {kind.amplitude} ± {std:.2g}{f" {unit}" if unit else ""}'
 
 
 def _typical(kind: EffectKind) -> dict[str, float] | None:
