@@ -18,17 +18,7 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.fleet.changes import (
-    Cause,
-    Change,
-    Departure,
-    Series,
-    Step,
-    causes_of,
-    departures,
-    find_changes,
-    usual_days,
-)
+from trainid_ros.fleet.changes import Cause, Change, Departure, Series, causes_of, departures, find_changes, usual_days
 from trainid_ros.fleet.mixed_model import (
     CHANNELS,
     ROUNDS,
@@ -49,32 +39,21 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from trainid_ros.explain.result import Explanation, FoundEffect
+    from trainid_ros.fleet.mixed_model import Array, Flags
     from trainid_ros.fleet.plan import FleetRun
     from trainid_ros.fleet.table_file import Row
 
-    Array = NDArray[np.float64]
-
-_MIN_CELLS: Final = 4
-"""Minimum number of days of trains, all trains together, for a channel to be compared."""
-_SCREEN_DAYS: Final = 50.0
-"""Maximum train-days for one false alarm while the model is fitted: a fault must not spoil the fit."""
-_SCREEN_ROUNDS: Final = 2
-"""Rounds of weights in these fits."""
-_MAX_APART: Final = 12
-"""Maximum number of trains of a fleet in which each is judged by the others alone."""
-_MAX_PASSES: Final = 5
-"""Maximum number of fits, each without the changes that the last one found."""
-_DAILY: Final = 0.02
-"""Std of harmless changes from day to day, as a share of a step that matters [1]."""
-_LEVEL: Final = 0.25
-"""Usual std among trains, as a share of a step that matters [1]."""
-_MIN_LEVEL: Final = 0.01
-"""Added to the std found among trains, which may be zero, as a share of a step that matters [1]."""
-_LEVEL_SIGMAS: Final = 5.0
-"""Distance from the fleet from which a train always differed [std among trains]."""
+_MIN_CELLS: Final = 4  # Minimum number of days of trains, all trains together, for a channel to be compared
+_SCREEN_DAYS: Final = 50.0  # Maximum train-days for one false alarm while fitting: a fault must not spoil the fit
+_SCREEN_ROUNDS: Final = 2  # Rounds of weights in these fits
+_MAX_APART: Final = 12  # Maximum number of trains of a fleet in which each is judged by the others alone
+_MAX_PASSES: Final = 5  # Maximum number of fits, each without the changes that the last one found
+# As shares of a step that matters [1]:
+_DAILY: Final = 0.02  # Std of harmless changes from day to day
+_LEVEL: Final = 0.25  # Usual std among trains
+_MIN_LEVEL: Final = 0.01  # Added to the std found among trains, which may be zero
+_LEVEL_SIGMAS: Final = 5.0  # Distance from the fleet from which a train always differed [std among trains]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +134,7 @@ class FleetView:
 
 
 def analyse(rows: Sequence[Row], limit: float) -> FleetView:
-    """Return what stands out in the rows of a fleet.
-
-    Args:
-        rows: Rows of one table or several.
-        limit: Train-days for one false alarm.
+    """Return what stands out in the rows of a fleet; ``limit`` are the train-days for one false alarm.
 
     Raises:
         NoAnswerError: Too few runs of known trains and days have an estimate.
@@ -191,7 +166,8 @@ def _fit_and_test(
     trains = range(len(labels.trains))
     usual = _screen(labels, cells, min(limit, _SCREEN_DAYS))
     for _ in range(_MAX_PASSES):
-        views = _fit(labels, cells, [_among(c, usual) for _, c in cells])
+        in_usual_days = [(usual[c.train, 0] <= c.day) & (c.day < usual[c.train, 1]) for _, c in cells]
+        views = _fit(labels, cells, in_usual_days)
         series = [_series(views, labels, k) for k in trains]
         changes = [find_changes(own, limit) for own in series]
         last, usual = usual, _usual(series, changes)
@@ -220,7 +196,7 @@ def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
 def _fit(
     labels: Labels,
     cells: Sequence[tuple[Channel, Cells]],
-    used: Sequence[NDArray[np.bool_] | None],
+    used: Sequence[Flags | None],
     rounds: int = ROUNDS,
 ) -> tuple[ChannelView, ...]:
     views = []
@@ -239,12 +215,6 @@ def _usual(series: Sequence[tuple[Series, ...]], changes: Sequence[Sequence[Chan
     return np.array([usual_days(*pair) for pair in zip(series, changes, strict=True)])
 
 
-def _among(cells: Cells, usual: Array) -> NDArray[np.bool_]:
-    """Return which cells lie in the usual days of their train."""
-    found: NDArray[np.bool_] = (usual[cells.train, 0] <= cells.day) & (cells.day < usual[cells.train, 1])
-    return found
-
-
 def _train(
     labels: Labels, views: Sequence[ChannelView], number: int, series: tuple[Series, ...], changes: Sequence[Change]
 ) -> TrainView:
@@ -255,22 +225,16 @@ def _train(
 
 def _causes(views: Sequence[ChannelView], train: TrainView) -> tuple[Cause, ...]:
     """Return what the main departure may be, or the difference of a train that always differed."""
+    steps: dict[str, tuple[float, float] | None] = {}  # with standard deviations
     if train.main is not None:
-        steps = zip(views, train.main.steps, strict=True)
-        return causes_of({view.channel.name: step and _share(view, step) for view, step in steps})
-    if train.outliers:
-        return causes_of({view.channel.name: _level(view, train.number) for view in views})
-    return ()
-
-
-def _share(view: ChannelView, step: Step) -> tuple[float, float]:
-    """Return a step and its standard deviation as shares of the mean of the fleet."""
-    return step.size / view.fit.mean, step.std / abs(view.fit.mean)
-
-
-def _level(view: ChannelView, number: int) -> tuple[float, float]:
-    spread = float(np.hypot(view.fit.train_std[number], view.fit.stds['train']))
-    return float(view.fit.train[number]) / view.fit.mean, spread / abs(view.fit.mean)
+        for view, step in zip(views, train.main.steps, strict=True):
+            steps[view.channel.name] = step and (step.size / view.fit.mean, step.std / abs(view.fit.mean))
+    elif train.outliers:
+        for view in views:
+            level, mean = float(view.fit.train[train.number]), view.fit.mean
+            spread = float(np.hypot(view.fit.train_std[train.number], view.fit.stds['train']))
+            steps[view.channel.name] = level / mean, spread / abs(mean)
+    return causes_of(steps) if steps else ()
 
 
 def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
@@ -284,10 +248,8 @@ def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     return LevelOutlier(view.channel, float(effects[number]), float(view.fit.train_std[number]), sigmas)
 
 
-_MAX_BAGS: Final = 3
-"""Maximum number of bags of a departure that are explained: effects that hold are in the first ones already."""
-_EQUAL_SIGMAS: Final = 3.0
-"""Maximum difference of two equal effects [std]."""
+_MAX_BAGS: Final = 3  # Maximum number of bags of a departure that are explained: lasting effects are in the first ones
+_EQUAL_SIGMAS: Final = 3.0  # Maximum difference of two equal effects [std]
 
 
 class Named(NamedTuple):
@@ -307,12 +269,9 @@ class CauseByBags:
 
 
 def name_cause(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> CauseByBags:
-    """Return what has changed by the bags of a train.
+    """Return what has changed by the bags of a train with a departure.
 
-    Args:
-        view: The fleet.
-        train: A train with a departure.
-        runs: Rows of the tables; each bag is explained with the train file and mapping that it was replayed with.
+    Each bag is explained with the train file and mapping that it was replayed with.
     """
     usual, away = _bags(view, train, runs)
     try:
@@ -320,7 +279,13 @@ def name_cause(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> C
         found = [effect for run in away for effect in _explain(run).effects]
     except TrainIdError as error:
         return CauseByBags(0, problem=str(error))
-    return CauseByBags(len(away), _merged([new for new in found if not any(_are_equal(new, old) for old in known)]))
+    by_name: dict[str, list[FoundEffect]] = defaultdict(list)
+    for new in found:
+        if not any(_are_equal(new, old) for old in known):
+            by_name[new.name].append(new)
+    ranked = sorted(by_name.values(), key=lambda effects: -sum(effect.evidence for effect in effects))
+    named = (Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
+    return CauseByBags(len(away), tuple(named))
 
 
 def _bags(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> tuple[list[FleetRun], list[FleetRun]]:
@@ -346,15 +311,6 @@ def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
         abs(value - values[name]) <= _EQUAL_SIGMAS * math.hypot(*(std.get(name, 0.0) for std in stds))
         for name, value in one.parameters
     )
-
-
-def _merged(found: Sequence[FoundEffect]) -> tuple[Named, ...]:
-    """Return each effect once, by the sum of its evidence."""
-    by_name: dict[str, list[FoundEffect]] = defaultdict(list)
-    for effect in found:
-        by_name[effect.name].append(effect)
-    ranked = sorted(by_name.values(), key=lambda effects: -sum(effect.evidence for effect in effects))
-    return tuple(Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
 
 
 def _explain(run: FleetRun) -> Explanation:

@@ -38,34 +38,21 @@ from trainid_ros.fleet.mixed_model import log_t
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from trainid_ros.fleet.mixed_model import Array
 
 OTHER: Final = 'other'
 """Name of an unknown cause."""
-_SHOWING: Final = 0.5
-"""Probability that a step shows in a channel, q [1]."""
-_WINDOW: Final = 60
-"""Number of newest days in which a step is searched."""
-_MIN_AFTER: Final = 2
-"""Minimum number of days with data after a step."""
-_GRID_DENSITY: Final = 6.0
-"""Points of the grid of levels for one std of a day."""
-_GRID_MARGIN: Final = 6.0
-"""Margin of the grid beyond the outermost values [std of a day]."""
-_GRID_POINTS: Final = (60, 600)
-"""Minimum and maximum number of points of the grid."""
-_FAR: Final = 0.01
-"""Prior share of trains that are far from the others [1]."""
-_TINY: Final = 1e-300
-"""Lower limit of a density, so that its logarithm is finite."""
-_MIN_PROBABILITY: Final = 0.05
-"""Minimum probability of a cause that is named [1]."""
-_MAX_USUAL: Final = 5.0
-"""Maximum distance of a first level from the fleet that is no fault [std among trains]."""
-_BACK: Final = 0.4
-"""Share of a departure below which the train is back [1]."""
+_SHOWING: Final = 0.5  # Probability that a step shows in a channel, q [1]
+_WINDOW: Final = 60  # Number of newest days in which a step is searched
+_MIN_AFTER: Final = 2  # Minimum number of days with data after a step
+_GRID_DENSITY: Final = 6.0  # Points of the grid of levels for one std of a day
+_GRID_MARGIN: Final = 6.0  # Margin of the grid beyond the outermost values [std of a day]
+_GRID_POINTS: Final = (60, 600)  # Minimum and maximum number of points of the grid
+_FAR: Final = 0.01  # Prior share of trains that are far from the others [1]
+_TINY: Final = 1e-300  # Lower limit of a density, so that its logarithm is finite
+_MIN_PROBABILITY: Final = 0.05  # Minimum probability of a cause that is named [1]
+_MAX_USUAL: Final = 5.0  # Maximum distance of a first level from the fleet that is no fault [std among trains]
+_BACK: Final = 0.4  # Share of a departure below which the train is back [1]
 
 
 class Series(NamedTuple):
@@ -159,22 +146,17 @@ class _Segment:
 def find_changes(channels: Sequence[Series], limit: float) -> list[Change]:
     """Return the changes of a train, in order; the channels have the same days."""
     changes: list[Change] = []
-    first, count = 0, channels[0].value.size
-    while first < count:
-        found = _next_change(channels, first, limit, is_first=first == 0)
-        if found is None:
-            break
+    while (found := _next_change(channels, changes[-1].day if changes else 0, limit)) is not None:
         changes.append(found)
-        first = found.day
     return changes
 
 
-def _next_change(channels: Sequence[Series], first: int, limit: float, *, is_first: bool) -> Change | None:
+def _next_change(channels: Sequence[Series], first: int, limit: float) -> Change | None:
     """Return the first change after a day, None if there is none."""
     parts: list[_Segment | None] = []
     for series in channels:
         rest = series._replace(value=series.value[first:], std=series.std[first:])
-        level_std = series.level_std if is_first else math.hypot(series.level_std, series.step_std)
+        level_std = math.hypot(series.level_std, series.step_std) if first else series.level_std
         parts.append(_Segment(rest, level_std) if np.isfinite(rest.value).any() else None)
     count = channels[0].value.size - first
     for n in range(_MIN_AFTER + 1, count + 1):
@@ -277,8 +259,7 @@ _SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_
 def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, ...]:
     """Return the causes with a probability that counts, the most probable first.
 
-    Args:
-        steps: Step and its standard deviation as shares of the mean of the fleet by channel, None without data.
+    ``steps`` holds step and standard deviation as shares of the mean of the fleet by channel, None without data.
     """
     known = {name: step for name, step in steps.items() if step is not None}
     names = tuple(known)
@@ -344,12 +325,7 @@ def usual_days(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[f
 
 
 def departures(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[Departure, ...]:
-    """Return the departures of a train, in order.
-
-    Args:
-        channels: Its values.
-        changes: Its changes, in order.
-    """
+    """Return the departures of a train by its values and changes, in order."""
     if not changes:
         return ()
     parts = _parts(changes)

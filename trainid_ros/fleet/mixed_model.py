@@ -30,6 +30,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from trainid_ros.explain.dataset import MAD_TO_STD
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -38,24 +40,19 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.table_file import Row
 
     Array = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
+    Flags = NDArray[np.bool_]
+    Indices = NDArray[np.intp]
 
-DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
-"""Degrees of freedom of Student's t among which the data choose."""
 ROUNDS: Final = 4
 """Number of rounds, after which the weights have converged."""
 MIN_TRAINS: Final = 4
 """Minimum number of trains on most days for effects of days: with fewer they would absorb those of the trains."""
-_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
-"""Status of estimates that are compared."""
-_LOG_VARIANCES: Final = (-14.0, 4.0)
-"""Range of the logarithms of variances relative to that of the data [1]."""
+_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of estimates that are compared
+_DEGREES: Final = (4.0, 8.0, 16.0, 32.0)  # Degrees of freedom of Student's t among which the data choose
+_LOG_VARIANCES: Final = (-14.0, 4.0)  # Range of the logarithms of variances relative to that of the data [1]
+# Prior mean of ln kappa^2 for kappa = 1/2: part of what the estimators state repeats every day.
 _LOG_STATED: Final = math.log(0.5**2)
-"""Prior mean of ln kappa^2 for kappa = 1/2: part of what the estimators state repeats every day."""
-_PRIOR_STD: Final = 2.0
-"""Prior std of ln kappa^2 and ln s_T^2: a factor of e in the standard deviations either way."""
-_NORMAL_MAD: Final = 1.4826
-"""Standard deviation over median absolute deviation of normal values [1]."""
+_PRIOR_STD: Final = 2.0  # Prior std of ln kappa^2 and ln s_T^2: a factor of e in the standard deviations either way
 
 
 class Channel(NamedTuple):
@@ -91,20 +88,17 @@ class Cells:
 
     value: Array  # Mean, weighted by the inverse variances
     std: Array  # Standard deviation stated by the estimator, of the mean
-    train: Numbers  # Index in the labels; likewise day, line and weather
-    day: Numbers  # Day
-    line: Numbers  # Line
-    weather: Numbers  # Weather
+    train: Indices  # Index in the labels; likewise day, line and weather
+    day: Indices
+    line: Indices
+    weather: Indices
 
 
 def labels_of(rows: Sequence[Row]) -> Labels:
     """Return all labels in use, in order; rows without train or day do not count."""
     known = [row for row in rows if is_known(row)]
-
-    def names(column: str) -> tuple[str, ...]:
-        return tuple(sorted({row[column] or '' for row in known}))
-
-    return Labels(names('train'), names('day'), names('line'), names('weather'))
+    columns = ('train', 'day', 'line', 'weather')
+    return Labels(*(tuple(sorted({row[column] or '' for row in known})) for column in columns))
 
 
 def is_known(row: Row) -> bool:
@@ -143,8 +137,8 @@ def _mean(runs: Sequence[tuple[float, float]]) -> tuple[float, float]:
 class SharedEffects:
     """Shared random effects, numbered through; number 0 is the mean of the fleet."""
 
-    of_cell: Numbers  # Effects of each cell, shape (n, 1 + factors)
-    factor: Numbers  # Factor of each effect, shape (m,); -1 for the mean, whose prior is flat
+    of_cell: Indices  # Effects of each cell, shape (n, 1 + factors)
+    factor: Indices  # Factor of each effect, shape (m,); -1 for the mean, whose prior is flat
     names: tuple[str, ...]  # Names of the factors
 
     def at_cells(self, b: Array) -> Array:
@@ -186,26 +180,16 @@ def shared_effects(cells: Cells, labels: Labels) -> SharedEffects:
 
 
 class _Problem:
-    """Marginal likelihood and effects for given variances.
+    """Marginal likelihood and effects for given variances; see :func:`fit`."""
 
-    Args:
-        cells: Values.
-        effects: Shared random effects.
-        trains: Number of trains.
-        used: Cells that count, shape (n,).
-        level_std: Usual standard deviation among trains.
-    """
-
-    def __init__(
-        self, cells: Cells, effects: SharedEffects, trains: int, used: NDArray[np.bool_], level_std: float
-    ) -> None:
+    def __init__(self, cells: Cells, effects: SharedEffects, trains: int, used: Flags, level_std: float) -> None:
         self.cells, self.effects, self.used, self._trains = cells, effects, used, trains
         self.weights = used.astype(float)
         # Numbers near zero: sums of squares of values far from it would lose all digits.
         self.origin = float(np.median(cells.value[used]))
         self._y = cells.value - self.origin
-        # Unit of the variances, so that their logarithms are near zero.
-        unit = _robust_variance(cells.value[used])
+        # Unit of the variances, not zero, so that their logarithms are near zero.
+        unit = max(robust_std(cells.value[used]), 1e-6 * float(np.abs(cells.value[used]).max()), 1e-12) ** 2
         self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
         self._usual = np.array([_LOG_STATED, math.log(level_std**2 / unit)])
 
@@ -279,9 +263,7 @@ class _Solution(NamedTuple):
     cholesky: tuple[Array, bool]
 
 
-def fit(
-    cells: Cells, labels: Labels, level_std: float, used: NDArray[np.bool_] | None = None, rounds: int = ROUNDS
-) -> MixedFit:
+def fit(cells: Cells, labels: Labels, level_std: float, used: Flags | None = None, rounds: int = ROUNDS) -> MixedFit:
     """Fit the model.
 
     Args:
@@ -293,7 +275,7 @@ def fit(
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
     problem = _Problem(cells, shared_effects(cells, labels), len(labels.trains), used, level_std)
-    x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
+    x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), _DEGREES[1]
     for _ in range(rounds):
         x = minimize(
             problem.loss, x, method='L-BFGS-B', bounds=[_LOG_VARIANCES] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
@@ -306,7 +288,7 @@ def fit(
 
 
 def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
-    solution, effects = problem.solve(x), problem.effects
+    solution, names = problem.solve(x), ('stated', 'error', 'train', *problem.effects.names)
     inverse = cho_solve(solution.cholesky, np.eye(solution.b.size))
     gain = solution.coupling / solution.of_train[:, None]
     train_variance = 1.0 / solution.of_train + ((gain @ inverse) * gain).sum(axis=1)
@@ -317,23 +299,14 @@ def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
         common=problem.common(solution),
         common_variance=problem.common_variance(x),
         variance=solution.v,
-        stds=dict(zip(_stds(effects), np.sqrt(problem.variances(x)).tolist(), strict=True)),
+        stds=dict(zip(names, np.sqrt(problem.variances(x)).tolist(), strict=True)),
         degrees=degrees,
     )
 
 
-def _stds(effects: SharedEffects) -> tuple[str, ...]:
-    return ('stated', 'error', 'train', *effects.names)
-
-
-def _robust_variance(values: Array) -> float:
-    """Return the variance of normal values with this median absolute deviation; not zero."""
-    return max(robust_std(values), 1e-6 * float(np.abs(values).max()), 1e-12) ** 2
-
-
 def robust_std(values: Array) -> float:
     """Return the standard deviation of normal values with this median absolute deviation."""
-    return _NORMAL_MAD * float(np.median(np.abs(values - np.median(values))))
+    return MAD_TO_STD * float(np.median(np.abs(values - np.median(values))))
 
 
 def log_t(z2: Array, degrees: float) -> Array:
@@ -344,5 +317,4 @@ def log_t(z2: Array, degrees: float) -> Array:
 
 
 def _likeliest_degrees(z2: Array) -> float:
-    """Return the degrees of freedom that fit the standardised residuals best."""
-    return max(DEGREES, key=lambda degrees: float(log_t(z2, degrees).sum()))
+    return max(_DEGREES, key=lambda degrees: float(log_t(z2, degrees).sum()))

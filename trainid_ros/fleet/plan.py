@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, date, datetime
 from glob import glob, has_magic
@@ -33,8 +34,6 @@ LABELS: Final = ('train', 'line', 'weather', 'day')
 """What is known of a bag besides its messages; columns of the table."""
 # Without a pattern of the user and without a namespace, the train has the name of the folder that holds the bag.
 _DEFAULT_PATTERN: Final = r'(?P<train>[^/]+)/[^/]+$'
-_FORMAT: Final = 1
-"""Version of the file of the plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class Plan:
         """Return the contents of the file."""
         setup = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self.setup).items()}
         return {
-            'format': _FORMAT,
+            'format': 1,
             'revision': self.revision,
             'setup': setup,
             'sha256': self.hashes,
@@ -91,11 +90,7 @@ class Plan:
         }
 
     def write(self, path: Path) -> None:
-        """Write the plan.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write the plan; InputError if it cannot be written."""
         write_whole(path, lambda part: part.write_text(json.dumps(self.to_json(), indent=1) + '\n', encoding='utf-8'))
 
 
@@ -132,26 +127,18 @@ def setup_of(plan: Mapping[str, Any]) -> Setup | None:
 
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
     """Return the plan of bags; OSError or InputError if a file of the setup cannot be read."""
-    functions = () if setup.mapping is None else _functions(setup.mapping)
-    files = {'train': (setup.train,), 'params': (setup.params,), 'mapping': (setup.mapping, *functions)}
-    return Plan(setup, {name: _hash_of(paths) for name, paths in files.items()}, revision(), bags)
+    functions: set[Path] = set()  # files with the user functions of the mapping
+    if setup.mapping is not None:
+        read = load_mapping(setup.mapping)
+        signals = [getattr(read, item.name) for item in fields(read)]
+        functions = {s.function.path for s in signals if isinstance(s, Signal) and s.function is not None}
+    files = {'train': (setup.train,), 'params': (setup.params,), 'mapping': (setup.mapping, *sorted(functions))}
+    contents = {name: [path.read_bytes() for path in paths if path is not None] for name, paths in files.items()}
+    hashes = {name: sha256(b'\0'.join(found)).hexdigest() if found else '' for name, found in contents.items()}
+    return Plan(setup, hashes, _revision(), bags)
 
 
-def _functions(mapping: Path) -> tuple[Path, ...]:
-    """Return the files with the user functions of a mapping."""
-    read = load_mapping(mapping)
-    signals = (getattr(read, item.name) for item in fields(read))
-    functions = (signal.function for signal in signals if isinstance(signal, Signal))
-    return tuple(sorted({function.path for function in functions if function is not None}))
-
-
-def _hash_of(paths: Iterable[Path | None]) -> str:
-    """Return the digest of files, '' of none."""
-    contents = [path.read_bytes() for path in paths if path is not None]
-    return sha256(b'\0'.join(contents)).hexdigest() if contents else ''
-
-
-def revision() -> str:
+def _revision() -> str:
     """Return the version and a digest of all sources."""
     folder = Path(trainid_ros.__file__).parent
     total = sha256()
@@ -228,20 +215,17 @@ def find_bags(given: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in given:
-        bags = sorted(bag for place in _matching(path) for bag in bags_below(place))
+        places = [path]
+        if not path.exists():
+            if not has_magic(str(path)):
+                raise InputError(f'{path}: no such bag or folder')
+            places = [Path(name) for name in glob(str(path), recursive=True)]  # noqa: PTH207 - may be absolute
+        bags = sorted(bag for place in places for bag in bags_below(place))
         if not bags:
             raise InputError(f'{path}: holds no bag (neither {METADATA} nor a file {" or ".join(SUFFIXES)})')
         for bag in bags:
             found.setdefault(bag.resolve(), bag.absolute())  # a report may be made from another folder
     return list(found.values())
-
-
-def _matching(path: Path) -> list[Path]:
-    if path.exists():
-        return [path]
-    if not has_magic(str(path)):
-        raise InputError(f'{path}: no such bag or folder')
-    return [Path(name) for name in glob(str(path), recursive=True)]  # noqa: PTH207 - the pattern may be absolute
 
 
 def list_bags(
@@ -274,11 +258,8 @@ def _statistics(files: Iterable[Path]) -> tuple[float | None, int | None]:
     """Return time of the first message [s] and number of messages by the index of all files, None if it is missing."""
     first_ns, messages = [], 0
     for path in files:
-        file = RecordFile(path)
-        try:
+        with closing(RecordFile(path)) as file:
             statistics = file.summary().statistics if file.is_closed else None
-        finally:
-            file.close()
         if statistics is None:
             return None, None
         messages += statistics.message_count

@@ -34,7 +34,7 @@ from trainid_ros.fleet.table_file import SPEEDS, Row, empty_row, reason_column, 
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.files import write_whole
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.records import NS_PER_S, SPEED
 from trainid_ros.interface.results import Status, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.params_file import node_setups
@@ -55,17 +55,12 @@ if TYPE_CHECKING:
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
     """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
 
-_SPEED: Final = INPUT_TOPICS.index(SPEED_TOPIC)
-_STANDSTILL: Final = 0.05
-"""Speed below which the train stands [m/s]."""
-_MIN_LEG: Final = 200.0
-"""Minimum distance between two stops that are compared [m]: the error of a stop is then below 1 %."""
-_MAX_GAP: Final = 2.0
-"""Maximum time between two speeds for a leg to have a known distance [s]."""
-_STOP_ERROR: Final = 1.0
-"""Std of the distance between two stops, by balises, overshoot and slip [m]; added to the scatter."""
+_STANDSTILL: Final = 0.05  # Speed below which the train stands [m/s]
+_MIN_LEG: Final = 200.0  # Minimum distance between two stops that are compared [m]: their error is then below 1 %
+_MAX_GAP: Final = 2.0  # Maximum time between two speeds for a leg to have a known distance [s]
+_STOP_ERROR: Final = 1.0  # Std of the distance between two stops, by balises, overshoot and slip [m]
+# Maximum error of a wheel ratio [1]; beyond it, a unit is wrong, or the positions are not those of the train.
 _MAX_RATIO_ERROR: Final = 0.2
-"""Maximum error of a wheel ratio [1]; beyond it, a unit is wrong, or the positions are not those of the train."""
 
 
 class Odometer:
@@ -79,7 +74,7 @@ class Odometer:
 
     def add(self, table: RecordTable) -> None:
         """Take in records; others than speeds do not count."""
-        chosen = np.flatnonzero(table.topic == _SPEED)
+        chosen = np.flatnonzero(table.topic == SPEED)
         if chosen.size:
             self._add(table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen])
 
@@ -135,14 +130,7 @@ class OdometerReader(BagReader):
 
 
 def bag_row(setup: Setup, revision: str, bag: PlannedBag, advance: Callable[[float], None]) -> Row:
-    """Return the row of a bag.
-
-    Args:
-        setup: How it is replayed.
-        revision: What computes.
-        bag: The bag as listed.
-        advance: Called with the share done since its last call.
-    """
+    """Return the row of a bag; ``advance`` is called with the share done since its last call."""
     row = listed_row(bag, revision)
     if bag.error:
         advance(1.0)
@@ -187,11 +175,7 @@ def check_setup(setup: Setup) -> None:
 
 
 def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], None]) -> None:
-    """Replay a bag and fill its row.
-
-    Raises:
-        InputError: It cannot be used.
-    """
+    """Replay a bag and fill its row; InputError if it cannot be used."""
     setups, inputs = _prepared(setup)
     opening, reading = in_two(advance)
     with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
@@ -218,16 +202,16 @@ def _resistance(outcome: Replay) -> Row:
     result = outcome.resistance
     w = result.output.estimate
     findings = (*force_findings(w), *outcome.brake_findings)
+    outputs = max(1, sum(result.statuses))
     row: Row = {
         'status': result.output.status.name,
         'used': result.output.used,
         'rejected': result.output.rejected,
         'contradiction': outcome.contradiction.finding or None,
         'finding': '; '.join(findings) or None,
+        **{reason_column(reason): count for reason, count in result.rejections},
+        **{share_column(status): result.statuses[status] / outputs for status in Status},
     }
-    row |= {reason_column(reason): count for reason, count in result.rejections}
-    outputs = max(1, sum(result.statuses))
-    row |= {share_column(status): result.statuses[status] / outputs for status in Status}
     reason = outcome.why_no_resistance()
     return row | ({'error': reason} if reason else _davis(w))
 
@@ -243,15 +227,11 @@ def _davis(w: ResistanceEstimate) -> Row:
 
 
 def _brake(outcome: Replay) -> Row:
-    result = outcome.brake_rate
-    if not result.output.used:
-        return {'brake_status': result.output.status.name, 'brake_used': 0}
-    return {
-        'brake_rate': result.output.estimate.brake_rate,
-        'brake_rate_std': result.output.estimate.brake_rate_std,
-        'brake_status': result.output.status.name,
-        'brake_used': result.output.used,
-    }
+    output = outcome.brake_rate.output
+    row: Row = {'brake_status': output.status.name, 'brake_used': output.used}
+    if output.used:
+        row |= {'brake_rate': output.estimate.brake_rate, 'brake_rate_std': output.estimate.brake_rate_std}
+    return row
 
 
 def _dead_time(pipelines: Pipelines) -> tuple[float, float] | None:
@@ -285,17 +265,13 @@ def known_rows(plan: Plan, table: Path) -> dict[str, Row]:
     """
     rows: dict[str, Row] = {}
     for bag in plan.bags:
-        path = _row_file(table, plan.key(bag))
+        key = plan.key(bag)
         try:
-            row = empty_row() | json.loads(path.read_text(encoding='utf-8'))
+            row = empty_row() | json.loads((rows_folder(table) / f'{key}.json').read_text(encoding='utf-8'))
         except (FileNotFoundError, ValueError):  # a loss of power may leave anything
             continue
-        rows[path.stem] = row | labels_in_row(bag, row['start'])
+        rows[key] = row | labels_in_row(bag, row['start'])
     return rows
-
-
-def _row_file(table: Path, key: str) -> Path:
-    return rows_folder(table) / f'{key}.json'
 
 
 def run_plan(plan: Plan, table: Path, known: dict[str, Row], rows: Rows, advance: Callable[[float], None]) -> list[Row]:
@@ -322,15 +298,13 @@ def run_plan(plan: Plan, table: Path, known: dict[str, Row], rows: Rows, advance
                 key, _ = left[number]
                 done[key] = row  # first: a row with a file is in the table, wherever a signal ends this
                 if row['status']:
-                    _keep(row, _row_file(table, key))
+                    text = json.dumps(row, allow_nan=False)
+                    write = partial(Path.write_text, data=text, encoding='utf-8')
+                    write_whole(rows_folder(table) / f'{key}.json', write)
     finally:
         written = [done[key] for key in keys if key in done]
         write_table(written, table, plan.to_json() | {'bags': len(plan.bags)})
     return written
-
-
-def _keep(row: Row, path: Path) -> None:
-    write_whole(path, lambda part: part.write_text(json.dumps(row, allow_nan=False), encoding='utf-8'))
 
 
 def rows_here(jobs: int) -> Rows:
@@ -360,7 +334,14 @@ def rows_on_cluster(address: str) -> Iterator[Rows]:
     except Exception as error:  # what is not a scheduler may answer anything
         raise InputError(f'--scheduler {address}: cannot be reached ({" ".join(str(error).split())[:200]})') from None
     with client:
-        _check_workers(client, address)
+        workers = client.scheduler_info(n_workers=-1)['workers']
+        start = f'dask worker {address} --nthreads 1 --nworkers auto'
+        if not workers:
+            raise InputError(f'--scheduler {address}: has no workers; start some: {start}')
+        for name, worker in workers.items():
+            if worker['nthreads'] > 1:
+                has = f'worker {name} has {worker["nthreads"]} threads'
+                raise InputError(f'--scheduler {address}: {has}; start it with --nthreads 1')
         yield lambda plan, bags, advance: _rows(client, plan, bags, advance)
 
 
@@ -372,41 +353,26 @@ def _check_address(address: str) -> None:
     socket.create_connection((match['host'].strip('[]'), int(match['port'])), CONNECT_S).close()
 
 
-def _check_workers(client: Any, address: str) -> None:
-    workers = client.scheduler_info(n_workers=-1)['workers']
-    if not workers:
-        raise InputError(
-            f'--scheduler {address}: has no workers; start some: dask worker {address} --nthreads 1 --nworkers auto'
-        )
-    for name, worker in workers.items():
-        if worker['nthreads'] > 1:
-            raise InputError(
-                f'--scheduler {address}: worker {name} has {worker["nthreads"]} threads; start it with --nthreads 1'
-            )
-
-
 def _rows(
     client: Any, plan: Plan, bags: Sequence[PlannedBag], advance: Callable[[float], None]
 ) -> Generator[tuple[int, Row], None, None]:
     """Yield number and row of each bag, task by task as they end."""
     from distributed import as_completed  # noqa: PLC0415
 
-    items = list(enumerate(bags))
-    tasks = [items[first : first + TASK_BAGS] for first in range(0, len(items), TASK_BAGS)]
-    futures = {
-        client.submit(task_rows, plan.setup, plan.revision, [bag for _, bag in task], pure=False): task
-        for task in tasks
-    }
+    futures = {}
+    for first in range(0, len(bags), TASK_BAGS):
+        task = bags[first : first + TASK_BAGS]
+        futures[client.submit(_task_rows, plan.setup, plan.revision, task, pure=False)] = first, task
     for future in as_completed(list(futures), loop=client.loop):
-        task = futures.pop(future)
+        first, task = futures.pop(future)
         if future.status == 'finished':
             rows: list[Row] = future.result()
         else:  # its worker was killed, and those that tried again
-            rows = [killed_row(plan.revision, bag) for _, bag in task]
+            rows = [killed_row(plan.revision, bag) for bag in task]
         advance(len(task))
-        yield from zip([number for number, _ in task], rows, strict=True)
+        yield from enumerate(rows, first)
 
 
-def task_rows(setup: Setup, revision: str, bags: Sequence[PlannedBag]) -> list[Row]:
+def _task_rows(setup: Setup, revision: str, bags: Sequence[PlannedBag]) -> list[Row]:
     """Return the rows of the bags of one task."""
     return [bag_row(setup, revision, bag, lambda _: None) for bag in bags]

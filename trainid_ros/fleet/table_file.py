@@ -104,8 +104,7 @@ def empty_row() -> Row:
     return dict.fromkeys(NAMES)
 
 
-_META: Final = b'trainid_fleet'
-"""Key of the metadata that hold the plan."""
+_META: Final = b'trainid_fleet'  # Key of the metadata that hold the plan
 
 
 def check_table(path: Path) -> None:
@@ -117,11 +116,7 @@ def check_table(path: Path) -> None:
 
 
 def write_table(rows: Sequence[Row], path: Path, about: Mapping[str, Any]) -> None:
-    """Write a table; ``about`` goes to the metadata of a Parquet file.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a table; ``about`` goes to the metadata of a Parquet file. InputError if it cannot be written."""
     if path.suffix == '.csv':
         write_whole(path, lambda part: _write_csv(rows, part))
     else:
@@ -155,11 +150,8 @@ def _write_csv(rows: Sequence[Row], path: Path) -> None:
         writer = csv.DictWriter(file, NAMES)
         writer.writeheader()
         for row in rows:
-            writer.writerow(row | {'start': _iso(row['start'])})
-
-
-def _iso(start_s: float | None) -> str | None:
-    return None if start_s is None else datetime.fromtimestamp(start_s, UTC).isoformat()
+            start = None if row['start'] is None else datetime.fromtimestamp(row['start'], UTC).isoformat()
+            writer.writerow(row | {'start': start})
 
 
 def _read_csv(path: Path) -> tuple[list[Row], dict[str, Any]]:
