@@ -289,11 +289,12 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
         outlier = find_outliers(gap, starts)
         bridged = _bridge(gap, outlier, run_of)
         speed = np.maximum(measured + (bridged - gap), 0.0)
-    point_starts = _divide(time, starts, run_of)
-    point_time, count = _point_times(time, outlier, point_starts)
+    number = np.floor((time - time[starts][run_of]) / _POINT_S + 1e-9)
+    fresh = (np.diff(number, prepend=-1.0) != 0.0) | (np.diff(run_of, prepend=-1) != 0)
+    point_starts = np.flatnonzero(fresh)
     return Dataset(
         tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
-        point_starts, run_of[point_starts], point_time, count, _following(outlier, point_starts),
+        point_starts, run_of[point_starts], *_points(time, outlier, point_starts),
     )  # fmt: skip
 
 
@@ -371,31 +372,17 @@ def _bridge(gap: Array, outlier: Flags, run_of: Indices) -> Array:
     return bridged
 
 
-def _divide(time: Array, starts: Indices, run_of: Indices) -> Indices:
-    """Return the first sample of each grid point, shape (m,)."""
-    since = time - time[starts][run_of]
-    number = np.floor(since / _POINT_S + 1e-9)
-    fresh = np.ones(time.size, dtype=bool)
-    fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
-    return np.flatnonzero(fresh)
+def _points(time: Array, outlier: Flags, point_starts: Indices) -> tuple[Array, Array, Array]:
+    """Return mean time, number of samples and share of those that follow each sample, as in :class:`Dataset`.
 
-
-def _point_times(time: Array, outlier: Flags, point_starts: Indices) -> tuple[Array, Array]:
-    """Return the mean time [s] and the number of the samples of each grid point that are no outliers, shapes (m,).
-
-    If all are outliers, the time is the mean of all.
+    If all samples of a point are outliers, its time is the mean of all.
     """
-    weight = (~outlier).astype(float)
+    weight, sizes = (~outlier).astype(float), np.diff(point_starts, append=time.size)
     count = np.add.reduceat(weight, point_starts)
-    counting = np.add.reduceat(weight * time, point_starts) / np.maximum(count, 1.0)
-    every = np.add.reduceat(time, point_starts) / np.diff(np.append(point_starts, time.size))
-    return np.where(count > 0.0, counting, every), count
-
-
-def _following(outlier: Flags, point_starts: Indices) -> Array:
-    """Return the share of the samples of each point, without outliers, that are not before each sample, shape (n,)."""
-    sizes = np.diff(point_starts, append=outlier.size)
-    so_far = np.cumsum(~outlier)
+    some = np.maximum(count, 1.0)
+    mean = np.add.reduceat(weight * time, point_starts) / some
+    mean_of_all = np.add.reduceat(time, point_starts) / sizes
+    so_far = np.cumsum(weight)
     last = np.repeat(so_far[point_starts + sizes - 1], sizes)
-    count = np.repeat(np.add.reduceat(~outlier, point_starts, dtype=int), sizes)
-    return np.asarray((last - so_far + ~outlier) / np.maximum(count, 1))
+    following = (last - so_far + weight) / np.repeat(some, sizes)
+    return np.where(count > 0.0, mean, mean_of_all), count, following

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from trainid_ros.explain.dataset import Array, Dataset
-    from trainid_ros.train.effects import EffectKind, Parameter, TrackPoint
+    from trainid_ros.train.effects import EffectKind, TrackPoint
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
@@ -63,10 +63,19 @@ class EffectTerm:
 
     def moved(self, move: Array, covariance: Array) -> EffectTerm:
         """Return the effect with its parameters changed by a step, as far as admissible, and with their covariance."""
-        limits = EFFECTS[self.name].parameters
-        rows = zip(self.parameters.items(), move.tolist(), strict=True)
-        parameters = {name: _inside(value + delta, limits[name]) for (name, value), delta in rows}
-        return EffectTerm(self.name, _ordered(parameters), covariance)
+        parameters = {}
+        for (name, value), step in zip(self.parameters.items(), move.tolist(), strict=True):
+            limits = EFFECTS[self.name].parameters[name]
+            low, high = limits.low, limits.high
+            if limits.search is not None:  # at most a factor of about three outside
+                low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
+            parameters[name] = min(max(value + step, low), high)
+        # Averaged under a train, effects shorter than a minimum cannot be resolved.
+        start, end = parameters.get('start'), parameters.get('end')
+        if start is not None and end is not None and end - start < _MIN_LENGTH_M:
+            middle = 0.5 * (start + end)
+            parameters |= {'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
+        return EffectTerm(self.name, parameters, covariance)
 
 
 def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
@@ -100,23 +109,6 @@ def prior_width(effect: str, name: str, value: float) -> float:
     if limits.search is None:
         return _POSITION_STD if limits.is_place else _TIME_STD
     return max(abs(value), limits.search[0])
-
-
-def _inside(value: float, limits: Parameter) -> float:
-    """Return the nearest admissible value of a parameter, at most a factor of about three outside its search range."""
-    low, high = limits.low, limits.high
-    if limits.search is not None:
-        low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
-    return min(max(value, low), high)
-
-
-def _ordered(parameters: dict[str, float]) -> dict[str, float]:
-    """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
-    start, end = parameters.get('start'), parameters.get('end')
-    if start is None or end is None or end - start >= _MIN_LENGTH_M:
-        return parameters
-    middle = 0.5 * (start + end)
-    return {**parameters, 'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
 
 
 class EffectEvaluator:

@@ -158,9 +158,10 @@ def read_at(point: str, runs: Sequence[Run], length: float) -> tuple[Run, ...]:
 
     The gradient ahead of and behind the point is taken from all runs in the same direction.
     """
-    profiles = {way: _Profile([run for run in runs if run.direction == way]) for way in {r.direction for r in runs}}
+    profiles = {way: _profile([run for run in runs if run.direction == way]) for way in {r.direction for r in runs}}
     behind = length * ((np.arange(_PLACES) + 0.5) / _PLACES - POINTS[point])
-    return tuple(replace(run, gradient=profiles[run.direction].mean(run, behind)) for run in runs)
+    under = [np.interp(_middles(run)[:, None] - behind, *profiles[run.direction]) for run in runs]
+    return tuple(replace(run, gradient=at.mean(axis=1)) for run, at in zip(runs, under, strict=True))
 
 
 def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str | None:
@@ -169,11 +170,9 @@ def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str |
     The model has no effects; ``shift`` is the evidence of a shifted map, 2 ln of its Bayes factor.
     """
     dataset, length = model.dataset, model.train_file.train.length
-    given = dataset.joined('gradient')
-    changes = [
-        np.concatenate([run.gradient for run in read_at(point, dataset.runs, length)]) - given for point in POINTS
-    ]
-    (found,) = model.informations(hyper, [dataset.column(np.stack(changes, axis=1))])
+    read = [np.concatenate([run.gradient for run in read_at(point, dataset.runs, length)]) for point in POINTS]
+    changes = np.stack([gradient - dataset.joined('gradient') for gradient in read], axis=1)
+    (found,) = model.informations(hyper, [dataset.column(changes)])
     A, b = np.diag(found.A), found.b
     share, evidence = b / (A + 1.0), log_bayes(A, b, 1.0, 1)
     best = int(np.argmax(evidence))
@@ -183,20 +182,12 @@ def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str |
     return None
 
 
-class _Profile:
-    """Gradient [per mille] by position in one direction [m], mean of all runs in each cell."""
-
-    def __init__(self, runs: Sequence[Run]) -> None:
-        way = np.concatenate([_middles(run) for run in runs])
-        gradient = np.concatenate([run.gradient for run in runs])
-        cells, index = np.unique(np.floor(way / _CELL_M), return_inverse=True)
-        self._way = (cells + 0.5) * _CELL_M
-        self._gradient = np.bincount(index, gradient) / np.bincount(index)
-
-    def mean(self, run: Run, behind: Array) -> Array:
-        """Return the mean over points at given distances behind the front [m] on each stage, shapes (k,) to (n,)."""
-        places = _middles(run)[:, None] - behind
-        return np.asarray(np.interp(places, self._way, self._gradient).mean(axis=1))
+def _profile(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """Return positions in one direction [m], and the mean gradient of all runs in the cell there [per mille]."""
+    way = np.concatenate([_middles(run) for run in runs])
+    gradient = np.concatenate([run.gradient for run in runs])
+    cells, index = np.unique(np.floor(way / _CELL_M), return_inverse=True)
+    return (cells + 0.5) * _CELL_M, np.bincount(index, gradient) / np.bincount(index)
 
 
 def _middles(run: Run) -> Array:

@@ -214,12 +214,11 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
     """Return the missing resistance of a model without and with the effects along all axes that the data cover."""
     axes = _axes(before.dataset)
     columns = [before.dataset.column(axis.inside.astype(float)) for axis in axes]
-    estimates = [_estimate(model, hyper, columns) for model in (before, after)]
     weight = before.dataset.dt / before.dataset.dt.sum()
+    shares = [weight @ axis.inside for axis in axes]
+    estimates = [_missing(model, hyper, columns, shares) for model in (before, after)]
     locations = []
-    for k, axis in enumerate(axes):
-        share = weight @ axis.inside
-        (first, std), (second, _) = (_deviation_from_mean(*estimate[k], share / share.sum()) for estimate in estimates)
+    for axis, share, (first, std), (second, _) in zip(axes, shares, *estimates, strict=True):
         rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
         places = tuple(Place(label, low, high, a, b, s, part) for label, (low, high), a, b, s, part in rows)
         locations.append(Location(axis.name, axis.unit, places))
@@ -247,20 +246,17 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
     return ', '.join(clear) or 'no distinct location'
 
 
-def _estimate(model: Model, hyper: Hyperparameters, columns: list[Array]) -> list[tuple[Array, Array]]:
-    """Return means and covariances of the parts of each axis, one axis at a time."""
-    estimates: list[tuple[Array, Array]] = []
-    for found in model.informations(hyper, columns, terms=False):
-        covariance = np.asarray(np.linalg.inv(found.A + np.eye(len(found.b)) / _PRIOR**2))
-        estimates.append((covariance @ found.b, covariance))
-    return estimates
-
-
-def _deviation_from_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, Array]:
-    """Return deviations from the mean of all parts, weighted by their shares, and their standard deviations."""
-    deviation = np.eye(share.size) - share[None, :]
-    variance = np.einsum('ij,jk,ik->i', deviation, covariance, deviation)
-    return deviation @ value, np.sqrt(np.maximum(variance, 0.0))
+def _missing(
+    model: Model, hyper: Hyperparameters, columns: Sequence[Array], shares: Sequence[Array]
+) -> list[tuple[Array, Array]]:
+    """Return what each part of an axis lacks beyond the mean of all parts, with its std, for one axis at a time."""
+    found = []
+    for information, share in zip(model.informations(hyper, columns, terms=False), shares, strict=True):
+        covariance = np.asarray(np.linalg.inv(information.A + np.eye(share.size) / _PRIOR**2))
+        deviation = np.eye(share.size) - (share / share.sum())[None, :]
+        variance = np.einsum('ij,jk,ik->i', deviation, covariance, deviation)
+        found.append((deviation @ (covariance @ information.b), np.sqrt(np.maximum(variance, 0.0))))
+    return found
 
 
 def _axes(dataset: Dataset) -> list[_Axis]:

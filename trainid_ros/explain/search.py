@@ -360,9 +360,13 @@ class Search:
             if extended is not None and (rest := self._generic(extended))[0].evidence < GENERIC:
                 state, groups = extended, rest
         state = replace(state, model=with_onsets(state.model, state.hyper))
-        results = [self._evidence_and_twins(state, k) for k in range(len(state.model.terms))]
-        evidence, twins = (tuple(column) for column in zip(*results, strict=True)) if results else ((), ())
-        return Selection(self.base, state, evidence, twins, tuple(groups))
+        evidence, twins = [], []
+        for k, term in enumerate(state.model.terms):
+            own = self._gain(state, k)
+            nearest = self._best_alternative(term.name, state.model.without(k), state.hyper)
+            evidence.append(own)
+            twins.append((nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ())
+        return Selection(self.base, state, tuple(evidence), tuple(twins), tuple(groups))
 
     def _add(self, state: State, threshold: float) -> State | None:
         """Add the best effect; None if none has enough evidence or others lose theirs.
@@ -454,12 +458,6 @@ class Search:
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))
             for k, term in enumerate(model.terms)
         )
-
-    def _evidence_and_twins(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
-        """Return the evidence of effect k given the others, and its best alternative if that is indistinguishable."""
-        own = self._gain(state, k)
-        nearest = self._best_alternative(state.model.terms[k].name, state.model.without(k), state.hyper)
-        return own, (nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ()
 
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
         """Return the best effect other than ``name`` that can be added to a model."""
