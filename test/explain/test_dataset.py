@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from test.explain.made_runs import TRAIN, Maker, disturbed
 from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
@@ -57,18 +58,12 @@ def test_a_run_is_from_standstill_to_standstill() -> None:
     assert first.positioned
 
 
-def test_a_gap_ends_a_run() -> None:
-    first, second = collect(samples([10.0] * 200, {100: {'dt': math.nan}}))
+@pytest.mark.parametrize('name', ['dt', 'emergency', 'force_mean', 'gradient_mean', 'brake_command'])
+def test_a_gap_or_an_unusable_sample_ends_a_run(name: str) -> None:
+    fields = {name: True if name == 'emergency' else math.nan}
+    first, second = collect(samples([10.0] * (200 if name == 'dt' else 201), {100: fields}))
     assert (first.time.size, second.time.size) == (100, 100)
     assert all(math.isnan(stop) for run in (first, second) for stop in run.stops)
-
-
-@pytest.mark.parametrize(
-    'field', [{'emergency': True}, {'force_mean': math.nan}, {'gradient_mean': math.nan}, {'brake_command': math.nan}]
-)
-def test_unusable_sample_ends_a_run(field: dict[str, Any]) -> None:
-    first, second = collect(samples([10.0] * 201, {100: field}))
-    assert (first.time.size, second.time.size) == (100, 100)
 
 
 def test_short_runs_are_discarded_and_long_ones_split() -> None:
@@ -76,15 +71,6 @@ def test_short_runs_are_discarded_and_long_ones_split() -> None:
     runs = collect(samples([10.0] * round(2.5 * MAX_RUN_S * 5)))
     assert len(runs) == 3
     assert all(run.time[-1] - run.time[0] <= MAX_RUN_S + 0.3 for run in runs)
-
-
-def test_unknown_position_is_replaced_by_distance() -> None:
-    fields = {k: {'position': math.nan} for k in range(101)}
-    (run,) = collect(samples([10.0] * 101, fields))
-    assert not run.positioned
-    assert np.isfinite(run.position).all()
-    assert run.position[-1] - run.position[0] == pytest.approx(200.0)
-    assert run.direction == 1
 
 
 def test_falling_positions_give_the_negative_direction() -> None:
@@ -95,12 +81,11 @@ def test_falling_positions_give_the_negative_direction() -> None:
 
 def test_mass_is_measured_or_from_the_train_file() -> None:
     loaded = {k: {'mass': 250e3, 'force_mean': 50e3} for k in range(101)}
-    (run,) = collect(samples([10.0] * 101, loaded))
-    assert run.weighed
-    assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (250e3 * 9.80665))
-    (run,) = collect(samples([10.0] * 101, {k: {'force_mean': 50e3} for k in range(101)}))
-    assert not run.weighed
-    assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (200e3 * 9.80665))
+    unloaded = {k: {'force_mean': 50e3} for k in range(101)}
+    for fields, weighed, mass in ((loaded, True, 250e3), (unloaded, False, 200e3)):
+        (run,) = collect(samples([10.0] * 101, fields))
+        assert run.weighed is weighed
+        assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (mass * 9.80665))
 
 
 def test_brake_force_follows_the_command() -> None:
@@ -145,9 +130,11 @@ def test_gaps_in_positions_are_bridged_by_the_distance() -> None:
     (interrupted,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(30, 60)}))
     assert interrupted.positioned
     np.testing.assert_allclose(interrupted.position, complete.position, atol=1e-6)
-    (none,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(10, 106)}))
-    assert not none.positioned
-    np.testing.assert_array_equal(none.position, none.distance_run)
+    for first in (0, 10):
+        (none,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(first, 106)}))
+        assert (none.positioned, none.direction) == (False, 1)
+        np.testing.assert_array_equal(none.position, none.distance_run)
+        assert none.position[-1] - none.position[0] == pytest.approx(198.0)
 
 
 def test_correct_model_leaves_only_noise(dataset: Dataset) -> None:
@@ -156,32 +143,25 @@ def test_correct_model_leaves_only_noise(dataset: Dataset) -> None:
     assert np.all(dataset.point_count <= 5.0)
 
 
-def test_response_to_a_missing_resistance_is_its_gap(maker: Any, train_file: TrainFile) -> None:
-    runs = maker(noise=0.0).runs(2, 4, lambda *_: 0.5)
-    found = assemble(runs, train_file)
+def test_response_to_a_missing_resistance_is_its_gap() -> None:
+    runs = Maker(noise=0.0).runs(2, 4, lambda *_: 0.5)
+    found = assemble(runs, TRAIN)
     missing = found.column(np.full(found.dt.size, 0.5))
     initial = found.gap[found.starts][found.run_of]
     np.testing.assert_allclose(found.average(found.gap - initial), missing, atol=0.03)
     assert np.abs(missing).max() > 0.3
-    known = assemble(runs, train_file, np.full(found.dt.size, 0.5))
+    known = assemble(runs, TRAIN, np.full(found.dt.size, 0.5))
     np.testing.assert_allclose(known.gap, initial, atol=0.03)
 
 
-def test_columns_are_integrated_independently(dataset: Dataset) -> None:
-    both = np.random.default_rng(0).standard_normal((dataset.dt.size, 2))
-    np.testing.assert_allclose(dataset.column(both)[:, 1], dataset.column(both[:, 1]))
-
-
-def test_single_outliers_are_detected(maker: Any, train_file: TrainFile) -> None:
-    runs = maker().runs(2, 6)
-    speed = runs[0].speed.copy()
-    spoiled = [20, 60, 61, 130, 250]
-    speed[spoiled] += [0.5, -0.6, -0.6, 1.0, -0.4]
-    found = assemble([replace(runs[0], speed=speed), runs[1]], train_file)
+def test_single_outliers_are_detected() -> None:
+    runs = Maker().runs(2, 6)
+    spoiled, by = [20, 60, 61, 130, 250], [0.5, -0.6, -0.6, 1.0, -0.4]
+    found = assemble([disturbed(runs[0], (spoiled, by)), runs[1]], TRAIN)
     assert found.outlier[spoiled].all()
     assert found.outlier.sum() <= len(spoiled) + 3
-    np.testing.assert_allclose(found.deviation[spoiled], [0.5, -0.6, -0.6, 1.0, -0.4], atol=0.1)
-    clean = assemble(runs, train_file)
+    np.testing.assert_allclose(found.deviation[spoiled], by, atol=0.1)
+    clean = assemble(runs, TRAIN)
     np.testing.assert_allclose(found.speed, clean.speed, atol=0.1)
 
 
@@ -218,11 +198,9 @@ def test_runs_of_few_samples_have_no_outliers() -> None:
     assert not find_outliers(np.array([0.0, 5.0, 0.0, 9.0]), np.array([0, 1, 2])).any()
 
 
-def test_node_of_outliers_only_has_no_samples(maker: Any, train_file: TrainFile) -> None:
-    runs = maker().runs(1, 6)
-    speed = runs[0].speed.copy()
-    speed[100:105] += 3.0
-    found = assemble([replace(runs[0], speed=speed)], train_file)
+def test_node_of_outliers_only_has_no_samples() -> None:
+    (run,) = Maker().runs(1, 6)
+    found = assemble([disturbed(run, (slice(100, 105), 3.0))], TRAIN)
     point = int(np.searchsorted(found.point_starts, 100, side='right')) - 1
     assert found.point_count[point] == 0.0
     assert found.time[100] <= found.point_time[point] <= found.time[104]
@@ -230,20 +208,18 @@ def test_node_of_outliers_only_has_no_samples(maker: Any, train_file: TrainFile)
     assert found.column(np.ones(found.dt.size))[point] == 0.0
 
 
-def test_columns_are_means_of_integrated_kicks(maker: Any, train_file: TrainFile) -> None:
-    runs = maker().runs(2, 6)
-    speed = runs[0].speed.copy()
-    speed[[60, 61]] += 3.0
-    found = assemble([replace(runs[0], speed=speed), runs[1]], train_file)
+def test_columns_are_means_of_integrated_kicks() -> None:
+    runs = Maker().runs(2, 6)
+    found = assemble([disturbed(runs[0], ([60, 61], 3.0)), runs[1]], TRAIN)
     resistance = np.random.default_rng(1).standard_normal(found.dt.size)
     kick = -resistance * found.dt / found.inertia
     response = np.concatenate([np.cumsum(kick[found.run_of == k]) for k in range(2)])
     np.testing.assert_allclose(found.column(resistance), found.average(response), atol=1e-14)
+    # Columns are integrated independently, also in batches.
+    many = np.random.default_rng(0).standard_normal((found.dt.size, 17))
+    np.testing.assert_allclose(found.column(many)[:, 1::15], np.stack([found.column(many[:, k]) for k in (1, 16)], 1))
 
 
 def test_direction_of_each_sample(dataset: Dataset) -> None:
     assert dataset.direction.shape == dataset.time.shape
     assert [int(dataset.direction[start]) for start in dataset.starts] == [1, -1, 1]
-    assert dataset.joined('speed').shape == dataset.speed.shape
-    with pytest.raises(AttributeError):
-        dataset.joined('colour')

@@ -5,17 +5,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from test.explain.made_runs import TRAIN, Maker, local_drag
 from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, without_replaced
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import parse_effects
-from trainid_ros.train.train_file import TrainFile
 
+DRAG = 'local_drag:start=0,end=200,permille=1'
 WRONG = """
 import math
 
@@ -34,18 +34,16 @@ EFFECT = EffectKind(
 
 
 @pytest.fixture(scope='module')
-def evaluator(maker: Any, train_file: TrainFile) -> EffectEvaluator:
-    return EffectEvaluator(assemble(maker(noise=0.0).runs(2, 5), train_file), train_file)
+def evaluator() -> EffectEvaluator:
+    return EffectEvaluator(assemble(Maker(noise=0.0).runs(2, 5), TRAIN), TRAIN)
 
 
 def test_shifted_map_acts_where_the_gradient_changes(evaluator: EffectEvaluator) -> None:
     """The hill of 5 per mille is from 300 to 600 m; a shift of 40 m gives -5 at its start and +5 beyond its end."""
     dataset = evaluator.dataset
     w = evaluator.resistance('map_shift', {'distance': 40.0})
-    position, up = (
-        dataset.joined('position') - 0.5 * dataset.direction * dataset.dt * dataset.speed,
-        dataset.direction > 0,
-    )
+    position, up = dataset.joined('position'), dataset.direction > 0
+    position = position - 0.5 * dataset.direction * dataset.dt * dataset.speed
     inner = up & (position > 306.0) & (position < 334.0)
     assert inner.sum() > 4
     np.testing.assert_allclose(w[inner], -5.0)
@@ -63,8 +61,7 @@ def test_late_stamps_act_where_the_force_changes(evaluator: EffectEvaluator) -> 
     off = int(np.flatnonzero(np.diff(traction) < -20.0)[0]) + 1
     assert w[off - 1] > 20.0  # the traction acting here has a stamp after it is off
     assert abs(w[off + 3]) < 1e-9
-    changed = np.abs(w) > 10.0
-    assert 0 < changed.sum() <= 8
+    assert (np.abs(w) > 10.0).sum() <= 8
 
 
 def test_effects_that_depend_on_distance_or_brake_release(evaluator: EffectEvaluator) -> None:
@@ -80,12 +77,8 @@ def test_effects_that_depend_on_distance_or_brake_release(evaluator: EffectEvalu
 
 
 def test_effects_on_records_are_not_added(evaluator: EffectEvaluator) -> None:
-    effects = parse_effects(
-        ['local_drag:start=0,end=200,permille=1', 'stamp_skew:delay=0.3', 'wheel_diameter:ratio=1.02']
-    )
-    np.testing.assert_array_equal(
-        evaluator.total(effects), evaluator.resistance('local_drag', {'start': 0.0, 'end': 200.0, 'permille': 1.0})
-    )
+    total = evaluator.total(parse_effects([DRAG, 'stamp_skew:delay=0.3', 'wheel_diameter:ratio=1.02']))
+    np.testing.assert_array_equal(total, evaluator.resistance('local_drag', local_drag(0.0, 200.0, 1.0).parameters))
 
 
 def test_amplitudes_of_a_linear_effect_share_one_evaluation(evaluator: EffectEvaluator) -> None:
@@ -94,9 +87,9 @@ def test_amplitudes_of_a_linear_effect_share_one_evaluation(evaluator: EffectEva
     np.testing.assert_allclose(fast, -2.0 * slow, atol=1e-12)
 
 
-def test_cache_is_bounded(dataset: Dataset, train_file: TrainFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_is_bounded(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('trainid_ros.explain.effects._CACHE_SIZE', 3)
-    evaluator = EffectEvaluator(dataset, train_file)
+    evaluator = EffectEvaluator(dataset, TRAIN)
     first = evaluator.resistance('mass_error', {'ratio': 0.9})
     assert evaluator.resistance('mass_error', {'ratio': 0.9}) is first
     for k in range(4):
@@ -125,32 +118,25 @@ def test_error_names_the_failing_user_effect(
         evaluator.resistance('wrong', {'size': 1.0})
 
 
-DRAG = 'local_drag:start=0,end=9,permille=1'
-
-
-def test_effect_found_again_is_removed_from_the_train_file(train_file: TrainFile) -> None:
-    file = replace(train_file, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))
+def test_effect_found_again_is_removed_from_the_train_file() -> None:
+    """But not one that is new, repeatable or corrected on the records."""
+    file = replace(TRAIN, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))
     rest = without_replaced((EffectTerm('brake_delay', {'extra': 0.4}),), file)
     assert rest is not None
     assert [effect.name for effect in rest.effects] == ['local_drag', 'wheel_diameter']
-
-
-@pytest.mark.parametrize('name', ['headwind', 'local_drag', 'wheel_diameter'])
-def test_new_repeatable_or_corrected_effect_removes_none(train_file: TrainFile, name: str) -> None:
-    file = replace(train_file, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))
-    assert without_replaced((EffectTerm(name, {}),), file) is None
+    for name in ('headwind', 'local_drag', 'wheel_diameter'):
+        assert without_replaced((EffectTerm(name, {}),), file) is None
 
 
 def test_effect_on_records_is_combined_with_its_correction() -> None:
     before = parse_effects(['wheel_diameter:ratio=1.03', 'stamp_skew:delay=0.2', DRAG])
-    further = 'local_drag:start=20,end=29,permille=2'
-    added = parse_effects(['wheel_diameter:ratio=1.02', 'stamp_skew:delay=0.3', further])
+    added = parse_effects(
+        ['wheel_diameter:ratio=1.02', 'stamp_skew:delay=0.3', 'local_drag:start=20,end=29,permille=2']
+    )
     effects = merged(before, added)
     assert [effect.name for effect in effects] == ['local_drag', 'wheel_diameter', 'stamp_skew', 'local_drag']
     assert dict(effects[1].parameters)['ratio'] == pytest.approx(1.03 * 1.02)
     assert dict(effects[2].parameters)['delay'] == pytest.approx(0.5)
-
-
-def test_slip_found_replaces_slip_of_the_train_file() -> None:
+    # Records are never corrected for slip.
     before, added = (parse_effects([f'wheel_slip:share={share},speed=2']) for share in (0.05, 0.03))
     assert merged(before, added) == added

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from test.explain.made_runs import TRAIN
 from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.noise import (
     Bins,
@@ -23,7 +24,6 @@ from trainid_ros.explain.noise import (
     run_columns,
     share_of_mean,
 )
-from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
 INERTIA = 110.0
@@ -76,13 +76,13 @@ def test_missing_measurement_has_no_weight() -> None:
     assert whitener.apply(spoiled)[7, 0] == 0.0
 
 
-def test_runs_are_whitened_independently(dataset: Dataset, train_file: TrainFile) -> None:
+def test_runs_are_whitened_independently(dataset: Dataset) -> None:
     grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
     whitener = Whitener.of(grid, noise)
     column = np.random.default_rng(1).standard_normal((dataset.point_time.size, 1))
     together, log_det = whitener.apply(column), 0.0
     for run, points in zip(dataset.runs, grid.runs, strict=True):
-        alone = Whitener.of(Grid.of(assemble([run], train_file)), noise)
+        alone = Whitener.of(Grid.of(assemble([run], TRAIN)), noise)
         np.testing.assert_allclose(together[points], alone.apply(column[points]), rtol=1e-9)
         log_det += alone.log_det
     assert whitener.log_det == pytest.approx(log_det, rel=1e-12)
@@ -133,9 +133,9 @@ def test_train_lies_behind_its_front(dataset: Dataset) -> None:
     assert np.all(behind < 1e-9)
 
 
-def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset, train_file: TrainFile) -> None:
+def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset) -> None:
     columns = common_columns(dataset)
-    unweighed, weighed = common_std(train_file, weighed=False), common_std(train_file, weighed=True)
+    unweighed, weighed = common_std(TRAIN, weighed=False), common_std(TRAIN, weighed=True)
     assert columns.shape == (dataset.time.size, unweighed.size)
     assert np.isfinite(columns).all()
     assert np.all(unweighed > 0.0)

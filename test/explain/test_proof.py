@@ -7,29 +7,26 @@ Where the gap is, and its parts as text.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from trainid_ros.explain.effects import EffectTerm
+from test.explain.made_runs import TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.likelihood import Hyperparameters, posterior
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.proof import gap_of, hold_out, locate
 from trainid_ros.explain.result import place_text
-from trainid_ros.train.train_file import TrainFile
 
 
 def test_missing_resistance_is_located_at_the_effect(
     dragged_model: Model, dragged_sizes: tuple[Hyperparameters, object]
 ) -> None:
     model, (hyper, _) = dragged_model, dragged_sizes
-    drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5})
-    locations = {one.axis: one for one in locate(model, model.with_terms((drag,)), hyper)}
-    assert {'position, rising', 'position, falling', 'speed', 'mode', 'direction', 'run'} == locations.keys() - {
-        'heat of the brake'
-    }
+    after = model.with_terms((local_drag(100.0, 350.0, 2.5),))
+    locations = {one.axis: one for one in locate(model, after, hyper)}
+    axes = {'position, rising', 'position, falling', 'speed', 'mode', 'direction', 'run'}
+    assert locations.keys() - {'heat of the brake'} == axes
     rising = locations['position, rising'].places
     strongest = max(rising, key=lambda place: place.before / place.std)
     assert strongest.high > 100.0
@@ -58,21 +55,18 @@ def test_phrases(axis: str, label: str, text: str) -> None:
     assert place_text(axis, label) == text
 
 
-def test_every_located_part_has_a_phrase(maker: Any, train_file: TrainFile) -> None:
+def test_every_located_part_has_a_phrase() -> None:
     runs = []
-    for run in maker().runs(2, 3):
+    for run in Maker().runs(2, 3):
         inside = (run.position > 300.0) & (run.position < 600.0)
         runs.append(replace(run, tunnel=inside.astype(float), radius=300.0 * inside, heat=np.cumsum(-run.brake)))
-    model = Model.of(runs, train_file)
+    model = Model.of(runs, TRAIN)
     hyper, _ = model.evidence().maximise()
     locations = locate(model, model, hyper)
-    assert {'position, rising', 'speed', 'mode', 'direction', 'tunnel', 'curve', 'heat of the brake'} <= {
-        location.axis for location in locations
-    }
-    for location in locations:
-        for place in location.places:
-            if location.axis != 'run':
-                assert place_text(location.axis, place.label) != f'{location.axis} {place.label}'
+    axes = {'position, rising', 'speed', 'mode', 'direction', 'tunnel', 'curve', 'heat of the brake'}
+    assert axes <= {location.axis for location in locations}
+    for axis, places in ((location.axis, location.places) for location in locations if location.axis != 'run'):
+        assert not [place for place in places if place_text(axis, place.label) == f'{axis} {place.label}']
 
 
 HYPER = Hyperparameters(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
@@ -94,8 +88,7 @@ def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
 
 def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
     model = dragged_model
-    drag = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 1.5})
-    added = model.with_terms((drag,)).fit(HYPER)
+    added = model.with_terms((local_drag(120.0, 330.0, 1.5),)).fit(HYPER)
     gap = gap_of(hold_out(model, HYPER), hold_out(added, HYPER), added)
     assert gap is not None
     assert gap.after < 0.6 * gap.before
@@ -106,24 +99,20 @@ def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
     assert abs(found['start'] - 100.0) < 4.0 * std['start']
 
 
-def test_one_run_cannot_be_held_out(maker: Any, train_file: TrainFile) -> None:
-    alone = Model.of(maker().runs(1, 3), train_file)
-    held = hold_out(alone, HYPER)
-    assert held is None
-    assert gap_of(held, held, alone) is None
+def test_one_run_cannot_be_held_out() -> None:
+    alone = Model.of(Maker().runs(1, 3), TRAIN)
+    assert hold_out(alone, HYPER) is None
+    assert gap_of(None, None, alone) is None
 
 
-def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap(
-    maker: Any, drag_of: Any, train_file: TrainFile
-) -> None:
-    runs = [*maker().runs(4, 31), *maker().runs(5, 32, drag_of(4.0))[4:]]
-    model = Model.of(runs, train_file)
+def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap() -> None:
+    runs = [*Maker().runs(4, 31), *Maker().runs(5, 32, drag(4.0))[4:]]
+    model = Model.of(runs, TRAIN)
     seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
-    apart = Model.of(seen, train_file)
-    drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 4.0})
+    apart = Model.of(seen, TRAIN)
     last = apart.dataset.point_run == 4
     for one, same_place in ((model, True), (apart, False)):
-        added = one.with_terms((drag,)).fit(HYPER)
+        added = one.with_terms((local_drag(100.0, 350.0, 4.0),)).fit(HYPER)
         held, without = hold_out(added, HYPER), hold_out(one, HYPER)
         assert held is not None
         assert without is not None
@@ -133,9 +122,8 @@ def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap(
 
 
 def test_noise_floor_excludes_the_uncertainty_of_effects(dragged_model: Model) -> None:
-    model = dragged_model
-    added = model.with_terms((EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5}),)).fit(HYPER)
-    unseen = model.with_terms((EffectTerm('local_drag', {'start': 1e4, 'end': 1.1e4, 'permille': 2.5}),)).fit(HYPER)
-    floors = [hold_out(one, HYPER) for one in (model, added, unseen)]
+    terms = local_drag(100.0, 350.0, 2.5), local_drag(1e4, 1.1e4, 2.5)
+    added, unseen = (dragged_model.with_terms((term,)).fit(HYPER) for term in terms)
+    floors = [hold_out(one, HYPER) for one in (dragged_model, added, unseen)]
     floor_means = [float(np.mean(floor.std)) for floor in floors if floor is not None]
     assert floor_means[1:] == pytest.approx([floor_means[0]] * 2, rel=0.15)

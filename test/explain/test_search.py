@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from test.explain.made_runs import TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, sign
 from trainid_ros.explain.likelihood import Hyperparameters
@@ -23,6 +23,7 @@ from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
+    Family,
     _shapes,
     generic_groups,
     is_confirmed_by_other_runs,
@@ -31,26 +32,35 @@ from trainid_ros.explain.search import (
     with_onset,
 )
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
-from trainid_ros.train.train_file import TrainFile
 
 
-def test_families_are_columns_of_effects_that_act_in_the_data(dataset: Dataset, train_file: TrainFile) -> None:
-    evaluator = EffectEvaluator(dataset, train_file)
-    families = {family.name: family for family in named_families(evaluator)}
+@pytest.fixture(scope='module')
+def evaluator(dataset: Dataset) -> EffectEvaluator:
+    return EffectEvaluator(dataset, TRAIN)
+
+
+@pytest.fixture(scope='module')
+def families(evaluator: EffectEvaluator) -> dict[str, Family]:
+    return {family.name: family for family in named_families(evaluator)}
+
+
+def test_families_are_columns_of_effects_that_act_in_the_data(
+    evaluator: EffectEvaluator, families: dict[str, Family]
+) -> None:
     assert {'traction_scale', 'resistance_step', 'bearing_warmup'} <= families.keys()
     # There is no curve and no tunnel, sections are scanned separately, and slip is no resistance.
     assert not {'curve_resistance', 'tunnel_drag', 'wheel_slip', *SECTIONS} & families.keys()
     for family in families.values():
-        assert family.resistance.shape == (dataset.dt.size, len(family.shapes))
+        assert family.resistance.shape == (evaluator.dataset.dt.size, len(family.shapes))
         assert np.isfinite(family.resistance).all()
         assert family.std > 0.0
     stronger = evaluator.resistance('traction_scale', {'ratio': 1.3})
     np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
 
 
-def test_non_linear_effect_is_tried_at_several_amplitudes(dataset: Dataset, train_file: TrainFile) -> None:
-    evaluator = EffectEvaluator(dataset, train_file)
-    families = {family.name: family for family in named_families(evaluator)}
+def test_non_linear_effect_is_tried_at_several_amplitudes(
+    evaluator: EffectEvaluator, families: dict[str, Family]
+) -> None:
     assert families['traction_scale'].resistance.shape[1] == 1
     # Shifts of the map in opposite directions lead to different gradients.
     shifts = families['map_shift'].resistance
@@ -59,8 +69,7 @@ def test_non_linear_effect_is_tried_at_several_amplitudes(dataset: Dataset, trai
     np.testing.assert_allclose(-usual * shifts[:, 1], evaluator.resistance('map_shift', {'distance': -usual}))
 
 
-def test_onset_times_leave_enough_driving_before_and_after(dataset: Dataset, train_file: TrainFile) -> None:
-    families = {family.name: family for family in named_families(EffectEvaluator(dataset, train_file))}
+def test_onset_times_leave_enough_driving_before_and_after(dataset: Dataset, families: dict[str, Family]) -> None:
     times = np.array([shape['time'] for shape in families['resistance_step'].shapes])
     driven = np.cumsum(dataset.dt)
     assert driven[np.searchsorted(dataset.time, times.min())] > 60.0
@@ -89,9 +98,8 @@ def test_grids_cover_the_positions_and_times_driven(dataset: Dataset) -> None:
     assert _shapes(user_kind(start=place), lost) == []
 
 
-@pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])
-def test_sign_of_amplitudes(name: str, side: int) -> None:
-    assert sign(EFFECTS[name]) == side
+def test_sign_of_amplitudes() -> None:
+    assert [sign(EFFECTS[name]) for name in ('local_drag', 'gradient_error', 'brake_fade')] == [1, 0, 1]
 
 
 def test_groups_are_finite_with_unique_names(dataset: Dataset) -> None:
@@ -146,15 +154,13 @@ EFFECT = EffectKind(
 """
 
 
-def test_user_effect_is_found_at_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: Any, train_file: TrainFile
-) -> None:
+def test_user_effect_is_found_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / 'ballast.py').write_text(BALLAST, encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
-    runs = maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
+    runs = Maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
     # Positions far above any time of the drive, so that the two cannot be confused.
     runs = [replace(run, position=run.position + 5000.0) for run in runs]
-    model = Model.of(runs, train_file)
+    model = Model.of(runs, TRAIN)
     hyper, _ = model.evidence().maximise()
     named, _ = EffectScorer(model).scores(model, hyper)
     assert named[0].name == 'new_ballast'
@@ -165,7 +171,7 @@ def test_user_effect_is_found_at_its_place(
 def test_fixed_effects_leave_more_information(dragged_model: Model, dragged_sizes: Found) -> None:
     """An effect with free parameters absorbs what a similar column would explain."""
     model, (hyper, _) = dragged_model, dragged_sizes
-    fitted = model.with_terms((EffectTerm('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(hyper)
+    fitted = model.with_terms((local_drag(110.0, 340.0, 1.8),)).fit(hyper)
     unit = fitted.evaluator.resistance('local_drag', {**fitted.terms[0].parameters, 'permille': 1.0})
     column = fitted.dataset.column(unit[:, None])
     (free,) = fitted.informations(hyper, [column])
@@ -173,17 +179,18 @@ def test_fixed_effects_leave_more_information(dragged_model: Model, dragged_size
     assert float(free.A[0, 0]) < 0.2 * float(fixed.A[0, 0])
 
 
-SET_IN = 1000
-"""Stages before the resistance rises."""
 HYPER = Hyperparameters(Noise(0.02, 0.05, 8.0, 0.01), Spread(0.005, 0.01, 0.2), 0.0)
 
 
-def test_onset_of_a_step_is_within_its_uncertainty(maker: Any, train_file: TrainFile) -> None:
+def stepped(size: float) -> tuple[Model, float]:
+    """Return the model of runs whose resistance rises by a size [N/kN] after 1000 stages, and that time [s]."""
     stage = count()
-    runs = maker().runs(6, 61, lambda *_: 0.8 * (next(stage) >= SET_IN))
-    stages = np.concatenate([run.time[1:] for run in runs])
-    true = float(stages[SET_IN])
-    model = Model.of(runs, train_file)
+    runs = Maker().runs(6, 61, lambda *_: size * (next(stage) >= 1000))
+    return Model.of(runs, TRAIN), float(np.concatenate([run.time[1:] for run in runs])[1000])
+
+
+def test_onset_of_a_step_is_within_its_uncertainty() -> None:
+    model, true = stepped(0.8)
     step = EffectTerm('resistance_step', {'time': true + 40.0, 'a': 0.6})
     fitted = model.with_terms((step,)).fit(HYPER).terms[0]
     found = with_onset(fitted, model, HYPER)
@@ -193,41 +200,23 @@ def test_onset_of_a_step_is_within_its_uncertainty(maker: Any, train_file: Train
     assert found.parameters['a'] == fitted.parameters['a']
 
 
-def test_onset_has_at_least_the_variance_of_its_grid(maker: Any, train_file: TrainFile) -> None:
+def test_onset_has_at_least_the_variance_of_its_grid() -> None:
     """A step so large that only one time of the grid is possible."""
-    stage = count()
-    runs = maker().runs(6, 61, lambda *_: 40.0 * (next(stage) >= SET_IN))
-    times = np.concatenate([run.time[1:] for run in runs])
-    step = EffectTerm('resistance_step', {'time': float(times[SET_IN]), 'a': 40.0}, 1e-12 * np.eye(2))
-    found = with_onset(step, Model.of(runs, train_file), HYPER)
-    cell = float(np.ptp(times)) / 121.0
+    model, true = stepped(40.0)
+    found = with_onset(EffectTerm('resistance_step', {'time': true, 'a': 40.0}, 1e-12 * np.eye(2)), model, HYPER)
+    cell = float(np.ptp(model.dataset.time)) / 121.0
     assert found.std['time'] == pytest.approx(cell / np.sqrt(12.0), rel=0.05)
 
 
-@pytest.mark.parametrize('name', ['traction_scale', 'mass_error'])
-def test_effect_without_onset_or_fit_is_unchanged(dragged_model: Model, name: str) -> None:
-    term = EffectTerm(name, {'ratio': 1.02}, np.eye(1))
-    assert with_onset(term, dragged_model, HYPER) is term
-    unfitted = EffectTerm('resistance_step', {'time': 100.0, 'a': 0.5})
-    assert with_onset(unfitted, dragged_model, HYPER) is unfitted
+def test_effect_without_onset_or_fit_is_unchanged(dragged_model: Model) -> None:
+    without, unfitted = ('mass_error', {'ratio': 1.02}, np.eye(1)), ('resistance_step', {'time': 100.0, 'a': 0.5})
+    for term in (EffectTerm(*without), EffectTerm(*unfitted)):
+        assert with_onset(term, dragged_model, HYPER) is term
 
 
-DRAG = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.0})
-
-
-def fitted(runs: list[Run], train_file: TrainFile) -> Model:
-    model = Model.of(runs, train_file)
-    return model.with_terms((DRAG,)).fit(HYPER)
-
-
-def test_effect_in_all_runs_is_confirmed(dragged: list[Run], train_file: TrainFile) -> None:
-    assert is_confirmed_by_other_runs(fitted(dragged, train_file), 0, HYPER)
-
-
-def test_effect_in_one_run_of_many_is_not_confirmed(maker: Any, drag_of: Any, train_file: TrainFile) -> None:
-    runs = [*maker().runs(6, 71), *maker().runs(7, 72, drag_of(4.0))[6:]]
-    assert not is_confirmed_by_other_runs(fitted(runs, train_file), 0, HYPER)
-
-
-def test_place_passed_by_one_run_only_needs_no_confirmation(maker: Any, drag_of: Any, train_file: TrainFile) -> None:
-    assert is_confirmed_by_other_runs(fitted(maker().runs(1, 73, drag_of(4.0)), train_file), 0, HYPER)
+def test_effect_in_one_run_of_many_is_not_confirmed(dragged: list[Run]) -> None:
+    """That in all runs is, and a place that only one run passes needs no confirmation."""
+    one_of_many = [*Maker().runs(6, 71), *Maker().runs(7, 72, drag(4.0))[6:]]
+    for runs, expected in ((dragged, True), (one_of_many, False), (Maker().runs(1, 73, drag(4.0)), True)):
+        model = Model.of(runs, TRAIN).with_terms((local_drag(100.0, 350.0, 2.0),)).fit(HYPER)
+        assert is_confirmed_by_other_runs(model, 0, HYPER) is expected

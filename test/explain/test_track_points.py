@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from test.explain.made_runs import TRAIN, Maker
 from trainid_ros.explain.track_points import track_points
 from trainid_ros.train.effects import TrackPoint
 from trainid_ros.train.forces import specific_inertia
-from trainid_ros.train.train_file import TrainFile
 
 Points = tuple[Any, list[TrackPoint]]
 
 
 @pytest.fixture(scope='module', params=[0, 1], ids=['rising', 'falling'])
-def run_and_points(request: pytest.FixtureRequest, maker: Any, train_file: TrainFile) -> Points:
-    run = maker(noise=0.0).runs(2, 5)[request.param]
-    inertia = specific_inertia(1.0, train_file.train.rotary_mass)
+def run_and_points(request: pytest.FixtureRequest) -> Points:
+    run = Maker(noise=0.0).runs(2, 5)[request.param]
+    inertia = specific_inertia(1.0, TRAIN.train.rotary_mass)
     speed = np.concatenate([run.speed[:1], 0.5 * (run.speed[1:] + run.speed[:-1])])
-    return run, track_points(run, speed, train_file.train.length, inertia, train_file.resistance)
+    return run, track_points(run, speed, TRAIN.train.length, inertia, TRAIN.resistance)
 
 
 def test_points_lie_at_mid_stage(run_and_points: Points) -> None:

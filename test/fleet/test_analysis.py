@@ -49,20 +49,12 @@ def test_few_healthy_trains_do_not_stand_out() -> None:
         assert analyse(fleet_rows(seed, 5, 6), LIMIT).found == ()
 
 
-def test_rain_that_hits_all_is_no_change_of_a_train() -> None:
-    rows = fleet_rows(2, 20, 20)
+@pytest.mark.parametrize(('lines', 'wet', 'drag', 'brake'), [(1, 'L0', 1.3, 0.9), (3, 'L1', 1.25, 1.0)])
+def test_rain_on_a_line_is_no_change_of_its_trains(lines: int, wet: str, drag: float, brake: float) -> None:
+    rows = fleet_rows(2, 24, 20, lines=lines)
     for row in rows:
-        if row['day'] >= '2026-03-11':
-            row['w15'] *= 1.3
-            row['brake_rate'] *= 0.9
-    assert analyse(rows, LIMIT).found == ()
-
-
-def test_rain_on_one_line_is_no_change_of_its_trains() -> None:
-    rows = fleet_rows(3, 24, 16, lines=3)
-    for row in rows:
-        if row['day'] >= '2026-03-09' and row['line'] == 'L1':
-            row['w15'] *= 1.25
+        if row['day'] >= '2026-03-11' and row['line'] == wet:
+            row |= {'w15': drag * row['w15'], 'brake_rate': brake * row['brake_rate']}
     assert analyse(rows, LIMIT).found == ()
 
 
@@ -80,9 +72,8 @@ def test_runs_whose_inputs_contradict_each_other_are_named_and_left_out() -> Non
     view = analyse(rows, LIMIT)
     assert not view.found
     assert view.contradicted == (('T03', 4),)
-    assert 'Runs left out as their inputs contradict each other, see the column contradiction: T03 (4).' in summary(
-        view
-    )
+    said = 'Runs left out as their inputs contradict each other, see the column contradiction: T03 (4).'
+    assert said in summary(view)
     used = analyse([row | {'contradiction': None} for row in rows], LIMIT)
     assert [train.name for train in used.found] == ['T03']
 

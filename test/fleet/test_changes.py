@@ -51,10 +51,15 @@ def test_the_bayes_factor_is_that_of_its_definition() -> None:
     assert found[-1] == 0.0  # one day after it is not enough
 
 
+def stepped(seed: int, size: float, first: int, end: int = DAYS) -> np.ndarray:
+    """Return noise with a step between two days."""
+    value = noise(seed)
+    value[first:end] += size
+    return value
+
+
 def test_a_step_is_found_with_its_day_and_size() -> None:
-    value = noise(1)
-    value[12:] += 6.0
-    (change,) = find_changes([series(value), series(noise(2))], LIMIT)
+    (change,) = find_changes([series(stepped(1, 6.0, 12)), series(noise(2))], LIMIT)
     assert change.day == 12
     assert 13 <= change.alarm <= 15
     step, other = change.steps
@@ -65,32 +70,22 @@ def test_a_step_is_found_with_its_day_and_size() -> None:
     assert other.evidence < 0.5
 
 
-def test_a_repair_is_a_change_too() -> None:
-    value = noise(3)
-    value[8:20] += 7.0
-    assert [change.day for change in find_changes([series(value)], LIMIT)] == [8, 20]
+def test_a_repair_is_a_change_too_and_one_bad_day_is_none() -> None:
+    assert [change.day for change in find_changes([series(stepped(3, 7.0, 8, 20))], LIMIT)] == [8, 20]
+    assert find_changes([series(stepped(4, 25.0, 10, 11), degrees=4.0)], LIMIT) == []
 
 
 def test_a_change_is_certain_after_its_day() -> None:
     """More data than those of the alarm may move the day, but not beyond it."""
     for seed in range(40, 60):
-        value = noise(seed)
-        value[12] += 5.0
+        value = stepped(seed, 5.0, 12, 13)
         value[13:] += 3.0
         for change in find_changes([series(value)], 20.0):
             assert change.day < change.alarm
 
 
-def test_one_bad_day_is_no_change() -> None:
-    value = noise(4)
-    value[10] += 25.0
-    assert find_changes([series(value, degrees=4.0)], LIMIT) == []
-
-
 def test_missing_days_and_channels_do_not_count() -> None:
-    value = noise(5)
-    value[12:] += 6.0
-    gaps = value.copy()
+    gaps = stepped(5, 6.0, 12)
     gaps[::3] = math.nan
     (change,) = find_changes([series(gaps), series(np.full(DAYS, math.nan))], LIMIT)
     assert change.day in (12, 13)
@@ -98,9 +93,7 @@ def test_missing_days_and_channels_do_not_count() -> None:
 
 
 def test_weak_steps_in_two_channels_add_up() -> None:
-    one, two = noise(6), noise(7)
-    one[15:] += 2.5
-    two[15:] -= 2.5
+    one, two = stepped(6, 2.5, 15), stepped(7, -2.5, 15)
     alone = [find_changes([series(value)], LIMIT)[0].evidence for value in (one, two)]
     (both,) = find_changes([series(one), series(two)], LIMIT)
     assert both.evidence > max(alone) + 5.0
@@ -156,21 +149,13 @@ def spans(*levels: tuple[int, float]) -> list[tuple[int, int | None, float]]:
     return [(d.first, d.end, d.steps[0].size if d.steps[0] else 0.0) for d in found]
 
 
-@pytest.mark.parametrize(
-    ('levels', 'expected'),
-    [
-        ((), []),
-        (((8, 6.0),), [(8, None, 6.0)]),
-        (((8, 6.0), (20, 0.5)), [(8, 20, 6.0)]),
-        (((8, 6.0), (12, 4.5), (20, 0.5)), [(8, 20, 6.0)]),
-        (((8, 6.0), (20, 0.5), (25, 7.0)), [(8, 20, 6.0), (25, None, 7.0)]),
-        (((8, 6.0), (20, -6.0)), [(8, 20, 6.0), (20, None, -6.0)]),
-    ],
-)
-def test_departures_begin_and_end(
-    levels: tuple[tuple[int, float], ...], expected: list[tuple[int, int | None, float]]
-) -> None:
-    assert spans(*levels) == expected
+def test_departures_begin_and_end() -> None:
+    assert spans() == []
+    assert spans((8, 6.0)) == [(8, None, 6.0)]
+    assert spans((8, 6.0), (20, 0.5)) == [(8, 20, 6.0)]
+    assert spans((8, 6.0), (12, 4.5), (20, 0.5)) == [(8, 20, 6.0)]
+    assert spans((8, 6.0), (20, 0.5), (25, 7.0)) == [(8, 20, 6.0), (25, None, 7.0)]
+    assert spans((8, 6.0), (20, -6.0)) == [(8, 20, 6.0), (20, None, -6.0)]
 
 
 def test_a_table_may_begin_with_a_fault() -> None:

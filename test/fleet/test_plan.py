@@ -11,33 +11,34 @@ import pytest
 
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.fleet.plan import PlannedBag, Setup, day_of, find_bags, label_rule, list_bags, make_plan
+from trainid_ros.fleet.plan import LABELS, PlannedBag, Setup, day_of, find_bags, label_rule, list_bags, make_plan
 from trainid_ros.interface.errors import InputError
 
 PATH = Path('/depot/line7/T042/2026-01-31_rain')
 BAG = PlannedBag('/depot/one', size=1, modified_ns=2, start_s=3.0, messages=4, train='T1', day='2026-01-31')
 
 
-def test_without_a_pattern_the_train_is_the_folder_unless_the_recording_says_it() -> None:
-    rule = label_rule(None)
-    assert rule.labels(PATH, {}) == {'train': 'T042', 'line': '', 'weather': '', 'day': ''}
-    assert rule.labels(PATH, {'train': 'other', 'line': '7', 'driver': 'x'})['train'] == 'other'
+ALL = r'line(?P<line>\d+)/(?P<train>\w+)/(?P<day>[-\d]+)_(?P<weather>\w+)'
 
 
-def test_a_pattern_comes_before_what_the_recording_says() -> None:
-    rule = label_rule(r'line(?P<line>\d+)/(?P<train>\w+)/(?P<day>[-\d]+)_(?P<weather>\w+)')
-    found = rule.labels(PATH, {'train': 'other'})
-    assert found == {'train': 'T042', 'line': '7', 'weather': 'rain', 'day': '2026-01-31'}
-    with pytest.raises(InputError, match=r'/x: --label .* does not fit the path'):
-        rule.labels(Path('/x'), {})
-
-
-def test_a_namespace_is_the_train_unless_the_user_names_it() -> None:
-    rule = label_rule(None, '/train_1')
-    assert rule.labels(PATH, {'line': '7'}) == {'train': 'train_1', 'line': '7', 'weather': '', 'day': ''}
-    assert rule.labels(PATH, {'train': 'T7'})['train'] == 'T7'
-    assert label_rule(r'/(?P<train>T\d+)/', '/train_1').labels(PATH, {'train': 'T7'})['train'] == 'T042'
-    assert label_rule(r'line(?P<line>\d+)', '/train_1').labels(PATH, {})['train'] == 'train_1'
+@pytest.mark.parametrize(
+    ('pattern', 'namespace', 'custom', 'found'),
+    [
+        # Without a pattern the train is the folder, or the namespace, unless the recording says it.
+        (None, '/', {}, {'train': 'T042'}),
+        (None, '/', {'train': 'other', 'line': '7', 'driver': 'x'}, {'train': 'other', 'line': '7'}),
+        (None, '/train_1', {'line': '7'}, {'train': 'train_1', 'line': '7'}),
+        (None, '/train_1', {'train': 'T7'}, {'train': 'T7'}),
+        # A pattern comes before what the recording says.
+        (ALL, '/', {'train': 'other'}, {'train': 'T042', 'line': '7', 'weather': 'rain', 'day': '2026-01-31'}),
+        (r'/(?P<train>T\d+)/', '/train_1', {'train': 'T7'}, {'train': 'T042'}),
+        (r'line(?P<line>\d+)', '/train_1', {}, {'train': 'train_1', 'line': '7'}),
+    ],
+)
+def test_labels_come_from_pattern_recording_namespace_and_folder(
+    pattern: str | None, namespace: str, custom: dict[str, str], found: dict[str, str]
+) -> None:
+    assert label_rule(pattern, namespace).labels(PATH, custom) == {**dict.fromkeys(LABELS, ''), **found}
 
 
 def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> None:
@@ -52,11 +53,16 @@ def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ('pattern', 'problem'),
-    [('(', 'unterminated'), ('(?P<depot>x)', "a group 'depot'"), ('x', 'no named group')],
+    [
+        ('(', 'unterminated'),
+        ('(?P<depot>x)', "a group 'depot'"),
+        ('x', 'no named group'),
+        (ALL, '/x: --label .* does not fit the path'),
+    ],
 )
 def test_a_pattern_that_cannot_be_used_is_an_error(pattern: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem):
-        label_rule(pattern)
+        label_rule(pattern).labels(Path('/x'), {})
 
 
 def test_days_have_one_form() -> None:
@@ -86,12 +92,9 @@ def test_folders_patterns_and_bags_are_found_once(depot: Path) -> None:
             find_bags([path])
 
 
-def test_paths_are_absolute(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_absolute_and_linked_folders_followed_once(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(depot)
     assert find_bags([Path('T1')]) == [depot / 'T1/first']
-
-
-def test_linked_folders_are_followed_once(depot: Path) -> None:
     (depot / 'night').mkdir()
     (depot / 'night/T1').symlink_to(depot / 'T1')
     (depot / 'T1/back').symlink_to(depot / 'night')
@@ -119,13 +122,9 @@ def test_custom_data_of_the_recording_are_labels(depot: Path) -> None:
     metadata = depot / 'T1/first/metadata.yaml'
     text = metadata.read_text(encoding='utf-8')
     metadata.write_text(text.replace('custom_data: null', 'custom_data: {train: T9, weather: rain}'), encoding='utf-8')
-    (first,) = list_bags([depot / 'T1/first'], label_rule(None))
+    first, missing = list_bags([depot / 'T1/first', depot / 'none'], label_rule(None))
     assert (first.train, first.weather) == ('T9', 'rain')
-
-
-def test_a_bag_that_is_not_there_has_an_error(depot: Path) -> None:
-    (bag,) = list_bags([depot / 'none'], label_rule(None))
-    assert bag.error == f'{depot / "none"}: no such bag'
+    assert missing.error == f'{depot / "none"}: no such bag'
 
 
 @pytest.mark.parametrize('name', ['g.py', 'my force.py', 'Zugkraft-für-Ü.py', 'a b.c.py'])
