@@ -58,8 +58,8 @@ def test_phrases(axis: str, label: str, text: str) -> None:
 def test_every_located_part_has_a_phrase() -> None:
     runs = []
     for run in Maker().runs(2, 3):
-        inside = (run.position > 300.0) & (run.position < 600.0)
-        runs.append(replace(run, tunnel=inside.astype(float), radius=300.0 * inside, heat=np.cumsum(-run.brake)))
+        inside = ((run.position > 300.0) & (run.position < 600.0)).astype(float)
+        runs.append(replace(run, tunnel=inside, radius=300.0 * inside, heat=np.cumsum(-run.brake)))
     model = Model.of(runs, TRAIN)
     hyper, _ = model.evidence().maximise()
     locations = locate(model, model, hyper)

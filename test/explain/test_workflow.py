@@ -168,8 +168,9 @@ def test_user_effect_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def cut(run: Run, count: int) -> Run:
-    arrays = {name: value for name in run.__slots__ if isinstance(value := getattr(run, name), np.ndarray)}
-    return replace(run, **{name: value[:count] for name, value in arrays.items()})
+    fields_of_run: dict[str, Any] = {name: getattr(run, name) for name in run.__slots__}
+    arrays = {name: value[:count] for name, value in fields_of_run.items() if isinstance(value, np.ndarray)}
+    return replace(run, **arrays)
 
 
 def test_too_little_motion_is_an_error() -> None:

@@ -46,7 +46,6 @@ MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 _MIN_RUN_S: Final = 15.0  # Minimum length of a run [s]
 _MIN_SPEED: Final = 0.3  # Speed below which the brake may hold the train, so the force balance is not valid [m/s]
-_STANDSTILL: Final = 1e-3  # Speed up to which the train stands [m/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ class RunCollector:
             self._distance += moved
             self._travelled += moved
         self._speed = sample.speed
-        if sample.speed <= _STANDSTILL:
+        if sample.speed <= 1e-3:  # m/s, the train stands
             if self._rows:
                 self.end_run(sample.position)
             self._start_position, self._travelled = sample.position, 0.0
@@ -195,13 +194,8 @@ def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
     return np.where(known, position, way * distance + np.interp(distance, distance[known], offset)), True
 
 
-_POINT_S: Final = 1.0  # Time over which a grid point averages [s]
-_HALF_WINDOW: Final = 15  # Samples on either side of one that define its level
 _OUTLIER: Final = 5.0  # Deviation from the level beyond which a speed is an outlier [std of the window]
-_FLANK: Final = 2.0  # The same for samples beside an outlier
-_MIN_SCALE: Final = 0.03  # Minimum std of the speed in a window [m/s]
-_MIN_JUMP: Final = 0.5  # Minimum jump between two samples of a burst cut by the begin or end of a run [m/s]
-_EDGE: Final = 20  # Samples from begin or end of a run within which such a jump is looked for
+_EDGE: Final = 20  # Samples from begin or end of a run within which a jump that cuts a burst is looked for
 _NEAR: Final = 5  # Samples before and after the jump whose medians must confirm it
 
 
@@ -289,7 +283,7 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
         outlier = find_outliers(gap, starts)
         bridged = _bridge(gap, outlier, run_of)
         speed = np.maximum(measured + (bridged - gap), 0.0)
-    number = np.floor((time - time[starts][run_of]) / _POINT_S + 1e-9)
+    number = np.floor(time - time[starts][run_of] + 1e-9)  # a grid point averages over one second
     fresh = (np.diff(number, prepend=-1.0) != 0.0) | (np.diff(run_of, prepend=-1) != 0)
     point_starts = np.flatnonzero(fresh)
     return Dataset(
@@ -312,7 +306,7 @@ def _outliers_of(gap: Array) -> Flags:
     """Return the outliers of one run, shape (n,); fewer than three samples define no level."""
     if gap.size < 3:
         return np.zeros(gap.size, dtype=bool)
-    half = min(_HALF_WINDOW, (gap.size - 1) // 2)
+    half = min(15, (gap.size - 1) // 2)  # samples on either side of one that define its level
     windows = sliding_window_view(gap, 2 * half + 1)
     level = np.median(windows, axis=1)
     slope = (np.median(windows[:, half + 1 :], axis=1) - np.median(windows[:, :half], axis=1)) / (half + 1)
@@ -323,14 +317,17 @@ def _outliers_of(gap: Array) -> Flags:
     at = np.arange(gap.size)
     window = np.clip(at - half, 0, len(windows) - 1)
     expected = level[window] + slope[window] * (at - half - window)
-    floor = max(_MIN_SCALE, float(np.median(scale)))
+    floor = max(0.03, float(np.median(scale)))  # m/s
     # A permanent step lifts one half of the window only; an outlier lies outside the levels of both halves.
     step = np.abs(slope[window]) * (half + 1)
     off_by, usual = gap - expected, np.maximum(scale[window], floor)
     clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
-    least = max(_MIN_JUMP, 2.0 * _OUTLIER * floor)
+    least = max(0.5, 2.0 * _OUTLIER * floor)  # jump [m/s]
     clear |= _cut_bursts(gap, least) | _cut_bursts(gap[::-1], least)[::-1]
-    return clear | _with_flanks(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+    # With the flanks of a burst: adjacent samples that deviate by more than 2 std to the same side.
+    side = np.where(np.abs(off_by) > 2.0 * usual, np.sign(off_by), 0.0)
+    burst = np.searchsorted(np.flatnonzero(np.diff(side)) + 1, at, side='right')
+    return np.asarray(clear | ((side != 0.0) & np.isin(burst, burst[clear])))
 
 
 def _cut_bursts(gap: Array, least: float) -> Flags:
@@ -342,13 +339,6 @@ def _cut_bursts(gap: Array, least: float) -> Flags:
         if abs(float(np.median(after)) - float(np.median(before))) > least:
             outlier[: j + 1] = True
     return outlier
-
-
-def _with_flanks(clear: Flags, side: Array) -> Flags:
-    """Return outliers with their flanks: adjacent samples that deviate to the same side (1, -1, else 0)."""
-    edges = np.flatnonzero(np.diff(side)) + 1
-    burst = np.searchsorted(edges, np.arange(side.size), side='right')
-    return np.asarray((side != 0.0) & np.isin(burst, burst[clear]))
 
 
 def _stage_means(speed: Array, starts: Indices) -> Array:

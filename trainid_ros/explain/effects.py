@@ -22,12 +22,8 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
-_PROBES: Final = 60  # Points used to test whether an effect depends on a, b, c
 _CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
-_POSITION_STD: Final = 80.0  # Prior std of a position about its initial value [m]
-_TIME_STD: Final = 60.0  # Prior std of a time about its initial value [s]
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect on a section of the line [m]
-_UNIFORM_WIDTH: Final = math.sqrt(2.0 * math.pi)  # Width of a uniform density as high as a normal one [std]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,18 +92,19 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
         else:
             low, high = limits.search
             span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
-        cost += 2.0 * math.log(max(span / (_UNIFORM_WIDTH * width), 1.0))
+        # A uniform density as high as the peak of a normal one is sqrt(2 pi) std wide.
+        cost += 2.0 * math.log(max(span / (math.sqrt(2.0 * math.pi) * width), 1.0))
     return cost
 
 
 def prior_width(effect: str, name: str, value: float) -> float:
-    """Return the prior std of a parameter about its initial value."""
+    """Return the prior std of a parameter about its initial value; 80 m for a position, 60 s for a time."""
     kind = EFFECTS[effect]
     if name == kind.amplitude:
         return 3.0 * kind.typical_size
     limits = kind.parameters[name]
     if limits.search is None:
-        return _POSITION_STD if limits.is_place else _TIME_STD
+        return 80.0 if limits.is_place else 60.0
     return max(abs(value), limits.search[0])
 
 
@@ -164,7 +161,7 @@ class EffectEvaluator:
     def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
         """Return the derivative of an effect's resistance by a, b, c, shape (n, 3); None if independent of them."""
         function = EFFECTS[name].resistance
-        some = self._points[:: max(1, len(self._points) // _PROBES)]
+        some = self._points[:: max(1, len(self._points) // 60)]  # tell whether the effect depends on a, b, c
         changed = [replace(davis, **{key: getattr(davis, key) + step}) for key, step in _DAVIS_STEPS.items()]
         if function is None or all(
             function(parameters, other, point) == function(parameters, davis, point)

@@ -62,26 +62,20 @@ class Gram:
         return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
 
 
-@dataclass(frozen=True, slots=True)
 class Nuisances:
-    """Nuisances N with prior covariance K = L L', to integrate out; see the module."""
+    """Nuisances to integrate out, by the products N'N and L with L L' = K, both of shape (n, n); see the module.
 
-    root: Array  # L, shape (n, n)
-    factor: tuple[Array, bool]  # Cholesky factor of I + L'N'N L
+    Attributes:
+        log_det: Log determinant of the marginalisation.
+    """
 
-    @classmethod
-    def of(cls, products: Array, root: Array) -> Nuisances:
-        """Return nuisances with the products N'N and the factor L of their prior covariance, both of shape (n, n)."""
-        return cls(root, cho_factor(np.eye(len(root)) + root.T @ products @ root, lower=True))
-
-    @property
-    def log_det(self) -> float:
-        """Log determinant of the marginalisation."""
-        return 2.0 * float(np.log(np.diag(self.factor[0])).sum())
+    def __init__(self, products: Array, root: Array) -> None:
+        self._root, self._factor = root, cho_factor(np.eye(len(root)) + root.T @ products @ root, lower=True)
+        self.log_det = 2.0 * float(np.log(np.diag(self._factor[0])).sum())
 
     def explained(self, left: Array, right: Array) -> Array:
         """Return C'N (N'N + K^-1)^-1 N'D from the products N'C and N'D, shapes (n, k) and (n, l) to (k, l)."""
-        return np.asarray((self.root.T @ left).T @ cho_solve(self.factor, self.root.T @ right))
+        return np.asarray((self._root.T @ left).T @ cho_solve(self._factor, self._root.T @ right))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +97,7 @@ def eliminate(products: Array, prior_factor: Array) -> Information:
     """
     nuisances = len(prior_factor)
     own = slice(1, 1 + nuisances)
-    found = Nuisances.of(products[own, own], prior_factor)
+    found = Nuisances(products[own, own], prior_factor)
     keep = np.concatenate([[0], np.arange(1 + nuisances, products.shape[0])])
     rest = products[own][:, keep]
     # A and b of the module docstring.
@@ -120,7 +114,7 @@ def informations(columns: Array, candidates: Sequence[Array], prior_factor: Arra
         prior_factor: L with L L' the prior covariance of the nuisances, shape (n, n).
     """
     y, N = columns[:, :1], columns[:, 1:]
-    nuisances, Ny = Nuisances.of(N.T @ N, prior_factor), N.T @ y
+    nuisances, Ny = Nuisances(N.T @ N, prior_factor), N.T @ y
     yy = float((y.T @ y - nuisances.explained(Ny, Ny))[0, 0])
     found = []
     for C in candidates:
@@ -169,13 +163,10 @@ _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
 _WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])  # Prior std of these logs [1]
 _GUST, _GUST_TIME, _PAYLOAD = 1, 2, 4  # Indices among the hyperparameters
 _OF_RUN: Final = 4  # Number of hyperparameters of the noise along a run, which come first: others need no new whitening
-_UNWEIGHED: Final = 0.03  # Prior median of the relative error of the mass if it is not measured [1]
 _STEP: Final = 0.05  # Step of the logs for curvature by central differences [1]
 _SMALL: Final = 1e-3  # Step of the logs for the gradient by forward differences [1]
-_MAX_MOVE: Final = 2.0  # Maximum step of the search in any of the logs [1]
 # The search ends when a step gains less than this in 2 ln of the likelihood [1]: verdicts need whole units.
 _SETTLED: Final = 0.05
-_MAX_STEPS: Final = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +199,7 @@ class MarginalLikelihood:
         self._common, self._root = common_std, map_root
         self._median = _MEDIAN.copy()
         if not weighed:
-            self._median[_PAYLOAD] = math.log(_UNWEIGHED)
+            self._median[_PAYLOAD] = math.log(0.03)  # relative error of the mass if it is not measured [1]
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:
@@ -243,12 +234,12 @@ class MarginalLikelihood:
         if not math.isfinite(value):
             raise NoAnswerError('the motion differs too much from that of the train file to be compared')
         gradient, curvature = self._slopes(x, value)
-        for _ in range(_MAX_STEPS):
+        for _ in range(30):
             # Beside hyperparameters whose likelihood cannot be computed there is no slope to follow.
             if not np.isfinite(gradient).all():
                 break
             move = -np.linalg.solve(curvature, gradient)
-            move *= min(1.0, _MAX_MOVE / float(np.abs(move).max()))
+            move *= min(1.0, 2.0 / float(np.abs(move).max()))  # at most 2 in any of the logs
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
                 move = 0.4 * move
             if found > value - _SETTLED:

@@ -47,12 +47,7 @@ if TYPE_CHECKING:
     from trainid_ros.explain.noise import Noise, Spread
     from trainid_ros.train.train_file import TrainFile
 
-_STOPPING_M: Final = 1.5  # Std of the stopping position, both ends of a run together [m]
-_COMMON: Final = 0.0015  # Relative error of the map's distances, common to all runs [1]
-_MAX_EXCESS: Final = 0.1  # Deviation of the ratio from one beyond which it is not due to the wheel [1]
-_NEAR_M: Final = 60.0  # Distance from a stopping point within which a train counts as stopped there [m]
-# Ratio of the variances of median and mean of normal values [1]: pi / 2, slightly more for few values.
-_MEDIAN_VARIANCE: Final = 1.6
+_MAX_EXCESS: Final = 0.1  # Deviation of the wheel ratio from one beyond which it is not due to the wheel [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +70,11 @@ class Odometry:
             return cls(0.0, 0.0)
         excess = float(np.median(ratios))
         spread = MAD_TO_STD * float(np.median(np.abs(np.array(ratios) - excess)))
-        single = max(spread, _STOPPING_M / float(np.median(weights)))
-        return cls(excess, 1.0 / (single**2 * _MEDIAN_VARIANCE / len(ratios) + _COMMON**2))
+        # Std of the stopping position, both ends of a run together: 1.5 m.
+        single = max(spread, 1.5 / float(np.median(weights)))
+        # Ratio of the variances of median and mean of normal values: pi / 2, 1.6 for few values. Relative error of the
+        # map's distances, common to all runs: 0.0015.
+        return cls(excess, 1.0 / (single**2 * 1.6 / len(ratios) + 0.0015**2))
 
 
 def _travelled(dataset: Dataset) -> list[float]:
@@ -97,16 +95,13 @@ def _distance(run: Run, travelled: float, stops: Sequence[float]) -> float | Non
     if stops:
         line = np.array(stops)
         first, last = line[np.argmin(np.abs(line - begin))], line[np.argmin(np.abs(line - end))]
-        near = _NEAR_M + _MAX_EXCESS * travelled
+        near = 60.0 + _MAX_EXCESS * travelled  # m: as near a train counts as stopped there
         if first != last and abs(first - begin) < near and abs(last - end) < near:
             return float(abs(last - first))
     return abs(end - begin) or None
 
 
 _MIN_SAMPLES: Final = 3  # Minimum number of samples of a burst
-_MIN_BURSTS: Final = 4  # Minimum number of bursts with the sign of the force
-_AGREEING: Final = 0.8  # Their minimum share in the bursts during traction or braking [1]
-_MIN_SHARE: Final = 0.004  # Minimum share of samples in them [1]
 
 
 def find_slip(dataset: Dataset) -> tuple[EffectTerm, float] | None:
@@ -123,7 +118,8 @@ def find_slip(dataset: Dataset) -> tuple[EffectTerm, float] | None:
             peaks.append(abs(peak))
             samples += end - start
     count, share = len(peaks), samples / dataset.dt.size
-    if count < _MIN_BURSTS or count < _AGREEING * forced or share < _MIN_SHARE:
+    # At least four bursts, 80 % of those under force, and 0.4 % of all samples.
+    if count < 4 or count < 0.8 * forced or share < 0.004:
         return None
     # The sample maximum underestimates the upper limit of the peaks.
     largest = max(peaks) * (count + 1) / count
@@ -148,7 +144,6 @@ def _bursts(dataset: Dataset) -> tuple[Indices, Indices]:
 
 POINTS: Final = {'front': 0.0, 'middle': 0.5, 'rear': 1.0}
 """Points of the train and their distance behind its front, as a share of its length."""
-_MIN_EVIDENCE: Final = 15.0  # 2 ln of the Bayes factor required for the value at a point
 _CELL_M: Final = 5.0  # Length of a cell of the gradient profile [m]
 _PLACES: Final = 24  # Points under the train over which the gradient is averaged
 
@@ -176,8 +171,8 @@ def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str |
     A, b = np.diag(found.A), found.b
     share, evidence = b / (A + 1.0), log_bayes(A, b, 1.0, 1)
     best = int(np.argmax(evidence))
-    # The share of the change from the mean to the value at the point must be near one.
-    if evidence[best] > max(_MIN_EVIDENCE, shift) and 0.5 < share[best] < 1.5:
+    # The change from the mean to the value at the point needs an evidence of 15 and a share near one.
+    if evidence[best] > max(15.0, shift) and 0.5 < share[best] < 1.5:
         return tuple(POINTS)[best]
     return None
 
@@ -197,9 +192,6 @@ def _middles(run: Run) -> Array:
 
 WHEEL: Final = 'wheel_diameter'
 """The effect on which distances between stops give information too."""
-_KEPT: Final = 8  # Maximum number of hyperparameters for which the whitening is kept, to bound the memory
-_MAX_STEPS: Final = 5  # Maximum number of Gauss-Newton steps
-_SETTLED: Final = 0.1  # They end when no parameter moves by more than this [std]
 
 
 class Model:
@@ -309,7 +301,7 @@ class Model:
         """Return the whitening and the whitened map errors, which models with other effects share."""
         key = hyper.noise, hyper.spread
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
+            if len(self._kept) >= 8:  # to bound the memory
                 self._kept.clear()
             whitener = Whitener.of(self.grid, hyper.noise)
             whitening = Whitening.of(whitener, self.factor_columns, hyper.spread.of_run)
@@ -335,10 +327,10 @@ class Model:
     def fit(self, hyper: Hyperparameters) -> Model:
         """Fit the parameters of all effects together with the nuisances (Gauss-Newton)."""
         model = self
-        for _ in range(_MAX_STEPS):
+        for _ in range(5):
             terms, davis, moved = model._step(hyper)
             model = model.with_terms(terms, davis)
-            if moved < _SETTLED:
+            if moved < 0.1:  # std, of any parameter
                 break
         terms, _, _ = model._step(hyper, hold=True)
         return model.with_terms(terms)

@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices
     from trainid_ros.train.train_file import TrainFile
 
-_DIFFUSE: Final = 1e2  # Variance of an unknown initial speed error [(m/s)^2]
-# Minimum process noise of a step [(m/s)^2, (N/kN)^2], which keeps the information matrix finite.
-_MIN_VARIANCE: Final = 1e-12
-_SHARED: Final = 0.1  # Share of the noise variance that the samples of a grid point share [1]: quantised speeds repeat
-
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -154,8 +149,11 @@ class Whitening:
 
 
 def share_of_mean(count: Array) -> Array:
-    """Return the variance of the mean of ``count`` neighbouring speeds relative to that of one [1], same shape."""
-    return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
+    """Return the variance of the mean of ``count`` neighbouring speeds relative to that of one [1], same shape.
+
+    They share 10 % of it, since quantised speeds repeat.
+    """
+    return np.asarray(0.1 + 0.9 / np.maximum(count, 1.0))
 
 
 def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array, Array]:
@@ -172,8 +170,8 @@ def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array, Array]:
     Q[0] += np.square(noise.jitter * grid.change)
     Q[1] = variance * tau * (1.0 - e) ** 2 / inertia
     Q[2] = variance * (1.0 - e * e)
-    Q[:, 0] = np.array([_DIFFUSE, 0.0, variance])[:, None]
-    Q[::2] += _MIN_VARIANCE
+    Q[:, 0] = np.array([1e2, 0.0, variance])[:, None]  # the initial speed error [(m/s)^2] is not known
+    Q[::2] += 1e-12  # keeps the information matrix finite
     return tau * (1.0 - e) / inertia, e, Q
 
 
@@ -208,13 +206,6 @@ def _inverse(A: Array) -> Array:
 
 _MAX_BINS: Final = 100  # Maximum number of bins of the line for map errors, to bound time and memory
 _MIN_BIN_M: Final = 100.0  # Minimum length of a bin for map errors [m]
-_MAP_LENGTH_M: Final = 200.0  # Correlation length of map errors [m]
-_DAVIS_SHARE: Final = 0.4  # Prior std of a, b, c as a share of the train file's values [1], beside the minimum below
-# Prior std of a, b, c for values of zero [N/kN, N/kN per m/s, N/kN per (m/s)^2].
-_DAVIS_MIN_STD: Final = np.array([0.15, 0.02, 0.0004])
-# Prior std of skew of traction and of brake [s], shift of the map [m], gain of traction and of brake [1].
-_CLOCK_MAP_GAIN_STD: Final = (0.1, 0.04, 15.0, 0.003, 0.004)
-_MASS_STD: Final = {True: 0.003, False: 0.015}  # Prior std of the mass common to all runs, if it is weighed or not [1]
 DAVIS: Final = slice(0, 3)
 """Indices of a, b, c among the nuisances."""
 
@@ -265,9 +256,9 @@ class Bins:
         return np.asarray(np.diff(np.clip(self.edges, low, high), axis=1) / length)
 
     def covariance(self) -> Array:
-        """Return the correlation matrix of the map errors of bins, shape (count, count)."""
+        """Return the correlation matrix of the map errors of bins, shape (count, count); its length is 200 m."""
         middle = self.edges[:-1]
-        return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / _MAP_LENGTH_M))
+        return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / 200.0))
 
 
 def common_columns(dataset: Dataset) -> Array:
@@ -285,9 +276,8 @@ def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
     They are a, b, c; skew of traction and of brake [s]; shift of the map [m]; gains of traction, brake and mass [1].
     """
     davis = train_file.resistance
-    magnitude = np.abs(np.array([davis.a, davis.b, davis.c]))
-    std = _DAVIS_SHARE * magnitude + _DAVIS_MIN_STD
-    return np.concatenate([std, _CLOCK_MAP_GAIN_STD, [_MASS_STD[weighed]]])
+    std = 0.4 * np.abs(np.array([davis.a, davis.b, davis.c])) + np.array([0.15, 0.02, 0.0004])
+    return np.concatenate([std, (0.1, 0.04, 15.0, 0.003, 0.004), [0.003 if weighed else 0.015]])
 
 
 def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:

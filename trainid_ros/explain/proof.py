@@ -36,12 +36,9 @@ if TYPE_CHECKING:
     from trainid_ros.explain.search import Selection
     from trainid_ros.train.train_file import TrainFile
 
-_MAX_FOLDS: Final = 12  # Maximum number of fits
 # Maximum plausible gusts, payloads, brakes and map errors [1]; see MarginalLikelihood.excess.
 _MAX_EXCESS: Final = 14.0
 _MAX_EXCESS_NAMED: Final = 30.0  # The same when effects with evidence of their own have been found [1]
-_MAX_SIZE: Final = 12.0  # Maximum plausible amplitude of an effect, in units of its typical value [1]
-_WORSE: Final = 1.1  # Effects that increase the gap on held-out runs by this factor are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +59,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual = model.columns @ neutral[:, 0]
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
-    for fold in np.array_split(np.arange(runs), min(runs, _MAX_FOLDS)):
+    for fold in np.array_split(np.arange(runs), min(runs, 12)):  # fits at most
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
@@ -152,9 +149,9 @@ def assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, 
         final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
     before = hold_out(base, hyper)
     outcome = Outcome(verdict, _remaining(selection, verdict), hyper, base, final, before, hold_out(final, hyper))
-    if (gap := outcome.gap) is None or gap.after <= _WORSE * gap.before:
+    if (gap := outcome.gap) is None or gap.after <= 1.1 * gap.before:
         return outcome
-    # Despite their evidence, the effects do not improve the simulation of held-out runs.
+    # Despite their evidence, the effects make the simulation of held-out runs worse, by more than a tenth.
     remaining = (
         f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed: the gap '
         f'on held-out runs would increase from {gap.before:.3f} to {gap.after:.3f} m/s.'
@@ -169,7 +166,7 @@ def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     if (
         selection.groups[0].evidence > max(GENERIC, LEFT_OVER * sum(selection.evidence))
         or is_noisy
-        or any(term.size >= _MAX_SIZE for term in terms)
+        or any(term.size >= 12.0 for term in terms)  # typical amplitudes
     ):
         return Verdict.UNEXPLAINED
     if not selection.evidence:
@@ -193,10 +190,6 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
 
 
 _PRIOR: Final = 3.0  # Prior std of the missing resistance in one part, which that of a part without data has [N/kN]
-_RELEASED_S: Final = 10.0  # Time after brake release for which the mode is 'just released' [s]
-_PLACES: Final = 40  # Parts of the line in which the gap is located
-_MAX_NAMED: Final = 3  # Maximum number of places where an effect is reported to act
-_MIN_SIGMAS: Final = 3.0  # Significance of such a place [std]
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +235,8 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
             for size, place in zip((total / share - mean).tolist(), location.places, strict=True)
             if place.std > 0.0
         ]
-    clear = [text for z, text in sorted(found, reverse=True)[:_MAX_NAMED] if z > _MIN_SIGMAS]
+    # At most three places, of three standard deviations.
+    clear = [text for z, text in sorted(found, reverse=True)[:3] if z > 3.0]
     return ', '.join(clear) or 'no distinct location'
 
 
@@ -264,14 +258,14 @@ def _axes(dataset: Dataset) -> list[_Axis]:
     position, heat, release = dataset.joined('position'), dataset.joined('heat'), dataset.joined('since_release')
     rising, inside, curved = dataset.direction > 0, dataset.joined('tunnel') >= 0.5, dataset.joined('radius') > 0.0
     braking, pulling = brake < BRAKING, traction > PULLING
-    released = ~braking & (release < _RELEASED_S)
+    released = ~braking & (release < 10.0)  # s
     modes = (pulling & ~released, ~pulling & ~braking & ~released, braking, released)
     runs = tuple(dataset.run_of == k for k in range(len(dataset.runs)))
     ways = [('position', np.full(v.size, dataset.positioned))]
     if dataset.positioned and rising.any() and not rising.all():
         ways = [('position, rising', rising), ('position, falling', ~rising)]
     axes = [
-        *(_cut(name, 'm', np.where(way, position, np.nan), _PLACES) for name, way in ways),
+        *(_cut(name, 'm', np.where(way, position, np.nan), 40) for name, way in ways),
         _cut('speed', 'm/s', v, 8),
         _kinds('mode', ('traction', 'coasting', 'braking', 'just released'), modes),
         _kinds('direction', ('rising', 'falling'), (rising, ~rising)),

@@ -39,12 +39,8 @@ if TYPE_CHECKING:
     from trainid_ros.explain.effects import EffectEvaluator
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
-_MAX_TIMES: Final = 40  # Maximum number of grid points of a time
 _PLACES: Final = (40, 16, 6)  # Grid points of each position in shapes with one, two, and more positions
 _LASTING_S: Final = 60.0  # Driving time needed before and after a change in time to detect it [s]
-# Amplitudes tried for an effect without shape parameters, in units of its typical value: it may be non-linear.
-_SIZES: Final = (1.0, -1.0, 2.0, -2.0)
-_SAME: Final = 0.05  # Relative tolerance within which two columns count as equal
 SECTIONS: Final = ('gradient_error', 'local_drag')
 """Effects on a section of the line, scanned over all starts and ends at once by sums over bins."""
 
@@ -53,11 +49,9 @@ SECTIONS: Final = ('gradient_error', 'local_drag')
 class Family:
     """Columns of one named effect."""
 
-    name: str  # Name of the effect
+    kind: EffectKind  # The effect
     shapes: tuple[Mapping[str, float], ...]  # Shape parameters of each column, in the units of the effect
     resistance: Array  # Resistance per unit of amplitude [N/kN], shape (n, k)
-    std: float  # Prior standard deviation of the amplitude, in its unit
-    sign: int  # +1 or -1 if the amplitude can only lie above or below its neutral value, otherwise 0
 
 
 def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
@@ -69,7 +63,7 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
         seen = [(shape, column) for shape, column in _columns(kind, evaluator) if np.any(column)]
         if seen:
             shapes, columns = zip(*seen, strict=True)
-            families.append(Family(kind.name, shapes, np.stack(columns, axis=1), kind.typical_size, sign(kind)))
+            families.append(Family(kind, shapes, np.stack(columns, axis=1)))
     return tuple(families)
 
 
@@ -79,9 +73,9 @@ def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> list[tuple[dict[st
     if shape_names(kind) or sign(kind):
         return [(shape, unit_resistance(evaluator, kind, shape)) for shape in shapes]
     columns: list[Array] = []
-    for times in _SIZES:
+    for times in (1.0, -1.0, 2.0, -2.0):  # typical amplitudes
         column = unit_resistance(evaluator, kind, shapes[0], times)
-        if not any(np.allclose(column, other, rtol=_SAME, atol=_SAME * np.abs(other).max()) for other in columns):
+        if not any(np.allclose(column, other, rtol=0.05, atol=0.05 * np.abs(other).max()) for other in columns):
             columns.append(column)
     return [(shapes[0], column) for column in columns]
 
@@ -108,7 +102,7 @@ def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
         # Times: while the train moves, with enough driving before and after for a change to be detectable.
         driven = np.cumsum(dataset.dt)
         moving = dataset.time[(driven > _LASTING_S) & (driven < driven[-1] - _LASTING_S)]
-        return [float(t) for t in moving[:: max(1, moving.size // _MAX_TIMES)]]
+        return [float(t) for t in moving[:: max(1, moving.size // 40)]]
     low, high = limits.search
     values = np.geomspace(low, high, _SHAPES) if limits.grid == 'log' else np.linspace(low, high, _SHAPES)
     return [float(value) for value in values]
@@ -180,11 +174,8 @@ def _hats(x: Array, count: int) -> Array:
     return np.stack(columns, axis=1)
 
 
-# Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them.
-_GROUP_STDS: Final = (0.1, 0.3, 1.0)
-_SHARES: Final = (0.3, 1.0)  # The same for the amplitude of an effect, in units of its typical value
-_MIN_LENGTH_M: Final = 60.0  # Minimum length of a section that is tried [m]
-_MAX_LENGTH_M: Final = 2500.0  # Maximum length of such a section [m]
+# Prior std of the amplitude of an effect, in units of its typical value; the Bayes factor is averaged over them.
+_SHARES: Final = (0.3, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +208,12 @@ class EffectScorer:
         named, groups = [], []
         for family in self._families:
             A, b = next(blocks)
-            if family.name == WHEEL:
+            if family.kind.name == WHEEL:
                 A, b = A + model.odometry.precision, b + model.odometry.precision * model.odometer_excess
             named.append(_family(family, np.diag(A), b))
         for group in self._groups:
             A, b = next(blocks)
-            values = [group_log_bayes(A, b, std) for std in _GROUP_STDS]
+            values = [group_log_bayes(A, b, std) for std in (0.1, 0.3, 1.0)]  # prior std of coefficients [N/kN]
             groups.append(EffectScore(group.name, _mean_evidence(np.array(values)), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return _by_evidence(named), _by_evidence(groups)
@@ -245,12 +236,12 @@ def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Arra
 
 def _family(family: Family, A: Array, b: Array) -> EffectScore:
     """Return the evidence of an effect, averaged over its shapes; A is the diagonal of the matrix."""
-    values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]
+    kind = family.kind
+    values = [log_bayes(A, b, share * kind.typical_size, sign(kind)) for share in _SHARES]
     best = int(np.argmax(values[-1]))
-    kind = EFFECTS[family.name]
-    size = b[best] / (A[best] + family.std**-2)
+    size = b[best] / (A[best] + kind.typical_size**-2)
     parameters = {**family.shapes[best], kind.amplitude: kind.neutral + float(size)}
-    return EffectScore(family.name, _mean_evidence(np.array(values)), parameters)
+    return EffectScore(kind.name, _mean_evidence(np.array(values)), parameters)
 
 
 def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
@@ -258,7 +249,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     kind = EFFECTS[name]
     i, j = np.triu_indices(bins.count + 1, 1)
     length = (j - i) * bins.width
-    usable = (length >= _MIN_LENGTH_M) & (length <= max(_MAX_LENGTH_M, 2.0 * bins.width))
+    usable = (length >= 60.0) & (length <= max(2500.0, 2.0 * bins.width))  # m
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)
@@ -293,13 +284,7 @@ _NAMED_IN_GAP: Final = 6.0  # The same while a generic dependence remains that e
 _TWIN: Final = 6.0  # Difference of evidence below which two effects are indistinguishable
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
-_MAX_CANDIDATES: Final = 3  # Maximum number of such effects
-_MIN_AT_MEDIAN: Final = 30.0  # The minimum evidence with the hyperparameters at the median of their priors
-_MAX_AT_MEDIAN: Final = 2  # Maximum number of effects that are fitted in full by that evidence
-_MAX_BEHIND: Final = 25.0  # Maximum distance of such an effect from the best one
-_MIN_SIGMAS: Final = 2.5  # Minimum significance of the amplitude of an effect [std]
 _MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted in full
-_GROUP_STD: Final = 0.3  # Prior std of their coefficients [N/kN]
 
 
 @dataclass(frozen=True, slots=True)
@@ -392,13 +377,10 @@ class Search:
         """
         found: dict[str, EffectScore] = {}
         hyper = state.model.evidence().usual(state.hyper)
-        for at, least, count in (
-            (state.hyper, _MIN_SCORE, _MAX_CANDIDATES),
-            (hyper, _MIN_AT_MEDIAN, _MAX_AT_MEDIAN),
-        ):
+        for at, least, count in ((state.hyper, _MIN_SCORE, 3), (hyper, 30.0, 2)):
             named = self._named(state.model, at)
             for score in named[:count]:
-                if score.evidence > max(least, named[0].evidence - _MAX_BEHIND):
+                if score.evidence > max(least, named[0].evidence - 25.0):
                     found.setdefault(score.name, score)
         return list(found.values())
 
@@ -414,7 +396,7 @@ class Search:
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
             if _MIN_SCORE < found < GENERIC:
-                model = state.model.with_nuisances(self._scorer.group_columns(score.name), _GROUP_STD)
+                model = state.model.with_nuisances(self._scorer.group_columns(score.name), 0.3)  # N/kN
                 hyper, _ = model.evidence().maximise(state.logs)
                 found = max(found, hyper.evidence - state.hyper.evidence)
             judged.append(replace(score, evidence=found))
@@ -453,7 +435,7 @@ class Search:
         """Return True if every effect of the joint fit is significant, has its evidence and shows in the other runs."""
         model = state.model
         return all(
-            term.significance > _MIN_SIGMAS
+            term.significance > 2.5  # std
             and self._gain(state, k) > threshold
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))
             for k, term in enumerate(model.terms)
@@ -462,9 +444,6 @@ class Search:
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
         """Return the best effect other than ``name`` that can be added to a model."""
         return next((score for score in self._named(model, hyper) if score.name != name), None)
-
-
-_TIMES: Final = 120  # Grid points of the onset time
 
 
 def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
@@ -484,7 +463,7 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     if len(names) != 1 or term.covariance is None:
         return term
     name, dataset = names[0], without.dataset
-    times = np.linspace(dataset.time.min(), dataset.time.max(), _TIMES + 2)[1:-1]
+    times = np.linspace(dataset.time.min(), dataset.time.max(), 122)[1:-1]
     times = np.sort(np.append(times, term.parameters[name]))
     shape = {n: term.parameters[n] for n in shape_names(kind)}
     columns = [unit_resistance(without.evaluator, kind, {**shape, name: float(t)}) for t in times]
@@ -499,10 +478,6 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     covariance = term.covariance.copy()
     covariance[at, at] = max(covariance[at, at], variance)
     return replace(term, parameters={**term.parameters, name: mean}, covariance=covariance)
-
-
-_VISIBLE: Final = 3.0  # Significance from which the other runs can show an effect [std]
-_MIN_SHOWN: Final = 0.4  # Minimum share of its amplitude that they must then show [1]
 
 
 def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
@@ -521,4 +496,5 @@ def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> 
     root = without.prior_factor(hyper.spread)
     others = eliminate(products.sum(axis=0) - products[most], root)
     A, b = float(others.A[0, 0]), float(others.b[0])
-    return A * size * size < _VISIBLE**2 or b / (A * size) > _MIN_SHOWN
+    # With three standard deviations, they must show at least 40 % of the amplitude.
+    return A * size * size < 3.0**2 or b / (A * size) > 0.4

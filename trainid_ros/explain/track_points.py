@@ -42,14 +42,9 @@ class _From:
 def track_points(
     run: Run, speed: NDArray[np.float64], length: float, inertia: float, resistance: Davis
 ) -> list[TrackPoint]:
-    """Return the track points at mid-stage of a run.
+    """Return the track points at mid-stage of a run, by the mean speed of each stage [m/s], shape (n,).
 
-    Args:
-        run: The run.
-        speed: Mean over each stage [m/s], shape (n,).
-        length: Length of the train [m].
-        inertia: Specific force per acceleration [N/kN per m/s^2].
-        resistance: Davis resistance of the train file.
+    The train has a length [m], a specific force per acceleration [N/kN per m/s^2] and the resistance of its train file.
     """
     middle = run.time - 0.5 * run.dt
     place = run.position - 0.5 * run.direction * run.dt * speed

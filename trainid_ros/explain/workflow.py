@@ -41,13 +41,9 @@ if TYPE_CHECKING:
     from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import TrainFile
 
-_MIN_SAMPLES: Final = 200  # Minimum number of samples of all runs together
 _MAX_SEARCHED_S: Final = 3000.0  # Maximum driving time that is searched for effects [s]
 # Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory.
 _MAX_COMPARED_S: Final = 12000.0
-# Relative error of parameters [1], since equations of real effects differ slightly from those of the library.
-_EQUATION_SHARE: Final = 0.03
-_CLOCK_S: Final = 0.04  # Error of times [s]: time stamps are read at 5 Hz
 
 
 def explain(
@@ -64,7 +60,7 @@ def explain(
     Raises:
         NoAnswerError: There is too little motion.
     """
-    if sum(run.time.size for run in runs) < _MIN_SAMPLES:
+    if sum(run.time.size for run in runs) < 200:
         raise NoAnswerError(f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare')
     # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
     compared = _some(runs, _MAX_COMPARED_S)
@@ -151,10 +147,10 @@ def _total_std(term: EffectTerm, name: str, std: float) -> float:
     """Return a standard deviation that includes the errors of equations and clocks."""
     kind = EFFECTS[term.name]
     off = term.parameters[name] - (kind.neutral if name == kind.amplitude else 0.0)
-    # Positions and times have no relative error.
+    # Equations of real effects differ slightly from those of the library; positions and times have no such error.
     sized = name == kind.amplitude or (kind.parameters[name].unit != 'm' and kind.parameters[name].search is not None)
-    equation = _EQUATION_SHARE * off if sized else 0.0
-    clock = _CLOCK_S if kind.parameters[name].unit == 's' else 0.0
+    equation = 0.03 * off if sized else 0.0
+    clock = 0.04 if kind.parameters[name].unit == 's' else 0.0  # s: time stamps are read at 5 Hz
     return math.sqrt(std * std + equation * equation + clock * clock)
 
 
@@ -183,16 +179,9 @@ def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     return tuple(traces)
 
 
-_CLEAR: Final = 4.0  # Amplitude over its standard deviation from which two effects are distinguished [1]
 _COUNTS: Final = {1: 'once', 2: 'twice', 3: '3 times'}  # Numbers of times that one run is driven
-_SLOW: Final = (5.0 * KM_H, 10.0 * KM_H)  # Speeds that are held for a minute beside the usual manoeuvres [m/s]
-_DAVIS_WIDER: Final = 3.0  # Prior std of a, b, c over their std in the fit [1]: the other effect would change them too
-_TWIN_SIZE: Final = 10.0  # Prior std of the other effect in multiples of its typical amplitude [1]
 _MIN_STD: Final = 1e-6  # Lower bound of a prior std, which keeps its inverse finite [unit of the value]
 _STEPS: Final = 5  # Steps of a plan whose speeds are averaged to one
-_SAMPLES: Final = 2.0  # Speed samples per step of a plan
-_MAP_M: Final = 250.0  # Correlation length of map errors [m]
-_WARM_M: Final = 1e6  # A long way into the day, when the bearings are warm [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,13 +205,14 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
         return ''
     size = abs(parameters[kind.amplitude] - kind.neutral)
     found: list[tuple[float, PlannedRun, int, float]] = []
-    slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in _SLOW)
+    # Beside the usual manoeuvres, slow speeds are held for a minute.
+    slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in (5.0 * KM_H, 10.0 * KM_H))
     for run in chain(planned_runs(fit.train_file, fit.davis), (run for run in slow if run is not None)):
         effect = _resistances(run, kind, parameters, fit.davis) / max(size, 1e-12)
         information = _information(run, effect, _resistances(run, other, shape, fit.davis), fit)
         for times in _COUNTS:
             std = _std(times * information, fit)
-            if size >= _CLEAR * std:
+            if size >= 4.0 * std:  # then the two are distinguished
                 found.append((times * run.duration_s, run, times, std))
     if not found:
         return ''
@@ -260,7 +250,7 @@ def _point(steps: Sequence[Step], k: int) -> TrackPoint:
         position=math.nan,
         direction=1,
         speed=steps[k].speed,
-        distance_run=_WARM_M,
+        distance_run=1e6,  # the bearings are warm
         since_release=k * STEP_S,
         traction=steps[k].traction,
         acceleration=(steps[k].speed - before.speed) / STEP_S,
@@ -277,10 +267,10 @@ def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -
     C = np.concatenate((-np.cumsum(pulls, axis=0) * STEP_S / m, np.ones((len(v), 1))), axis=1)[at]
     t: Array = np.arange(1.0, len(v) + 1.0)[at] * STEP_S
     noise = hyper.noise
-    map_time = _MAP_M / max(float(v.mean()), 1.0)
+    map_time = 250.0 / max(float(v.mean()), 1.0)  # correlation length of map errors [m]
     gusts = (noise.gust * noise.gust_time) ** 2 * integrated_covariance(t, noise.gust_time)
     errors_of_map = (hyper.spread.map * map_time) ** 2 * integrated_covariance(t, map_time)
-    R = (gusts + errors_of_map) / (m * m) + noise.speed**2 / (_STEPS * _SAMPLES) * np.eye(t.size)
+    R = (gusts + errors_of_map) / (m * m) + noise.speed**2 / (_STEPS * 2.0) * np.eye(t.size)  # two samples a step
     full = C.T @ np.linalg.solve(R, C)
     start = full[:6, 6]
     return np.asarray(full[:6, :6] - np.outer(start, start) / full[6, 6])
@@ -288,8 +278,9 @@ def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -
 
 def _std(information: Array, fit: FitSummary) -> float:
     """Return the standard deviation of A after runs with this information, all else as unknown as a priori."""
-    davis_std = (_DAVIS_WIDER * max(std, _MIN_STD) for std in fit.davis_std)
-    stds = np.array([_TWIN_SIZE, *davis_std, max(fit.hyper.spread.payload, _MIN_STD)])
+    # The other effect may have ten times its typical amplitude, and would change a, b, c too.
+    davis_std = (3.0 * max(std, _MIN_STD) for std in fit.davis_std)
+    stds = np.array([10.0, *davis_std, max(fit.hyper.spread.payload, _MIN_STD)])
     prior = np.concatenate(([0.0], stds**-2.0))
     total = information + np.diag(prior)
     left = total[0, 0] - total[0, 1:] @ np.linalg.solve(total[1:, 1:], total[1:, 0])

@@ -45,15 +45,7 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.table_file import Row
 
 _MIN_CELLS: Final = 4  # Minimum number of days of trains, all trains together, for a channel to be compared
-_SCREEN_DAYS: Final = 50.0  # Maximum train-days for one false alarm while fitting: a fault must not spoil the fit
-_SCREEN_ROUNDS: Final = 2  # Rounds of weights in these fits
-_MAX_APART: Final = 12  # Maximum number of trains of a fleet in which each is judged by the others alone
-_MAX_PASSES: Final = 5  # Maximum number of fits, each without the changes that the last one found
-# As shares of a step that matters [1]:
-_DAILY: Final = 0.02  # Std of harmless changes from day to day
-_LEVEL: Final = 0.25  # Usual std among trains
-_MIN_LEVEL: Final = 0.01  # Added to the std found among trains, which may be zero
-_LEVEL_SIGMAS: Final = 5.0  # Distance from the fleet from which a train always differed [std among trains]
+_SCREEN_ROUNDS: Final = 2  # Rounds of weights of fits that must not be spoilt by a fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +66,9 @@ class ChannelView:
         with np.errstate(invalid='ignore', divide='ignore'):
             value, variance = np.bincount(day, weight * own, days) / total, 1.0 / total
         step_std = self.channel.change * abs(self.fit.mean)
-        std = np.sqrt(variance + (_DAILY * step_std) ** 2)
-        return Series(value, std, self.fit.degrees, self.fit.stds['train'] + _MIN_LEVEL * step_std, step_std)
+        std = np.sqrt(variance + (0.02 * step_std) ** 2)  # harmless changes from day to day
+        # The std found among trains may be zero.
+        return Series(value, std, self.fit.degrees, self.fit.stds['train'] + 0.01 * step_std, step_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +157,8 @@ def _fit_and_test(
     then without what the last fit found, until the same is found again.
     """
     trains = range(len(labels.trains))
-    usual = _screen(labels, cells, min(limit, _SCREEN_DAYS))
-    for _ in range(_MAX_PASSES):
+    usual = _screen(labels, cells, min(limit, 50.0))  # train-days for one false alarm
+    for _ in range(5):
         in_usual_days = [(usual[c.train, 0] <= c.day) & (c.day < usual[c.train, 1]) for _, c in cells]
         views = _fit(labels, cells, in_usual_days)
         series = [_series(views, labels, k) for k in trains]
@@ -182,7 +175,7 @@ def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
     A train of a small fleet is judged by the others alone, since it is much of the data.
     """
     trains = range(len(labels.trains))
-    if len(trains) > _MAX_APART:
+    if len(trains) > 12:
         views = _fit(labels, cells, [None] * len(cells), _SCREEN_ROUNDS)
         series = [_series(views, labels, k) for k in trains]
     else:
@@ -201,7 +194,7 @@ def _fit(
 ) -> tuple[ChannelView, ...]:
     views = []
     for (channel, found), mine in zip(cells, used, strict=True):
-        usual = _LEVEL * channel.change * float(np.median(np.abs(found.value)))
+        usual = 0.25 * channel.change * float(np.median(np.abs(found.value)))  # std among trains
         views.append(ChannelView(channel, found, fit(found, labels, usual, mine, rounds)))
     return tuple(views)
 
@@ -242,14 +235,10 @@ def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     effects = view.fit.train
     spread = max(robust_std(effects), view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
     sigmas = float(effects[number] - np.median(effects)) / spread
-    # The spread of few trains is not well known: Student's t.
-    if abs(sigmas) < stdtrit(max(1, effects.size - 1), ndtr(_LEVEL_SIGMAS)):
+    # Five standard deviations; the spread of few trains is not well known: Student's t.
+    if abs(sigmas) < stdtrit(max(1, effects.size - 1), ndtr(5.0)):
         return None
     return LevelOutlier(view.channel, float(effects[number]), float(view.fit.train_std[number]), sigmas)
-
-
-_MAX_BAGS: Final = 3  # Maximum number of bags of a departure that are explained: lasting effects are in the first ones
-_EQUAL_SIGMAS: Final = 3.0  # Maximum difference of two equal effects [std]
 
 
 class Named(NamedTuple):
@@ -299,16 +288,16 @@ def _bags(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> tuple[
     before = [run for run in own if run.row['day'] < first]
     away = [run for run in own if run.row['day'] >= first and (end is None or run.row['day'] < end)]
     after = [run for run in own if end is not None and run.row['day'] >= end]
-    return before[-1:] or after[:1], away[:_MAX_BAGS]
+    return before[-1:] or after[:1], away[:3]  # effects that hold are in the first ones already
 
 
 def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
-    """Return whether two effects have one name and, within their standard deviations, the same parameters."""
+    """Return whether two effects have one name and, within three standard deviations, the same parameters."""
     if one.name != other.name:
         return False
     values, stds = dict(other.parameters), (dict(one.std), dict(other.std))
     return all(
-        abs(value - values[name]) <= _EQUAL_SIGMAS * math.hypot(*(std.get(name, 0.0) for std in stds))
+        abs(value - values[name]) <= 3.0 * math.hypot(*(std.get(name, 0.0) for std in stds))
         for name, value in one.parameters
     )
 

@@ -45,13 +45,8 @@ OTHER: Final = 'other'
 _SHOWING: Final = 0.5  # Probability that a step shows in a channel, q [1]
 _WINDOW: Final = 60  # Number of newest days in which a step is searched
 _MIN_AFTER: Final = 2  # Minimum number of days with data after a step
-_GRID_DENSITY: Final = 6.0  # Points of the grid of levels for one std of a day
-_GRID_MARGIN: Final = 6.0  # Margin of the grid beyond the outermost values [std of a day]
-_GRID_POINTS: Final = (60, 600)  # Minimum and maximum number of points of the grid
 _FAR: Final = 0.01  # Prior share of trains that are far from the others [1]
 _TINY: Final = 1e-300  # Lower limit of a density, so that its logarithm is finite
-_MIN_PROBABILITY: Final = 0.05  # Minimum probability of a cause that is named [1]
-_MAX_USUAL: Final = 5.0  # Maximum distance of a first level from the fleet that is no fault [std among trains]
 _BACK: Final = 0.4  # Share of a departure below which the train is back [1]
 
 
@@ -107,9 +102,8 @@ class _Segment:
         known = np.isfinite(series.value)
         spread = float(np.median(series.std[known]))
         low, high = float(series.value[known].min()), float(series.value[known].max())
-        room = _GRID_MARGIN * spread
-        fewest, most = _GRID_POINTS
-        count = int(min(most, max(fewest, _GRID_DENSITY * (high - low + 2.0 * room) / spread)))
+        room = 6.0 * spread  # beyond the outermost values
+        count = int(min(600, max(60, 6.0 * (high - low + 2.0 * room) / spread)))  # six for one std of a day
         self.level = np.linspace(low - room, high + room, count)
         kernel = _weights(self.level[:, None] - self.level[None, :], series.step_std)
         far = _weights(self.level, math.hypot(level_std, series.step_std))
@@ -257,7 +251,7 @@ _SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_
 
 
 def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, ...]:
-    """Return the causes with a probability that counts, the most probable first.
+    """Return the causes with a probability of 5 % or more, the most probable first.
 
     ``steps`` holds step and standard deviation as shares of the mean of the fleet by channel, None without data.
     """
@@ -272,7 +266,7 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     p /= p.sum()
     causes = [Cause(kind.effect, kind.title, float(share)) for kind, share in zip(_KINDS, p, strict=False)]
     causes.append(Cause(OTHER, 'no single known cause', float(p[-1])))
-    return tuple(sorted((c for c in causes if c.probability >= _MIN_PROBABILITY), key=lambda cause: -cause.probability))
+    return tuple(sorted((c for c in causes if c.probability >= 0.05), key=lambda cause: -cause.probability))
 
 
 def _log_evidence(kind: _Kind, names: tuple[str, ...], step: Array, noise: Array) -> float:
@@ -331,7 +325,11 @@ def departures(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[D
     parts = _parts(changes)
     usual = _usual(channels, parts)
     steps = [_steps(channels, parts[usual], part) for part in parts]
-    sizes = [_sizes(channels, step) for step in steps]
+    # In steps that matter; 0 where a channel has no data.
+    sizes = [
+        np.array([step.size / series.step_std if step else 0.0 for series, step in zip(channels, own, strict=True)])
+        for own in steps
+    ]
     groups: list[list[int]] = []
     away = False
     for k, size in enumerate(sizes):
@@ -364,15 +362,13 @@ def _parts(changes: Sequence[Change]) -> list[_Part]:
 
 
 def _usual(channels: Sequence[Series], parts: Sequence[_Part]) -> int:
-    """Return the number of the part with the usual level."""
-    distances = [_distance_to_fleet(channels, part) for part in parts]
-    return 0 if distances[0] < _MAX_USUAL else distances.index(min(distances))
-
-
-def _distance_to_fleet(channels: Sequence[Series], part: _Part) -> float:
-    """Return the largest difference from the fleet in standard deviations among trains."""
-    known = ((series, level) for series, level in zip(channels, part.levels, strict=True) if level is not None)
-    return max((abs(level.mean) / math.hypot(series.level_std, level.std) for series, level in known), default=0.0)
+    """Return the number of the part with the usual level: the first, unless that is five std from the fleet."""
+    distances = []  # largest one of the channels, in standard deviations among trains
+    for part in parts:
+        known = ((series, level) for series, level in zip(channels, part.levels, strict=True) if level is not None)
+        each = (abs(level.mean) / math.hypot(series.level_std, level.std) for series, level in known)
+        distances.append(max(each, default=0.0))
+    return 0 if distances[0] < 5.0 else distances.index(min(distances))
 
 
 def _steps(channels: Sequence[Series], usual: _Part, part: _Part) -> tuple[Step | None, ...]:
@@ -386,13 +382,6 @@ def _steps(channels: Sequence[Series], usual: _Part, part: _Part) -> tuple[Step 
         square = (after.mean - before.mean) ** 2
         found.append(Step(before, after, 0.5 * (square / noise - square / total - math.log(total / noise))))
     return tuple(found)
-
-
-def _sizes(channels: Sequence[Series], steps: Sequence[Step | None]) -> Array:
-    """Return the sizes of steps in those that matter, 0 where a channel has no data."""
-    return np.array(
-        [step.size / series.step_std if step else 0.0 for series, step in zip(channels, steps, strict=True)]
-    )
 
 
 def _main(steps: Sequence[tuple[Step | None, ...]], group: Sequence[int]) -> int:

@@ -49,10 +49,6 @@ MIN_TRAINS: Final = 4
 """Minimum number of trains on most days for effects of days: with fewer they would absorb those of the trains."""
 _USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of estimates that are compared
 _DEGREES: Final = (4.0, 8.0, 16.0, 32.0)  # Degrees of freedom of Student's t among which the data choose
-_LOG_VARIANCES: Final = (-14.0, 4.0)  # Range of the logarithms of variances relative to that of the data [1]
-# Prior mean of ln kappa^2 for kappa = 1/2: part of what the estimators state repeats every day.
-_LOG_STATED: Final = math.log(0.5**2)
-_PRIOR_STD: Final = 2.0  # Prior std of ln kappa^2 and ln s_T^2: a factor of e in the standard deviations either way
 
 
 class Channel(NamedTuple):
@@ -191,7 +187,8 @@ class _Problem:
         # Unit of the variances, not zero, so that their logarithms are near zero.
         unit = max(robust_std(cells.value[used]), 1e-6 * float(np.abs(cells.value[used]).max()), 1e-12) ** 2
         self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
-        self._usual = np.array([_LOG_STATED, math.log(level_std**2 / unit)])
+        # Prior means of ln kappa^2, for 1/2 as part of what the estimators state repeats every day, and of ln s_T^2.
+        self._usual = np.array([math.log(0.5**2), math.log(level_std**2 / unit)])
 
     def variances(self, x: Array) -> Array:
         """Return kappa^2, s_E^2, s_T^2 and that of each common effect for their logarithms."""
@@ -200,7 +197,8 @@ class _Problem:
 
     def loss(self, x: Array) -> float:
         """Return -ln L, less ln of the priors, for logarithms of the variances."""
-        return self.solve(x).loss + 0.5 * float(((x[[0, 2]] - self._usual) ** 2).sum()) / _PRIOR_STD**2
+        # Their prior std is 2: a factor of e in the standard deviations either way.
+        return self.solve(x).loss + 0.5 * float(((x[[0, 2]] - self._usual) ** 2).sum()) / 2.0**2
 
     def solve(self, x: Array) -> _Solution:
         """Return the effects for logarithms of the variances."""
@@ -276,10 +274,9 @@ def fit(cells: Cells, labels: Labels, level_std: float, used: Flags | None = Non
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
     problem = _Problem(cells, shared_effects(cells, labels), len(labels.trains), used, level_std)
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), _DEGREES[1]
+    bounds = [(-14.0, 4.0)] * x.size  # of logarithms of variances, relative to that of the data
     for _ in range(rounds):
-        x = minimize(
-            problem.loss, x, method='L-BFGS-B', bounds=[_LOG_VARIANCES] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
-        ).x
+        x = minimize(problem.loss, x, method='L-BFGS-B', bounds=bounds, options={'ftol': 1e-7, 'eps': 1e-4}).x
         solution = problem.solve(x)
         z2 = (cells.value - problem.common(solution) - solution.u[cells.train]) ** 2 / solution.v
         degrees = _likeliest_degrees(z2[used])

@@ -55,13 +55,6 @@ if TYPE_CHECKING:
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
     """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
 
-_STANDSTILL: Final = 0.05  # Speed below which the train stands [m/s]
-_MIN_LEG: Final = 200.0  # Minimum distance between two stops that are compared [m]: their error is then below 1 %
-_MAX_GAP: Final = 2.0  # Maximum time between two speeds for a leg to have a known distance [s]
-_STOP_ERROR: Final = 1.0  # Std of the distance between two stops, by balises, overshoot and slip [m]
-# Maximum error of a wheel ratio [1]; beyond it, a unit is wrong, or the positions are not those of the train.
-_MAX_RATIO_ERROR: Final = 0.2
-
 
 class Odometer:
     """Compares distances from stop to stop; tables of records come in the order of the log."""
@@ -81,10 +74,10 @@ class Odometer:
     def _add(self, stamp_ns: NDArray[np.int64], speed: NDArray[np.float64], position: NDArray[np.float64]) -> None:
         gap = np.diff(stamp_ns, prepend=self._stamp_ns or stamp_ns[0]) / NS_PER_S
         before = np.concatenate(([self._speed], speed[:-1]))
-        # A leg with a gap has no known distance.
-        steps = np.where((gap >= 0.0) & (gap < _MAX_GAP), 0.5 * (before + speed) * gap, math.nan)
+        # A leg with a gap of two seconds has no known distance.
+        steps = np.where((gap >= 0.0) & (gap < 2.0), 0.5 * (before + speed) * gap, math.nan)
         self._stamp_ns, self._speed = int(stamp_ns[-1]), float(speed[-1])
-        standing = speed < _STANDSTILL
+        standing = speed < 0.05  # m/s
         # Pieces that start where the train stops or departs.
         edges = np.flatnonzero(np.diff(standing)) + 1
         for first, end in zip([0, *edges.tolist()], [*edges.tolist(), speed.size], strict=True):
@@ -97,7 +90,9 @@ class Odometer:
     def _arrive(self, position: float) -> None:
         """Close a leg at a stop; positions are corrected while the train stands, so the last one counts."""
         leg = abs(position - self._rest)
-        if self._driven > 0.0 and leg > _MIN_LEG and abs(self._driven / leg - 1.0) < _MAX_RATIO_ERROR:
+        # From 200 m the error of a stop is below 1 %. Beyond a ratio of 20 % a unit is wrong, or the positions are not
+        # those of the train.
+        if self._driven > 0.0 and leg > 200.0 and abs(self._driven / leg - 1.0) < 0.2:
             self._ratios.append((self._driven / leg, leg))
         self._rest, self._driven = position, 0.0
 
@@ -109,7 +104,8 @@ class Odometer:
         ratio, leg = np.array(self._ratios).T
         weight = leg * leg
         mean = float(np.average(ratio, weights=weight))
-        stated = _STOP_ERROR / math.sqrt(float(weight.sum()))
+        # Std of the distance between two stops, by balises, overshoot and slip: 1 m.
+        stated = 1.0 / math.sqrt(float(weight.sum()))
         scatter = float(np.average((ratio - mean) ** 2, weights=weight)) / max(1, ratio.size - 1)
         return mean, math.hypot(stated, math.sqrt(scatter))
 
