@@ -168,9 +168,8 @@ def test_user_effect_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def cut(run: Run, count: int) -> Run:
-    fields_of_run: dict[str, Any] = {name: getattr(run, name) for name in run.__slots__}
-    arrays = {name: value[:count] for name, value in fields_of_run.items() if isinstance(value, np.ndarray)}
-    return replace(run, **arrays)
+    values: dict[str, Any] = {name: getattr(run, name) for name in run.__slots__}
+    return replace(run, **{name: value[:count] for name, value in values.items() if hasattr(value, 'dtype')})
 
 
 def test_too_little_motion_is_an_error() -> None:

@@ -73,21 +73,15 @@ class Run:
 
 
 class RunCollector:
-    """Collects the samples of one bag into runs.
+    """Collects the samples of one bag into runs, by the mass and the brake model of a train file.
 
     Attributes:
         runs: Completed runs.
-        origin_ns: Time stamp at which times are zero.
+        origin_ns: Time stamp at which times are zero; 0 = that of the first sample.
     """
 
     def __init__(self, train_file: TrainFile, bag: int = 0, origin_ns: int = 0) -> None:
-        """Begin with a released brake.
-
-        Args:
-            train_file: Train file with the mass and the brake model.
-            bag: Number of the bag.
-            origin_ns: Time stamp at which times are zero; 0 = that of the first sample.
-        """
+        """Begin with a released brake; ``bag`` is the number of the bag."""
         self.origin_ns, self.runs = origin_ns, list[Run]()
         self._train_file, self._bag = train_file, bag
         self._rows: list[tuple[float, ...]] = []

@@ -106,12 +106,9 @@ def eliminate(products: Array, prior_factor: Array) -> Information:
 
 
 def informations(columns: Array, candidates: Sequence[Array], prior_factor: Array) -> list[Information]:
-    """Return the information on groups of candidates, each alone.
+    """Return the information on groups of candidates (m, k), each alone, from y and nuisances (m, 1 + n).
 
-    Args:
-        columns: y and nuisances, whitened, shape (m, 1 + n).
-        candidates: Columns of each group, whitened, shapes (m, k).
-        prior_factor: L with L L' the prior covariance of the nuisances, shape (n, n).
+    All are whitened; ``prior_factor`` is as in :func:`eliminate`.
     """
     y, N = columns[:, :1], columns[:, 1:]
     nuisances, Ny = Nuisances(N.T @ N, prior_factor), N.T @ y
@@ -126,11 +123,9 @@ def informations(columns: Array, candidates: Sequence[Array], prior_factor: Arra
 
 
 def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
-    """Return the posterior mean and covariance of the coefficients of all columns after y, shapes (n,) and (n, n).
+    """Return the posterior mean (n,) and covariance (n, n) of the coefficients of all columns after y.
 
-    Args:
-        products: Products of y and the columns, shape (1 + n, 1 + n).
-        prior_factor: L with L L' the prior covariance of the columns, shape (n, n).
+    ``products`` are those of y and the columns, shape (1 + n, 1 + n); ``prior_factor`` is as in :func:`eliminate`.
     """
     inner = np.eye(len(prior_factor)) + prior_factor.T @ products[1:, 1:] @ prior_factor
     covariance = prior_factor @ np.linalg.solve(inner, prior_factor.T)

@@ -160,10 +160,7 @@ def read_at(point: str, runs: Sequence[Run], length: float) -> tuple[Run, ...]:
 
 
 def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str | None:
-    """Return the point at which gradients are given, if the data support it more than a shift of the map; else None.
-
-    The model has no effects; ``shift`` is the evidence of a shifted map, 2 ln of its Bayes factor.
-    """
+    """Return the point at which gradients are given, if that has more evidence than a shift of the map; else None."""
     dataset, length = model.dataset, model.train_file.train.length
     read = [np.concatenate([run.gradient for run in read_at(point, dataset.runs, length)]) for point in POINTS]
     changes = np.stack([gradient - dataset.joined('gradient') for gradient in read], axis=1)

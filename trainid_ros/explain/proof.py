@@ -219,10 +219,7 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
 
 
 def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) -> str:
-    """Return as text where the resistance of an effect on each stage [N/kN] differs most significantly from its mean.
-
-    ``locations`` is the result of :func:`locate` for the dataset.
-    """
+    """Return as text at which locations the resistance of an effect [N/kN], shape (n,), differs most from its mean."""
     weight = dataset.dt / dataset.dt.sum()
     mean = float(weight @ resistance)
     found = []

@@ -454,10 +454,7 @@ def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
 
 
 def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> EffectTerm:
-    """Return a fitted effect with the posterior mean and variance of its onset time; unchanged if it has none.
-
-    ``without`` is the model without it.
-    """
+    """Return an effect fitted to a model ``without`` it, with posterior mean and variance of any onset time it has."""
     kind = EFFECTS[term.name]
     names = [n for n in shape_names(kind) if kind.parameters[n].unit == 's' and kind.parameters[n].search is None]
     if len(names) != 1 or term.covariance is None:
@@ -481,10 +478,7 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
 
 
 def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
-    """Return False if effect k is detectable in the other runs but does not show there.
-
-    The other runs are all but the one that contributes most of its evidence.
-    """
+    """Return False if effect k is detectable in all runs but the most evident one, and does not show there."""
     term, kind = model.terms[k], EFFECTS[model.terms[k].name]
     without = model.without(k)
     shape = {name: term.parameters[name] for name in shape_names(kind)}

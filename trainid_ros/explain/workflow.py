@@ -195,10 +195,7 @@ class FitSummary:
 
 
 def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, fit: FitSummary) -> str:
-    """Return the shortest drive that tells an effect from its twin, with the std it promises; '' if none does.
-
-    ``parameters`` are those of the effect as found; the twin may have any size.
-    """
+    """Return the shortest drive that tells an effect as found from a twin of any size, with its std; '' if none."""
     kind, other = EFFECTS[name], EFFECTS[twin]
     shape = _typical(other)
     if kind.resistance is None or other.resistance is None or shape is None:

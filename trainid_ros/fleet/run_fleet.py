@@ -273,14 +273,8 @@ def known_rows(plan: Plan, table: Path) -> dict[str, Row]:
 def run_plan(plan: Plan, table: Path, known: dict[str, Row], rows: Rows, advance: Callable[[float], None]) -> list[Row]:
     """Write the table of a plan and return its rows, in the order of the plan.
 
-    Whatever ends the work, such as Ctrl-C, the table holds the rows that are there.
-
-    Args:
-        plan: The plan.
-        table: The table.
-        known: Rows of earlier runs by key.
-        rows: What replays bags.
-        advance: Called with the number of bags done since its last call.
+    Whatever ends the work, such as Ctrl-C, the table holds the rows that are there. ``known`` are rows of earlier runs
+    by key; ``advance`` is called with the number of bags done since its last call.
 
     Raises:
         InputError: A file cannot be written.
