@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -35,3 +38,20 @@ def dragged_sizes(dragged_model: Model) -> tuple[Hyperparameters, NDArray[np.flo
 def dataset() -> Dataset:
     """Return the dataset of three runs that agree with the train file."""
     return assemble(Maker().runs(3, 5), TRAIN)
+
+
+@pytest.fixture
+def user_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, str], None]:
+    """Return a function that adds a user's effect: name, parameters with ``value`` for amplitude, and resistance."""
+
+    def add(name: str, parameters: str, resistance: str) -> None:
+        lines = (
+            'import math',
+            'from trainid_ros.train.effects import EffectKind, Parameter',
+            f'EFFECT = EffectKind({name!r}, "of a user", "none", {parameters}, "value", 1.0,',
+            f'                    lambda p, davis, at: {resistance})',
+        )
+        (tmp_path / f'{name}.py').write_text('\n'.join(lines), encoding='utf-8')
+        monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+
+    return add

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,21 +16,6 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import parse_effects
 
 DRAG = 'local_drag:start=0,end=200,permille=1'
-WRONG = """
-import math
-
-from trainid_ros.train.effects import EffectKind, Parameter
-
-EFFECT = EffectKind(
-    name='wrong',
-    title='an effect that fails',
-    equation='none',
-    parameters={'size': Parameter('N/kN', 0.0, 20.0)},
-    amplitude='size',
-    typical_size=1.0,
-    resistance=lambda p, davis, at: VALUE,
-)
-"""
 
 
 @pytest.fixture(scope='module')
@@ -110,12 +95,11 @@ def test_headwind_acts_through_the_davis_c(evaluator: EffectEvaluator) -> None:
 
 @pytest.mark.parametrize(('value', 'what'), [('math.nan', 'not finite'), ('math.sqrt(-1.0)', 'math domain error')])
 def test_error_names_the_failing_user_effect(
-    evaluator: EffectEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, what: str
+    evaluator: EffectEvaluator, user_effect: Callable[[str, str, str], None], value: str, what: str
 ) -> None:
-    (tmp_path / 'wrong.py').write_text(WRONG.replace('VALUE', value), encoding='utf-8')
-    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
-    with pytest.raises(InputError, match=f'effect wrong: .*size=1.*{what}|effect wrong: .*{what}.*size=1'):
-        evaluator.resistance('wrong', {'size': 1.0})
+    user_effect('wrong', "{'value': Parameter('N/kN', 0.0, 20.0)}", value)
+    with pytest.raises(InputError, match=f'effect wrong: .*value=1.*{what}|effect wrong: .*{what}.*value=1'):
+        evaluator.resistance('wrong', {'value': 1.0})
 
 
 def test_effect_found_again_is_removed_from_the_train_file() -> None:

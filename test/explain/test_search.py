@@ -6,9 +6,9 @@ Scores of named effects and of generic dependences.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -138,24 +138,9 @@ def test_true_effect_has_the_greatest_evidence(dragged_model: Model, dragged_siz
         assert evidence == sorted(evidence, reverse=True)
 
 
-BALLAST = """
-from trainid_ros.train.effects import EffectKind, Parameter
-
-EFFECT = EffectKind(
-    name='new_ballast',
-    title='track on new ballast',
-    equation='w = value beyond start',
-    parameters={'start': Parameter('m'), 'value': Parameter('N/kN')},
-    amplitude='value',
-    typical_size=1.0,
-    resistance=lambda p, davis, at: p['value'] if at.position >= p['start'] else 0.0,
-)
-"""
-
-
-def test_user_effect_is_found_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / 'ballast.py').write_text(BALLAST, encoding='utf-8')
-    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+def test_user_effect_is_found_at_its_place(user_effect: Callable[[str, str, str], None]) -> None:
+    parameters = "{'start': Parameter('m'), 'value': Parameter('N/kN')}"
+    user_effect('new_ballast', parameters, "p['value'] if at.position >= p['start'] else 0.0")
     runs = Maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
     # Positions far above any time of the drive, so that the two cannot be confused.
     runs = [replace(run, position=run.position + 5000.0) for run in runs]

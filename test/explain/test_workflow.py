@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,22 +24,6 @@ from trainid_ros.train.train_file import Davis, Train, TrainFile
 # Categories have no edges; without runs to hold out there is no gap.
 UNKNOWN = {'locations[].places[].low', 'locations[].places[].high'}
 UNKNOWN_OF_ONE_RUN = UNKNOWN | {'traces[].before', 'traces[].after', 'traces[].band'}
-
-RESONANCE = """
-import math
-
-from trainid_ros.train.effects import EffectKind, Parameter
-
-EFFECT = EffectKind(
-    name='resonance',
-    title='bogies that hunt at one speed',
-    equation='w = value exp(-((v - 10) / 1.5)^2)',
-    parameters={'value': Parameter('N/kN', 0.0, 20.0)},
-    amplitude='value',
-    typical_size=1.0,
-    resistance=lambda p, davis, at: p['value'] * math.exp(-(((at.speed - 10.0) / 1.5) ** 2)),
-)
-"""
 
 
 def hunting(_: float, v: float, _direction: int) -> float:
@@ -154,9 +137,9 @@ def test_without_positions_no_place_is_reported(dragged: list[Run]) -> None:
 
 
 @pytest.mark.slow
-def test_user_effect_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / 'resonance.py').write_text(RESONANCE, encoding='utf-8')
-    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+def test_user_effect_is_found(user_effect: Callable[[str, str, str], None]) -> None:
+    resistance = "p['value'] * math.exp(-(((at.speed - 10.0) / 1.5) ** 2))"
+    user_effect('resonance', "{'value': Parameter('N/kN', 0.0, 20.0)}", resistance)
     reported = explain(Maker().runs(8, 43, hunting), TRAIN)
     assert names(reported) == ['resonance']
     (effect,) = reported.effects
