@@ -14,7 +14,6 @@ from trainid_ros.explain.effects import prior_cost
 from trainid_ros.explain.likelihood import (
     Gram,
     Hyperparameters,
-    Information,
     MarginalLikelihood,
     eliminate,
     group_log_bayes,
@@ -30,47 +29,35 @@ Array = NDArray[np.float64]
 ROWS, NUISANCES, CANDIDATES = 40, 4, 3
 
 
-@pytest.fixture(scope='module')
-def columns() -> Array:
-    """Return y, nuisances and candidates: unit noise, and one candidate in y."""
-    rng = np.random.default_rng(7)
-    X = rng.standard_normal((ROWS, 1 + NUISANCES + CANDIDATES))
-    X[:, 0] += 0.8 * X[:, 1 + NUISANCES] + X[:, 1:5] @ [1.0, -0.5, 0.3, 0.0]
-    return X
+# y, nuisances and candidates: unit noise, and one candidate in y.
+COLUMNS = np.random.default_rng(7).standard_normal((ROWS, 1 + NUISANCES + CANDIDATES))
+COLUMNS[:, 0] += 0.8 * COLUMNS[:, 1 + NUISANCES] + COLUMNS[:, 1:5] @ [1.0, -0.5, 0.3, 0.0]
+# Factor of a prior covariance that is not diagonal.
+ROOT = np.tril(np.random.default_rng(8).uniform(0.2, 1.0, (NUISANCES, NUISANCES)))
+FOUND = eliminate(COLUMNS.T @ COLUMNS, ROOT)
 
 
-@pytest.fixture(scope='module')
-def root() -> Array:
-    """Return a factor of a prior covariance that is not diagonal."""
-    return np.tril(np.random.default_rng(8).uniform(0.2, 1.0, (NUISANCES, NUISANCES)))
-
-
-@pytest.fixture(scope='module')
-def information(columns: Array, root: Array) -> Information:
-    return eliminate(columns.T @ columns, root)
-
-
-def evidence(columns: Array, root: Array, candidates: list[int], std: float) -> float:
+def evidence(candidates: list[int], std: float) -> float:
     """Return twice the log density of y under nuisances and some candidates."""
-    N, C = columns[:, 1 : 1 + NUISANCES] @ root, columns[:, [1 + NUISANCES + k for k in candidates]]
+    N, C = COLUMNS[:, 1 : 1 + NUISANCES] @ ROOT, COLUMNS[:, [1 + NUISANCES + k for k in candidates]]
     covariance = np.eye(ROWS) + N @ N.T + std * std * C @ C.T
-    return 2.0 * float(multivariate_normal.logpdf(columns[:, 0], cov=covariance))
+    return 2.0 * float(multivariate_normal.logpdf(COLUMNS[:, 0], cov=covariance))
 
 
-def test_likelihood_and_bayes_factors_of_columns(columns: Array, root: Array, information: Information) -> None:
-    nothing = evidence(columns, root, [], 1.0)
+def test_likelihood_and_bayes_factors_of_columns() -> None:
+    nothing = evidence([], 1.0)
     total = nothing + ROWS * np.log(2.0 * np.pi)
-    assert -information.yy - information.log_det == pytest.approx(total, abs=1e-9)
-    single = [evidence(columns, root, [k], 0.7) - nothing for k in range(CANDIDATES)]
-    np.testing.assert_allclose(log_bayes(np.diag(information.A), information.b, 0.7), single, atol=1e-9)
+    assert -FOUND.yy - FOUND.log_det == pytest.approx(total, abs=1e-9)
+    single = [evidence([k], 0.7) - nothing for k in range(CANDIDATES)]
+    np.testing.assert_allclose(log_bayes(np.diag(FOUND.A), FOUND.b, 0.7), single, atol=1e-9)
     assert single[0] > 5.0
-    group = evidence(columns, root, [0, 1, 2], 0.4) - nothing
-    assert group_log_bayes(information.A, information.b, 0.4) == pytest.approx(group, abs=1e-9)
+    group = evidence([0, 1, 2], 0.4) - nothing
+    assert group_log_bayes(FOUND.A, FOUND.b, 0.4) == pytest.approx(group, abs=1e-9)
 
 
 @pytest.mark.parametrize('sign', [1, -1])
-def test_sign_restricts_the_amplitude_to_one_side(information: Information, sign: int) -> None:
-    A, b, std = float(information.A[0, 0]), float(information.b[0]), 0.7
+def test_sign_restricts_the_amplitude_to_one_side(sign: int) -> None:
+    A, b, std = float(FOUND.A[0, 0]), float(FOUND.b[0]), 0.7
     x = np.linspace(0.0, sign * 12.0, 200_001)
     likelihood = np.exp(b * x - 0.5 * A * x * x)
     mean = np.trapezoid(likelihood * 2.0 * norm.pdf(x, scale=std), sign * x)
@@ -78,19 +65,18 @@ def test_sign_restricts_the_amplitude_to_one_side(information: Information, sign
     assert float(found[0]) == pytest.approx(2.0 * np.log(mean), abs=1e-5)
 
 
-def test_groups_of_candidates_are_alone(columns: Array, root: Array, information: Information) -> None:
-    groups = [columns[:, 5:6], columns[:, 6:8]]
-    found = informations(columns[:, : 1 + NUISANCES], groups, root)
+def test_groups_of_candidates_are_alone() -> None:
+    found = informations(COLUMNS[:, : 1 + NUISANCES], [COLUMNS[:, 5:6], COLUMNS[:, 6:8]], ROOT)
     for one, part in zip(found, (slice(0, 1), slice(1, 3)), strict=True):
-        np.testing.assert_allclose(one.A, information.A[part, part], atol=1e-10)
-        np.testing.assert_allclose(one.b, information.b[part], atol=1e-10)
-        assert (one.yy, one.log_det) == pytest.approx((information.yy, information.log_det))
+        np.testing.assert_allclose(one.A, FOUND.A[part, part], atol=1e-10)
+        np.testing.assert_allclose(one.b, FOUND.b[part], atol=1e-10)
+        assert (one.yy, one.log_det) == pytest.approx((FOUND.yy, FOUND.log_det))
 
 
-def test_posterior_solves_the_normal_equations(columns: Array, root: Array) -> None:
-    X = columns[:, : 1 + NUISANCES]
-    mean, covariance = posterior(X.T @ X, root)
-    precision = X[:, 1:].T @ X[:, 1:] + np.linalg.inv(root @ root.T)
+def test_posterior_solves_the_normal_equations() -> None:
+    X = COLUMNS[:, : 1 + NUISANCES]
+    mean, covariance = posterior(X.T @ X, ROOT)
+    precision = X[:, 1:].T @ X[:, 1:] + np.linalg.inv(ROOT @ ROOT.T)
     np.testing.assert_allclose(covariance, np.linalg.inv(precision), atol=1e-12)
     np.testing.assert_allclose(mean, np.linalg.solve(precision, X[:, 1:].T @ X[:, 0]), atol=1e-12)
 

@@ -23,7 +23,6 @@ from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
-    Family,
     _shapes,
     generic_groups,
     is_confirmed_by_other_runs,
@@ -34,41 +33,24 @@ from trainid_ros.explain.search import (
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 
-@pytest.fixture(scope='module')
-def evaluator(dataset: Dataset) -> EffectEvaluator:
-    return EffectEvaluator(dataset, TRAIN)
-
-
-@pytest.fixture(scope='module')
-def families(evaluator: EffectEvaluator) -> dict[str, Family]:
-    return {family.kind.name: family for family in named_families(evaluator)}
-
-
-def test_families_are_columns_of_effects_that_act_in_the_data(
-    evaluator: EffectEvaluator, families: dict[str, Family]
-) -> None:
+def test_families_are_columns_of_effects_that_act_in_the_data(dataset: Dataset) -> None:
+    evaluator = EffectEvaluator(dataset, TRAIN)
+    families = {family.kind.name: family for family in named_families(evaluator)}
     assert {'traction_scale', 'resistance_step', 'bearing_warmup'} <= families.keys()
     # There is no curve and no tunnel, sections are scanned separately, and slip is no resistance.
     assert not {'curve_resistance', 'tunnel_drag', 'wheel_slip', *SECTIONS} & families.keys()
     for family in families.values():
-        assert family.resistance.shape == (evaluator.dataset.dt.size, len(family.shapes))
+        assert family.resistance.shape == (dataset.dt.size, len(family.shapes))
         assert np.isfinite(family.resistance).all()
     stronger = evaluator.resistance('traction_scale', {'ratio': 1.3})
-    np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
-
-
-def test_non_linear_effect_is_tried_at_several_amplitudes(
-    evaluator: EffectEvaluator, families: dict[str, Family]
-) -> None:
     assert families['traction_scale'].resistance.shape[1] == 1
-    # Shifts of the map in opposite directions lead to different gradients.
+    np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
+    # A non-linear effect is tried at several amplitudes: opposite shifts of the map lead to different gradients.
     shifts = families['map_shift'].resistance
     assert shifts.shape[1] == len(families['map_shift'].shapes) > 1
     usual = EFFECTS['map_shift'].typical_size
     np.testing.assert_allclose(-usual * shifts[:, 1], evaluator.resistance('map_shift', {'distance': -usual}))
-
-
-def test_onset_times_leave_enough_driving_before_and_after(dataset: Dataset, families: dict[str, Family]) -> None:
+    # Onset times leave enough driving before and after.
     times = np.array([shape['time'] for shape in families['resistance_step'].shapes])
     driven = np.cumsum(dataset.dt)
     assert driven[np.searchsorted(dataset.time, times.min())] > 60.0
