@@ -95,7 +95,7 @@ def _distance(run: Run, travelled: float, stops: Sequence[float]) -> float | Non
     if stops:
         line = np.array(stops)
         first, last = line[np.argmin(np.abs(line - begin))], line[np.argmin(np.abs(line - end))]
-        near = 60.0 + _MAX_EXCESS * travelled  # m: as near a train counts as stopped there
+        near = 60.0 + _MAX_EXCESS * travelled  # a train this near counts as stopped there [m]
         if first != last and abs(first - begin) < near and abs(last - end) < near:
             return float(abs(last - first))
     return abs(end - begin) or None

@@ -59,7 +59,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual = model.columns @ neutral[:, 0]
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
-    for fold in np.array_split(np.arange(runs), min(runs, 12)):  # fits at most
+    for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
@@ -189,7 +189,7 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     )
 
 
-_PRIOR: Final = 3.0  # Prior std of the missing resistance in one part, which that of a part without data has [N/kN]
+_PRIOR: Final = 3.0  # Prior std of the missing resistance in one part [N/kN]; a part without data keeps it
 
 
 @dataclass(frozen=True, slots=True)

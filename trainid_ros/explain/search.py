@@ -377,6 +377,7 @@ class Search:
         """
         found: dict[str, EffectScore] = {}
         hyper = state.model.evidence().usual(state.hyper)
+        # Hyperparameters, minimum evidence and maximum number; none far behind the best.
         for at, least, count in ((state.hyper, _MIN_SCORE, 3), (hyper, 30.0, 2)):
             named = self._named(state.model, at)
             for score in named[:count]:
