@@ -48,20 +48,10 @@ def test_everything_fits_in_the_terminal(driven: Driven, width: int, height: int
 def test_values_bands_status_rejections_and_findings_are_shown(driven: Driven) -> None:
     text = '\n'.join(drawn(faulty(driven()), 100, 50))
     for wanted in (
-        '68.5 km/h',
-        '3 of 3 estimates',
-        '50.0 kN',
-        '2.006 ± 0.283 N/kN',
-        'VALID ≥ 9 s',
-        'w at 45 km/h',
-        '0.910 ± 0.050',
-        'used 12, rejected 8: standstill 5, braking 3',
-        'b 0.0200 ± 0.0100',
-        'seen 18 to 72 km/h',
-        'braking now',
-        '●',
-        '░',
-    ):
+        '68.5 km/h', '3 of 3 estimates', '50.0 kN', '2.006 ± 0.283 N/kN', 'VALID ≥ 9 s', 'w at 45 km/h',
+        '0.910 ± 0.050', 'used 12, rejected 8: standstill 5, braking 3', 'b 0.0200 ± 0.0100', 'seen 18 to 72 km/h',
+        'braking now', '●', '░',
+    ):  # fmt: skip
         assert wanted in text
     assert LONG in ' '.join(text.split())
 
@@ -72,6 +62,8 @@ def test_the_status_is_not_cut_on_a_small_terminal(driven: Driven, width: int, h
     feed(trains.by_namespace['/'], 10.0, 20.0, Status.STALE)
     text = '\n'.join(drawn(trains, width, height, now_s=19.9))
     assert text.count('STALE 9 s') == 3
+    assert 'braking now' not in text
+    assert 'seen only while braking' in '\n'.join(drawn(trains, 100, 50, now_s=19.9))
 
 
 @pytest.mark.parametrize(('width', 'height'), [(80, 24), (80, 18), (60, 15), (30, 8)])
@@ -113,8 +105,10 @@ def test_the_overview_shows_names_and_each_status(driven: Driven, width: int) ->
     assert lines[1].startswith('/depot/north')
 
 
-def test_a_node_that_is_not_active_is_not_silent(driven: Driven) -> None:
+def test_a_node_that_is_not_active_or_ended_is_shown(driven: Driven) -> None:
     trains = driven()
+    text = '\n'.join(drawn(trains, 80, 24, now_s=9.8 + 1.6))
+    assert all(wanted in text for wanted in ('SILENT 1.6 s', '0 of 3 estimates', 'none for 1 s'))
     report = Report(Level.WARN, 'inactive, inputs are ignored: activate it', {'state': 'inactive'}, 12.0)
     trains.on_diagnostics('resistance_estimator: estimator', report)
     assert 'resistance   INACTIVE 2.3 s' in '\n'.join(drawn(trains, 80, 24, 12.1))
@@ -135,42 +129,21 @@ def test_columns_of_a_chart_are_filled_at_one_estimate_a_second() -> None:
     assert len(line.split()) == 2
 
 
-def test_a_brake_that_is_not_seen_now_is_not_braking_now(driven: Driven) -> None:
-    trains = driven()
-    feed(trains.by_namespace['/'], 10.0, 20.0, Status.STALE)
-    text = '\n'.join(drawn(trains, 100, 50, now_s=19.9))
-    assert 'braking now' not in text
-    assert 'seen only while braking' in text
-
-
-def test_a_node_that_ended_is_shown(driven: Driven) -> None:
-    text = '\n'.join(drawn(driven(), 80, 24, now_s=9.8 + 1.6))
-    assert 'SILENT 1.6 s' in text
-    assert '0 of 3 estimates' in text
-    assert 'none for 1 s' in text
-
-
 def test_terminals_without_unicode_get_ascii(driven: Driven) -> None:
-    for trains, width, height in ((driven(), 40, 24), (driven(), 90, 50), (driven('/a', '/b'), 120, 24)):
-        plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
-        text = '\n'.join(drawn(faulty(trains), width, height, file=plain))
+    plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
+    several = driven('/train_1', '/depot/north/train_2')
+    cases = [(driven(), 40, 24), (driven(), 90, 50), (driven('/a', '/b'), 120, 24)]
+    for trains, width, height in cases:
+        assert '2.006' in '\n'.join(drawn(faulty(trains), width, height, file=plain))
+    cases += [(trains, width, 24) for trains in (driven(), several) for width in (1, 5, 10, 20, 40)]
+    for trains, width, height in cases:
+        text = '\n'.join(drawn(trains, width, height, file=plain))
         assert text.isascii(), {char for char in text if not char.isascii()}
-        assert '2.006' in text
     assert '0.910 +- 0.050' in '\n'.join(drawn(driven(), 90, 50, file=plain))
 
 
-@pytest.mark.parametrize('width', [1, 5, 10, 20, 40])
-def test_terminals_without_unicode_get_ascii_however_narrow(driven: Driven, width: int) -> None:
-    for trains in (driven(), driven('/train_1', '/depot/north/train_2')):
-        plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
-        assert '\n'.join(drawn(trains, width, 24, file=plain)).isascii()
-
-
-def test_nothing_yet_is_said() -> None:
+def test_what_is_missing_is_said() -> None:
     assert drawn(Trains(), 80, 24) == ['Nothing is published yet.']
-
-
-def test_a_train_without_messages_says_so() -> None:
     trains = Trains()
     trains.add('/')
     text = '\n'.join(drawn(trains, 80, 24))
@@ -202,8 +175,9 @@ def test_control_characters_of_others_do_not_reach_the_terminal(driven: Driven) 
     trains = driven()
     bad = Report(Level.ERROR, 'red \x1b[31m and bell \x07', {}, 9.8)
     trains.on_diagnostics('resistance_estimator: input ato/force', bad)
-    text = '\n'.join(drawn(trains, 100, 50))
-    assert r'red \x1b[31m and bell \x07' in text
+    assert r'red \x1b[31m and bell \x07' in '\n'.join(drawn(trains, 100, 50))
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.WARN, 'two\nlines', {}, 9.8))
+    assert Lines().of(trains.views(*NOW), '')[1:] == ['/ WARN ato/force: two lines']
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 1e-300])
@@ -239,10 +213,6 @@ def test_findings_are_printed_when_they_come_and_go(driven: Callable[..., Trains
     trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.OK, '5.0 Hz', {}, 9.85))
     printed.append(lines.of(trains.views(*NOW), '')[1:])
     assert printed == [['/ STALE ato/force: no message'], [], ['/ STALE ato/force cleared']]
-
-
-def test_the_notice_is_printed_once() -> None:
-    lines = Lines()
     assert [lines.of((), 'nothing yet') for _ in range(2)] == [['nothing yet'], []]
 
 
@@ -257,12 +227,6 @@ def test_a_finding_that_says_something_else_is_printed_but_not_one_with_other_nu
     assert printed[2][0].endswith('the brake acts 2.5 s later')
 
 
-def test_a_message_of_several_lines_is_one_line(driven: Callable[..., Trains]) -> None:
-    trains = driven()
-    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.WARN, 'two\nlines', {}, 9.8))
-    assert Lines().of(trains.views(*NOW), '')[1:] == ['/ WARN ato/force: two lines']
-
-
 def test_the_findings_of_a_train_that_is_no_longer_shown_are_not_called_cleared(driven: Callable[..., Trains]) -> None:
     trains, lines = driven('/a', '/b'), Lines()
     trains.on_diagnostics('b/resistance_estimator: input ato/force', Report(Level.STALE, 'no message', {}, 9.8))
@@ -271,16 +235,15 @@ def test_the_findings_of_a_train_that_is_no_longer_shown_are_not_called_cleared(
     assert len(lines.of(trains.views(*NOW), '')) == 1
 
 
-def test_one_line_rises_with_the_values() -> None:
+def test_a_single_line_shows_the_values_alone() -> None:
     points = [Point(7.5 - k, float(k), 0.0) for k in range(8)]
     assert chart(points, 8, 1, 8.0).lines == ('▁▂▃▄▅▆▇█',)
-
-
-def test_times_without_values_are_empty() -> None:
     points = [Point(9.5, 1.0, 0.0), Point(0.5, 2.0, 0.0)]
-    (line,) = chart(points, 10, 1, 10.0).lines
-    assert (line[0], line[-1]) == ('▁', '█')
-    assert line[1:-1] == ' ' * 8
+    assert chart(points, 10, 1, 10.0).lines == (f'▁{" " * 8}█',)  # times without values are empty
+    assert set(chart([Point(0.5, 3.0, 0.0), Point(1.5, 3.0, 0.0)], 2, 1, 2.0).lines[0]) == {'▅'}
+    nothing = chart([Point(0.5, math.nan, 0.1)], 4, 3, 2.0)
+    assert nothing.lines == ('    ',) * 3
+    assert math.isnan(nothing.high)
 
 
 def test_several_lines_show_the_band_around_the_value() -> None:
@@ -288,19 +251,7 @@ def test_several_lines_show_the_band_around_the_value() -> None:
     drawn = chart(points, 2, 5, 2.0, ASCII)
     assert drawn.lines == (' :', '::', 'oo', '::', ' :')
     assert (drawn.high, drawn.low) == (12.0, 8.0)
-
-
-def test_a_band_that_was_wide_does_not_hide_the_present() -> None:
+    # A band that was wide does not hide the present.
     points = [Point(9.0, 10.0, 1000.0), Point(1.0, 10.1, 0.1), Point(0.5, 10.0, 0.1)]
     drawn = chart(points, 10, 5, 10.0)
     assert drawn.high - drawn.low < 2.0
-
-
-def test_a_constant_is_drawn() -> None:
-    assert set(chart([Point(0.5, 3.0, 0.0), Point(1.5, 3.0, 0.0)], 2, 1, 2.0).lines[0]) == {'▅'}
-
-
-def test_without_values_nothing_is_drawn() -> None:
-    drawn = chart([Point(0.5, math.nan, 0.1)], 4, 3, 2.0)
-    assert drawn.lines == ('    ',) * 3
-    assert math.isnan(drawn.high)

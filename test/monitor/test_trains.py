@@ -35,46 +35,37 @@ def test_inputs_have_rate_age_and_value(driven: Driven) -> None:
     assert mass.optional
     assert math.isinf(mass.silent_s)
     assert shown.speed_kmh == pytest.approx(68.47, abs=0.01)
+    (other_clock,) = driven().views(10.0, START_NS + 40_000 * NS_PER_S)
+    assert math.isnan(other_clock.inputs[0].age_s)
 
 
-def test_stamps_of_another_clock_have_no_age(driven: Driven) -> None:
-    (shown,) = driven().views(10.0, START_NS + 40_000 * NS_PER_S)
-    assert math.isnan(shown.inputs[0].age_s)
-
-
-def test_resistance_is_shown_at_one_speed_with_the_std_there(driven: Driven) -> None:
-    resistance = view(driven(), 9.9).estimates[0]
+def test_estimates_have_the_values_and_stds_of_their_messages(driven: Driven) -> None:
+    resistance, model, brake = view(driven(), 9.9).estimates
     speed = 45.0 / 3.6  # the middle of 5 to 20 m/s
     assert resistance.quantity == 'w at 45 km/h'
     assert resistance.value == pytest.approx(1.6 + 0.02 * speed + 0.001 * speed**2)
     assert resistance.std == pytest.approx(math.sqrt(0.04 + 1e-4 * speed**2 + 1e-6 * speed**4))
     assert resistance.reasons == (('STANDSTILL', 5), ('BRAKING', 3))
     assert (resistance.used, resistance.rejected) == (12, 8)
-
-
-def test_mass_factor_has_the_relative_std_of_b1(driven: Driven) -> None:
-    model = view(driven(), 9.9).estimates[1]
     assert model.value == 1.08
-    assert model.std == pytest.approx(1.08 * 1e-4 / 0.002)
-
-
-def test_brake_rate_has_a_history(driven: Driven) -> None:
-    brake = view(driven(), 9.9).estimates[2]
+    assert model.std == pytest.approx(1.08 * 1e-4 / 0.002)  # the relative one of b1
     assert (brake.value, brake.std, brake.status) == (0.91, 0.05, Status.VALID)
     assert 15 <= len(brake.history) <= 20  # two points in a second
     assert brake.history[0].ago_s > brake.history[-1].ago_s
+
+
+def message(status: Status) -> SimpleNamespace:
+    return SimpleNamespace(**output_values(Output(START_NS, RESISTANCE, status, 12, 8, None)))
 
 
 def test_time_in_a_status_starts_with_it(driven: Driven) -> None:
     trains = driven()
     feed(trains.by_namespace['/'], 10.0, 13.0, Status.HOLDING)
     brake = view(trains, 12.9).estimates[2]
-    assert brake.status is Status.HOLDING
-    assert brake.status_s == pytest.approx(2.9)
-
-
-def message(status: Status) -> SimpleNamespace:
-    return SimpleNamespace(**output_values(Output(START_NS, RESISTANCE, status, 12, 8, None)))
+    assert (brake.status, brake.status_s) == (Status.HOLDING, pytest.approx(2.9))
+    feed(trains.by_namespace['/'], 3600.0, 3602.0)  # time without a node is no time in a status
+    first = view(trains, 3601.9).estimates[0]
+    assert (round(first.status_s, 1), first.is_longer) == (1.9, True)
 
 
 def test_time_in_a_status_that_began_before_is_that_of_the_node_or_a_lower_bound(driven: Driven) -> None:
@@ -93,13 +84,6 @@ def test_time_in_a_status_that_began_before_is_that_of_the_node_or_a_lower_bound
     assert round(view(trains, 10.9).estimates[0].status_s, 1) == 0.9
 
 
-def test_time_without_a_node_is_no_time_in_a_status(driven: Driven) -> None:
-    trains = driven()
-    feed(trains.by_namespace['/'], 3600.0, 3602.0)
-    first = view(trains, 3601.9).estimates[0]
-    assert (round(first.status_s, 1), first.is_longer) == (1.9, True)
-
-
 def test_a_node_that_is_not_active_is_not_said_to_have_ended(driven: Driven) -> None:
     trains = driven()
     report = Report(Level.WARN, 'inactive: activate it', {'state': 'inactive'}, 12.0)
@@ -111,23 +95,18 @@ def test_a_node_that_is_not_active_is_not_said_to_have_ended(driven: Driven) -> 
     ]
 
 
-def test_findings_with_other_numbers_are_apart() -> None:
+def test_findings_with_other_numbers_are_apart_and_name_the_clock_of_the_stamps() -> None:
     trains = Trains()
     train = trains.add('/')
     feed(train, 0.0, 10.0)
+    (shown,) = trains.views(16.0, START_NS + 70 * NS_PER_S)  # played ten times faster
+    assert {item.text.partition(' UTC')[0] for item in shown.findings} == {'no estimate since 22:13:29'}
     train.on_estimate(RESISTANCE_TOPIC, message(Status.VALID), 14.0, START_NS + 14 * NS_PER_S)
     found = [(item.source, item.text[:30]) for item in view(trains, 16.0).findings]
     assert found == [
         ('brake_rate_estimator, speed_model_estimator', 'no estimate since 22:13:29 UTC'),
         ('resistance_estimator', 'no estimate since 22:13:34 UTC'),
     ]
-
-
-def test_the_time_of_the_last_estimate_is_that_of_the_clock_of_the_stamps() -> None:
-    trains = Trains()
-    feed(trains.add('/'), 0.0, 10.0)
-    (shown,) = trains.views(16.0, START_NS + 70 * NS_PER_S)  # played ten times faster
-    assert {item.text.partition(' UTC')[0] for item in shown.findings} == {'no estimate since 22:13:29'}
 
 
 def test_a_node_of_another_name_is_found_by_its_topic(driven: Driven) -> None:
@@ -151,14 +130,6 @@ def test_trains_that_ended_are_dropped_while_others_are_there(driven: Driven) ->
     assert [item.namespace for item in trains.views(74.9, START_NS)] == ['/b']
 
 
-def test_a_train_without_messages_has_none() -> None:
-    trains = Trains()
-    train = trains.add('/')
-    assert not trains.has_messages(1.0)
-    train.on_estimate(RESISTANCE_TOPIC, message(Status.VALID), 1.0, START_NS)
-    assert trains.has_messages(1.0)
-
-
 def test_an_estimate_that_stops_is_reported_within_two_seconds(driven: Driven) -> None:
     trains = driven()
     assert not view(trains, 9.8 + 1.0).findings
@@ -172,11 +143,9 @@ def test_an_estimate_that_stops_is_reported_within_two_seconds(driven: Driven) -
 
 def test_slow_estimates_are_not_silent_between_messages() -> None:
     trains = Trains()
-    train = trains.add('/')
     for k in range(5):
-        feed(train, 2.0 * k, 2.0 * k + 0.2)
-    assert not view(trains, 8.0 + 1.9).estimates[0].is_silent
-    assert view(trains, 8.0 + 5.1).estimates[0].is_silent
+        feed(trains.add('/'), 2.0 * k, 2.0 * k + 0.2)
+    assert [view(trains, 8.0 + later_s).estimates[0].is_silent for later_s in (1.9, 5.1)] == [False, True]
 
 
 def test_an_input_is_named_once_as_the_node_that_takes_it_worst_says(driven: Driven) -> None:
@@ -202,13 +171,6 @@ def test_errors_come_first_and_inputs_before_estimators(driven: Driven) -> None:
         trains.on_diagnostics(name, Report(level, name, {}, 9.8))
     sources = [item.source for item in view(trains, 9.9).findings]
     assert sources == ['ato/speed', 'brake_rate_estimator', 'speed_model_estimator']
-
-
-def test_diagnostics_of_others_are_left_out(driven: Driven) -> None:
-    trains = driven('/train_1')
-    for name in ('camera: driver', 'train_2/resistance_estimator: estimator', 'nonsense'):
-        trains.on_diagnostics(name, Report(Level.ERROR, 'text', {}, 9.8))
-    assert not view(trains, 9.9).findings
 
 
 def test_inputs_of_a_mapping_are_shown_as_the_nodes_report_them(driven: Driven) -> None:
@@ -241,16 +203,16 @@ def test_an_input_of_a_mapping_is_silent_when_its_count_stands_though_its_node_h
 def test_the_speed_is_that_of_the_estimates_where_it_has_another_topic() -> None:
     trains = Trains()
     train = trains.add('/')
+    assert not trains.has_messages(9.8)
     for status, speed_kmh in ((Status.STALE, math.nan), (Status.VALID, 36.0)):
         train.on_estimate(RESISTANCE_TOPIC, message(status), 9.8, START_NS)
+        assert trains.has_messages(9.8)
         assert view(trains, 9.9).speed_kmh == pytest.approx(speed_kmh, nan_ok=True)
     assert math.isnan(view(trains, 12.0).speed_kmh)
 
 
 def test_an_old_speed_is_not_shown_as_present(driven: Driven) -> None:
-    trains = driven()
-    assert math.isnan(view(trains, 11.5).speed_kmh)
-    assert not math.isnan(view(trains, 10.5).speed_kmh)
+    assert [math.isnan(view(driven(), now_s).speed_kmh) for now_s in (10.5, 11.5)] == [False, True]
 
 
 def test_trains_are_apart_and_sorted(driven: Driven) -> None:
@@ -260,15 +222,15 @@ def test_trains_are_apart_and_sorted(driven: Driven) -> None:
     assert (first.namespace, second.namespace) == ('/a', '/b')
     assert len(first.findings) == 1
     assert not second.findings
+    for name in ('camera: driver', 'c/resistance_estimator: estimator', 'nonsense'):  # of others
+        trains.on_diagnostics(name, Report(Level.ERROR, 'text', {}, 9.8))
+    assert trains.views(9.9, START_NS) == (first, second)
 
 
-def test_a_status_that_is_not_known_is_a_fault(driven: Driven) -> None:
+def test_a_status_that_is_not_known_is_a_fault_and_such_a_level_an_error(driven: Driven) -> None:
     trains = driven()
     feed(trains.by_namespace['/'], 10.0, 11.0, status=77)
     assert view(trains, 11.0).estimates[0].status is Status.FAULT
-
-
-def test_a_level_that_is_not_known_is_an_error() -> None:
     assert Level(9) is Level.ERROR
 
 
@@ -289,34 +251,29 @@ def arrived(times: Iterable[float]) -> Arrivals:
     return arrivals
 
 
-def test_the_rate_is_the_count_over_five_seconds() -> None:
-    arrivals = arrived(0.2 * k for k in range(50))
-    assert arrivals.rate(9.8) == pytest.approx(5.0, rel=0.05)
-    assert arrivals.rate(12.3) == pytest.approx(2.5, rel=0.1)  # silent for half of them
-    assert arrivals.rate(20.0) == 0.0
+@pytest.mark.parametrize(
+    ('times', 'now_s', 'rate', 'tolerance'),
+    [
+        ([0.2 * k for k in range(50)], 9.8, 5.0, 0.05),
+        ([0.2 * k for k in range(50)], 12.3, 2.5, 0.1),  # silent for half of five seconds
+        ([0.2 * k for k in range(50)], 20.0, 0.0, 0.0),
+        ([k + 0.001 * j for k in range(10) for j in range(5)], 9.5, 5.0, 1e-6),  # bursts
+        ([0.0, 0.2, 0.4], 0.4, 5.0, 1e-6),  # known soon
+        ([6.0 * k for k in range(4)], 19.0, 0.2, 1e-6),
+        ([0.002 * k for k in range(5000)], 9.998, 500.0, 1e-6),
+        ([], 1.0, math.nan, 0.0),
+        ([0.0], 1.0, math.nan, 0.0),
+    ],
+)
+def test_the_rate_is_the_count_over_five_seconds(
+    times: list[float], now_s: float, rate: float, tolerance: float
+) -> None:
+    assert arrived(times).rate(now_s) == pytest.approx(rate, rel=tolerance, nan_ok=True)
 
 
-def test_bursts_do_not_raise_the_rate() -> None:
-    assert arrived(k + 0.001 * j for k in range(10) for j in range(5)).rate(9.5) == pytest.approx(5.0)
-
-
-def test_a_rate_is_known_soon_and_also_if_it_is_slow_or_fast() -> None:
-    assert arrived((0.0, 0.2, 0.4)).rate(0.4) == pytest.approx(5.0)
-    assert arrived(6.0 * k for k in range(4)).rate(19.0) == pytest.approx(0.2)
-    assert arrived(0.002 * k for k in range(5000)).rate(9.998) == pytest.approx(500.0)
-
-
-def test_one_message_has_no_rate() -> None:
-    assert math.isnan(Arrivals().rate(1.0))
-    assert math.isnan(arrived((0.0,)).rate(1.0))
-
-
-def test_late_is_later_than_usual() -> None:
+def test_late_is_later_than_usual_and_silence_counts_from_the_last_message() -> None:
     assert not Arrivals().is_late(100.0)
     assert [arrived((0.0, 0.2, 0.4)).is_late(0.4 + silent) for silent in (1.3, 1.5)] == [False, True]
     assert [arrived((0.0, 2.0, 4.0)).is_late(4.0 + silent) for silent in (4.9, 5.1)] == [False, True]
-
-
-def test_silence_is_counted_from_the_last_message() -> None:
     assert math.isinf(Arrivals().silent_s(1.0))
     assert arrived((1.0, 3.0)).silent_s(4.5) == 1.5

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimate over time in characters: a line of blocks, or several lines with the band of two standard deviations.
+"""Views as a screen of a terminal of any size, with rich, or as lines of text where none can be drawn.
 
-Views as lines of text, where no screen can be drawn: no terminal, a dumb one, or no colours wanted.
-
-Views as a screen of a terminal of any size, with rich.
+A chart shows an estimate over time in characters: a line of blocks, or lines with the band of two standard deviations.
 """
 
 from __future__ import annotations
@@ -38,9 +36,6 @@ if TYPE_CHECKING:
     from trainid_ros.monitor.view import Point
 
 BAND_STD: Final = 2.0
-_LEVELS: Final = '▁▂▃▄▅▆▇█'
-_ASCII_LEVELS: Final = '_.-~=+*#'
-_EMPTY: Final = ' '
 # Bands that are wider than this many of the narrowest one are cut off [1].
 _WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
@@ -57,8 +52,8 @@ class Marks(NamedTuple):
     band: str
 
 
-UNICODE: Final = Marks(_LEVELS, '●', '░')
-ASCII: Final = Marks(_ASCII_LEVELS, 'o', ':')
+UNICODE: Final = Marks('▁▂▃▄▅▆▇█', '●', '░')
+ASCII: Final = Marks('_.-~=+*#', 'o', ':')
 
 
 class Chart(NamedTuple):
@@ -70,7 +65,7 @@ class Chart(NamedTuple):
 
 
 def chart(points: Sequence[Point], columns: int, rows: int, span_s: float, marks: Marks = UNICODE) -> Chart:
-    """Draw the last time of an estimate.
+    """Draw the last time of an estimate; lines are empty where no value is in that time.
 
     Args:
         points: Past values, the oldest first.
@@ -78,27 +73,18 @@ def chart(points: Sequence[Point], columns: int, rows: int, span_s: float, marks
         rows: Lines; a single one shows the value alone.
         span_s: Time that the columns cover [s].
         marks: Characters to use.
-
-    Returns:
-        The chart; empty lines where no value is in that time.
     """
-    binned = _binned(points, columns, span_s)
-    drawn = [point for point in binned if point is not None]
-    if not drawn:
-        return Chart((_EMPTY * columns,) * rows, math.nan, math.nan)
-    low, high = _range(drawn, with_band=rows > 1)
-    lines = [''.join(_chart_cell(point, row, rows, low, high, marks) for point in binned) for row in range(rows)]
-    return Chart(tuple(reversed(lines)), high, low)
-
-
-def _binned(points: Sequence[Point], columns: int, span_s: float) -> list[Point | None]:
-    """Return the last point in the time of each column, None where there is none."""
-    binned: list[Point | None] = [None] * columns
+    binned: list[Point | None] = [None] * columns  # the last point in the time of each column
     for point in points:
         column = columns - 1 - int(point.ago_s / span_s * columns)
         if 0 <= column < columns and abs(point.value) < _LARGEST:
             binned[column] = point
-    return binned
+    drawn = [point for point in binned if point is not None]
+    if not drawn:
+        return Chart((' ' * columns,) * rows, math.nan, math.nan)
+    low, high = _range(drawn, with_band=rows > 1)
+    lines = [''.join(_chart_cell(point, row, rows, low, high, marks) for point in binned) for row in range(rows)]
+    return Chart(tuple(reversed(lines)), high, low)
 
 
 def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
@@ -122,17 +108,14 @@ def _deviation(point: Point) -> float:
 def _chart_cell(point: Point | None, row: int, rows: int, low: float, high: float, marks: Marks) -> str:
     """Return the character of a column; row 0 is the lowest one."""
     if point is None:
-        return _EMPTY
+        return ' '
     place = (point.value - low) / (high - low) * rows
     if rows == 1:
         return marks.levels[min(int(place * len(marks.levels)), len(marks.levels) - 1)]
     if row == min(int(place), rows - 1):
         return marks.value
     half = BAND_STD * _deviation(point) / (high - low) * rows
-    return marks.band if place - half < row + 1 and place + half > row else _EMPTY
-
-
-_NUMBER: Final = re.compile(r'-?[0-9.]+(e[-+]?[0-9]+)?')
+    return marks.band if place - half < row + 1 and place + half > row else ' '
 
 
 class Lines:
@@ -151,17 +134,19 @@ class Lines:
             lines.append(train_line(view))
             for item in view.findings:
                 present[view.namespace, item.source, item.level.name] = item.text
-        for namespace, source, level in sorted(key for key, text in present.items() if self._is_news(key, text)):
+        # A finding is news if it says more than other numbers.
+        news = (key for key, text in present.items() if _without_numbers(text) != self._known.get(key))
+        for namespace, source, level in sorted(news):
             lines.append(f'{namespace} {level} {source}: {present[namespace, source, level]}')
         gone = sorted(self._known.keys() - present.keys())
         shown = {view.namespace for view in views}
         lines += [f'{namespace} {level} {source} cleared' for namespace, source, level in gone if namespace in shown]
-        self._known = present
+        self._known = {key: _without_numbers(text) for key, text in present.items()}
         return [printable(line.replace('\n', ' ')) for line in lines]
 
-    def _is_news(self, key: tuple[str, str, str], text: str) -> bool:
-        """Return whether a finding is new, or says more than other numbers."""
-        return key not in self._known or _NUMBER.sub('', text) != _NUMBER.sub('', self._known[key])
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r'-?[0-9.]+(e[-+]?[0-9]+)?', '', text)
 
 
 def train_line(view: TrainView) -> str:
@@ -176,11 +161,10 @@ def train_line(view: TrainView) -> str:
 def _input_lines(inputs: Iterable[InputView]) -> Iterable[str]:
     """Yield name, rate and age of each input; optional ones only if they come."""
     for item in inputs:
-        if math.isinf(item.silent_s):
-            if not item.optional:
-                yield f'{item.name} never'
-            continue
-        yield f'{item.name} {number(item.rate, 1)} Hz {number(item.silent_s, 1)} s'
+        if not math.isinf(item.silent_s):
+            yield f'{item.name} {number(item.rate, 1)} Hz {number(item.silent_s, 1)} s'
+        elif not item.optional:
+            yield f'{item.name} never'
 
 
 _SPAN_S: Final = 120.0
@@ -242,13 +226,12 @@ class Screen:
             yield _overview(self._views, size)
 
 
-class _Size:
+class _Size(NamedTuple):
     """Room and characters of the terminal."""
 
-    def __init__(self, width: int, height: int, *, ascii_only: bool) -> None:
-        self.width = width
-        self.height = height
-        self.ascii_only = ascii_only
+    width: int
+    height: int
+    ascii_only: bool
 
     @property
     def is_narrow(self) -> bool:
@@ -297,22 +280,14 @@ def _inputs(inputs: Iterable[InputView], size: _Size) -> Table:
         for name in ('value', 'publisher'):
             table.add_column(name, no_wrap=True, overflow=size.overflow, ratio=1)
     for item in inputs:
-        style = _input_style(item)
-        cells = [size.text(item.name, style), size.text(_rate(item), style), size.text(_age(item), style)]
+        late = 'dim' if item.optional else _BAD
+        style = '' if item.silent_s < _SILENT_S else late
+        rate = f'{number(item.rate, 1)} Hz' if math.isfinite(item.rate) else '–'
+        cells = [size.text(item.name, style), size.text(rate, style), size.text(_age(item), style)]
         if not size.is_narrow:
             cells += [size.text(item.value), size.text(', '.join(item.publishers) or 'none', 'dim')]
         table.add_row(*cells)
     return table
-
-
-def _input_style(item: InputView) -> str:
-    if item.silent_s < _SILENT_S:
-        return ''
-    return 'dim' if item.optional else _BAD
-
-
-def _rate(item: InputView) -> str:
-    return f'{number(item.rate, 1)} Hz' if math.isfinite(item.rate) else '–'
 
 
 def _age(item: InputView) -> str:
@@ -344,13 +319,8 @@ def _estimates(items: Sequence[EstimateView], size: _Size, layout: _Layout) -> l
 
 
 def _state(item: EstimateView, size: _Size) -> Text:
-    if item.idle:
-        style = 'yellow'
-    elif item.status is None:
-        style = 'dim'
-    else:
-        style = _BAD if item.is_silent else _STYLES.get(item.status, _BAD)
-    return size.text(state_of(item), style)
+    known = 'dim' if item.status is None else _BAD if item.is_silent else _STYLES.get(item.status, _BAD)
+    return size.text(state_of(item), 'yellow' if item.idle else known)
 
 
 def _chart(item: EstimateView, size: _Size, rows: int) -> list[Text]:
@@ -392,7 +362,8 @@ def _shortened(parts: Sequence[Sequence[Text]], room: int, size: _Size) -> list[
 
 def _overview(views: Sequence[TrainView], size: _Size) -> Group:
     """Return a line for each train, and its worst finding; the worst train comes first."""
-    views = sorted(views, key=_goodness)
+    severity = {view.namespace: max((item.level.severity for item in view.findings), default=0) for view in views}
+    views = sorted(views, key=lambda view: (-severity[view.namespace], view.namespace))
     head = size.text(f'trainid monitor  {len(views)} trains  {views[0].time}  one in full: --namespace NAME', 'bold')
     titles, *rows = _table(views, size)
     findings = [
@@ -404,11 +375,6 @@ def _overview(views: Sequence[TrainView], size: _Size) -> Group:
     listed = min(len(rows), room - min(len(findings), max(room // 4, 2)))
     shown = _shortened([[row] for row in rows], listed, size)
     return Group(head, titles, *shown, *_shortened(findings, room - len(shown), size))
-
-
-def _goodness(view: TrainView) -> tuple[int, str]:
-    """Sort the train with the worst finding first."""
-    return -max((item.level.severity for item in view.findings), default=0), view.namespace
 
 
 def _table(views: Sequence[TrainView], size: _Size) -> list[Text]:

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of each train, from the messages that arrived and the times at which they did.
+"""What is known of each train: messages and when they arrived, and what its nodes report on ``/diagnostics``.
 
 Two clocks are used: a steady one [s] for arrivals, and that of the stamps [ns] for ages.
-
-When messages of one topic arrived.
-
-What the nodes of one train report of themselves and of their inputs on ``/diagnostics``.
 """
 
 from __future__ import annotations
@@ -50,8 +46,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.interface.records import InputTopic, OutputTopic, Record
 
-_WINDOW_S: Final = 5.0
-_KEPT: Final = 512
+_WINDOW_S: Final = 5.0  # over which messages are counted
 # An active node publishes at least once a second. No message for this time [s] is late, and where messages are slower
 # than 2 Hz, none for this many of their usual intervals [1].
 _LATEST_S: Final = 1.4
@@ -62,7 +57,7 @@ class Arrivals:
     """Arrivals on one topic, by a clock that never jumps [s]."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_KEPT)
+        self._times: deque[float] = deque(maxlen=512)
 
     def add(self, now_s: float) -> None:
         """Record a message."""
@@ -82,11 +77,9 @@ class Arrivals:
 
     def is_late(self, now_s: float) -> bool:
         """Return whether messages came, and another one should have come by now."""
-        if not self._times:
-            return False
-        times = list(self._times)[-8:]
-        steps = [after - before for before, after in pairwise(times)]
-        return self.silent_s(now_s) > max(_LATEST_S, _INTERVALS * median(steps) if steps else 0.0)
+        steps = [after - before for before, after in pairwise(list(self._times)[-8:])]
+        usual_s = _INTERVALS * median(steps) if steps else 0.0
+        return bool(self._times) and self.silent_s(now_s) > max(_LATEST_S, usual_s)
 
 
 ESTIMATOR: Final = 'estimator'
@@ -97,9 +90,6 @@ OTHER_CLOCK_S: Final = 3600.0
 _REPORT_S: Final = 3.5
 # An input whose count of messages has not grown for this time is silent [s], whatever the clock of its node says.
 _GROWS_S: Final = 1.5
-_REJECTED: Final = 'rejected.'
-# Longer numbers, which any program may send, are not read.
-_DIGITS: Final = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +110,9 @@ class Report:
 
     def rejections(self) -> Counter[str]:
         """Return the rejected samples by reason."""
-        counts = {key: text for key, text in self.values.items() if key.startswith(_REJECTED)}
-        return Counter(
-            {key.removeprefix(_REJECTED): int(n) for key, n in counts.items() if n.isdecimal() and len(n) <= _DIGITS}
-        )
+        counts = ((key.partition('rejected.')[2], n) for key, n in self.values.items() if key.startswith('rejected.'))
+        # Any program may send longer numbers.
+        return Counter({reason: int(n) for reason, n in counts if n.isdecimal() and len(n) <= 15})
 
     def status_s(self, status: Status, now_s: float) -> float:
         """Return for how long the estimate has had this status [s], NaN if the report does not say."""
@@ -166,24 +155,22 @@ class Reports:
         """Return the inputs by name, each as the node that heard it last reports it, be it long ago."""
         seen: dict[str, InputView] = {}
         for (node, subject), report in sorted(self._newest.items()):
-            name = subject.removeprefix(INPUT)
-            if name == subject:
+            if not subject.startswith(INPUT):
                 continue
-            item = _input(name, report, now_s - self._grew_s[node, subject])
-            if name not in seen or item.silent_s < seen[name].silent_s:
-                seen[name] = item
+            item = _input(subject.removeprefix(INPUT), report, now_s - self._grew_s[node, subject])
+            if item.name not in seen or item.silent_s < seen[item.name].silent_s:
+                seen[item.name] = item
         return seen
 
     def findings(self, now_s: float) -> Iterable[Finding]:
         """Yield what is reported as not in order, each input once, as the node that takes it worst says it."""
         worst: dict[str, Finding] = {}
         for (node, subject), report in sorted(self._newest.items()):
-            source = subject.removeprefix(INPUT) if subject.startswith(INPUT) else node.rpartition('/')[2]
-            finding = Finding(report.level, source, report.message)
             if now_s - report.time_s >= _REPORT_S or report.level is Level.OK:
                 continue
+            source = subject.removeprefix(INPUT) if subject.startswith(INPUT) else node.rpartition('/')[2]
             if source not in worst or report.level.severity > worst[source].level.severity:
-                worst[source] = finding
+                worst[source] = Finding(report.level, source, report.message)
         yield from worst.values()
 
 
@@ -202,15 +189,10 @@ def _input(name: str, report: Report, unchanged_s: float) -> InputView:
     )
 
 
-# Past values are kept at this step, for longer than any chart [s].
+# Past values are kept at this step [s], as many as cover more than any chart.
 _STEP_S: Final = 0.5
-_POINTS: Final = 400
 # Trains that are silent for longer and have no publisher any more are no longer shown beside others [s].
 _ENDED_S: Final = 60.0
-_ACTIVE: Final = ('', 'active')
-_CURRENT: Final = (Status.CONVERGING, Status.VALID, Status.HOLDING)
-_NODES: Final = {kind.topic.name: kind.node_name for kind in KINDS}
-"""Usual name of the node that publishes an estimate, by topic."""
 
 
 @dataclass(slots=True)
@@ -232,7 +214,7 @@ class _Estimate:
     arrived_ns: int = 0
     status_since_s: float = 0.0
     is_longer: bool = True
-    history: deque[tuple[float, Any]] = field(default_factory=lambda: deque(maxlen=_POINTS))
+    history: deque[tuple[float, Any]] = field(default_factory=lambda: deque(maxlen=400))
 
     def add(self, message: Any, now_s: float, clock_ns: int) -> None:
         is_first = self.message is None or self.arrivals.is_late(now_s)
@@ -299,9 +281,10 @@ class Train:
         measured = self._inputs[SPEED_TOPIC.name]
         if isinstance(measured.record, SpeedRecord):
             return math.nan if measured.arrivals.is_late(now_s) else measured.record.speed
+        current = (Status.CONVERGING, Status.VALID, Status.HOLDING)
         for item in self._estimates.values():
             stated = getattr(item.message, 'speed', None)
-            if stated is not None and not item.arrivals.is_late(now_s) and status_of(item.message) in _CURRENT:
+            if stated is not None and not item.arrivals.is_late(now_s) and status_of(item.message) in current:
                 return float(stated)
         return math.nan
 
@@ -345,7 +328,7 @@ class Train:
             status=status,
             status_s=status_s,
             is_longer=is_longer,
-            idle='' if state in _ACTIVE else state,
+            idle='' if state == 'active' else state,
             silent_s=item.arrivals.silent_s(now_s),
             is_silent=item.arrivals.is_late(now_s),
             is_published=bool(self._publishers.get(shown.topic.name)),
@@ -359,7 +342,8 @@ class Train:
     def _node(self, topic: OutputTopic) -> str:
         """Return the node of an estimate, as it names itself in diagnostics."""
         names = [name.strip('/') for name in self._owners.get(topic.name, ())]
-        usual = f'{self.namespace}/{_NODES[topic.name]}'.strip('/')
+        (node,) = (kind.node_name for kind in KINDS if kind.topic is topic)
+        usual = f'{self.namespace}/{node}'.strip('/')
         return next((name for name in (*names, usual) if self._reports.is_known(name)), (*names, usual)[0])
 
     def _silent(self, estimates: Iterable[EstimateView]) -> Iterable[Finding]:
@@ -397,9 +381,9 @@ class Trains:
 
         If no other train is left, they stay: what has ended is the news.
         """
-        silent = {name: train.silent_s(now_s) for name, train in self.by_namespace.items()}
-        ended = [name for name, time_s in silent.items() if time_s > _ENDED_S and name not in published]
-        if len(ended) == len(silent):
+        trains = self.by_namespace.items()
+        ended = [name for name, train in trains if train.silent_s(now_s) > _ENDED_S and name not in published]
+        if len(ended) == len(trains):
             return []
         for name in ended:
             del self.by_namespace[name]
@@ -423,7 +407,7 @@ def _status_s(item: _Estimate, report: Report | None, now_s: float) -> tuple[flo
 
 
 def _merged(findings: Iterable[Finding]) -> Iterable[Finding]:
-    """Return findings that say the same as one, with all their sources."""
+    """Yield findings that say the same as one, with all their sources."""
     alike: dict[tuple[Level, str], list[str]] = {}
     for item in findings:
         alike.setdefault((item.level, item.text), []).append(item.source)

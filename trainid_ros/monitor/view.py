@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from trainid_ros.interface.records import OutputTopic
 
 
-# Numbers from here on are written with a power of ten.
-_LONG: Final = 1e9
-
-
 class Level(IntEnum):
     """Level of a diagnostic message; the same numbers as in ``diagnostic_msgs/DiagnosticStatus``."""
 
@@ -112,13 +108,12 @@ def number(value: float, digits: int = 3) -> str:
     """Return a number with a fixed count of decimals, an absurd one with a power of ten; a dash if it is not finite."""
     if not math.isfinite(value):
         return '–'
-    return f'{value:.{digits}f}' if abs(value) < _LONG else f'{value:.{digits}e}'
+    return f'{value:.{digits}f}' if abs(value) < 1e9 else f'{value:.{digits}e}'
 
 
 def with_band(estimate: EstimateView) -> str:
     """Return value, standard deviation and unit of an estimate."""
-    text = f'{number(estimate.value)} ± {number(estimate.std)}'
-    return f'{text} {estimate.unit}'.rstrip()
+    return f'{number(estimate.value)} ± {number(estimate.std)} {estimate.unit}'.rstrip()
 
 
 def state_of(estimate: EstimateView) -> str:
@@ -149,8 +144,6 @@ _USUAL_KMH: Final = 50.0
 # Larger speeds [m/s] and covariances count as unknown: messages may hold any number.
 _MAX_SPEED: Final = 1000.0
 _LARGEST: Final = 1e280
-# Place of the variance of b1 in the covariance of (a1, a2, b1, d0), row by row.
-_B1: Final = 10
 
 
 class ShownEstimate(NamedTuple):
@@ -193,7 +186,8 @@ def _resistance_details(message: Any) -> str:
 
 def mass_factor(message: Any) -> tuple[float, float]:
     """Return the mass factor and its standard deviation [1]; it is inversely proportional to b1."""
-    spread = math.sqrt(max(float(message.covariance[_B1]), 0.0)) / message.b1 if message.b1 > 0.0 else math.nan
+    variance = float(message.covariance[10])  # of b1, in that of (a1, a2, b1, d0)
+    spread = math.sqrt(max(variance, 0.0)) / message.b1 if message.b1 > 0.0 else math.nan
     return float(message.mass_factor), float(message.mass_factor) * spread
 
 
@@ -219,12 +213,7 @@ SHOWN: Final = (
         _resistance_details,
     ),
     ShownEstimate(
-        SPEED_MODEL_TOPIC,
-        'speed model',
-        '',
-        lambda _: 'mass factor',
-        lambda message, _: mass_factor(message),
-        _model_details,
+        SPEED_MODEL_TOPIC, 'speed model', '', lambda _: 'mass factor', lambda m, _: mass_factor(m), _model_details
     ),
     ShownEstimate(
         BRAKE_RATE_TOPIC,
