@@ -16,6 +16,7 @@ from trainid_ros.cli.bags import run_per_bag
 from trainid_ros.cli.main import main
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -58,13 +59,9 @@ def test_info_of_several_bags_is_a_list(bags: list[str], capsys: pytest.CaptureF
     assert captured.err == f'trainid: error: {bags[1]}: no such bag\n'
 
 
-def test_nothing_is_printed_of_a_bag_that_fails(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['info', bags[1]]) == 2
-    captured = capsys.readouterr()
-    assert (captured.out, captured.err) == ('', f'trainid: error: {bags[1]}: no such bag\n')
-
-
 def test_text_follows_the_order_of_the_bags(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', bags[1]]) == 2
+    assert capsys.readouterr() == ('', f'trainid: error: {bags[1]}: no such bag\n')
     assert main(['info', bags[2], bags[0]]) == 0
     two, one = capsys.readouterr().out.strip().split('\nusable\n\n')
     assert two.startswith(f'{bags[2]}: ')
@@ -107,17 +104,18 @@ def test_each_bag_gets_its_own_outputs(bags: list[str], tmp_path: Path, capsys: 
     assert capsys.readouterr().out.startswith(f'{bags[0]}: ')
 
 
-def test_bags_of_the_same_name_cannot_share_a_folder(bags: list[str], tmp_path: Path) -> None:
+def test_outputs_are_not_of_several_bags(bags: list[str], tmp_path: Path, one_error: Callable[[], str]) -> None:
     copytree(bags[0], tmp_path / 'other/one')
-    assert replay([bags[0], str(tmp_path / 'other/one')], '--out', str(tmp_path / 'out')) == 2
+    for given, options, problem in (
+        ([bags[0], str(tmp_path / 'other/one')], ('--out', str(tmp_path / 'out')), '2 bags have the name one'),
+        (bags, ('--truth', f'{bags[0]}/truth.yaml'), '--truth'),
+        (bags[:1] * 2, ('--out', 'e.csv'), 'e.csv: is the table of one bag, but several bags are given'),
+    ):
+        assert replay(given, *options) == 2
+        assert problem in one_error()
     assert not (tmp_path / 'out').exists()
 
 
-def test_one_truth_is_not_of_several_bags(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert replay(bags, '--truth', f'{bags[0]}/truth.yaml') == 2
-    assert '--truth' in capsys.readouterr().err
-
-
-def test_what_no_bag_can_use_is_reported_once(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_bag_can_use_is_reported_once(bags: list[str], one_error: Callable[[], str]) -> None:
     assert main(['replay', *bags, '--train', 'none.yaml']) == 2
-    assert capsys.readouterr().err.count('\n') == 1
+    assert 'none.yaml' in one_error()

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,26 +14,15 @@ import pytest
 import yaml
 
 from trainid_ros.cli import demo
-from trainid_ros.cli.demo import (
-    MISSION,
-    V_MILS,
-    Comparison,
-    Node,
-    Published,
-    compare,
-    describe_resistance,
-    line,
-    load_demo_bag,
-    node_parameters,
-    stock_bag,
-)
+from trainid_ros.cli.demo import MISSION, V_MILS, Comparison, Published, compare, describe_resistance, line
 from trainid_ros.cli.main import main
+from trainid_ros.explain.result import Explanation
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import HTML_START
 from trainid_ros.sim.truth import Truth
-from trainid_ros.train.train_file import Davis
+from trainid_ros.train.train_file import Davis, TrainFile
 
 START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0, 0.3)
@@ -52,27 +43,25 @@ def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize('only', [(), ('--only', 'explain'), ('--only', 'yizhuang')])
 @pytest.mark.parametrize('inside', ['', 'deeper'])
 def test_a_file_as_output_folder_is_refused_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], only: tuple[str, ...], inside: str
+    tmp_path: Path, one_error: Callable[[], str], only: tuple[str, ...], inside: str
 ) -> None:
     out = tmp_path / 'out'
     out.write_text('my own file', encoding='utf-8')
     assert main(['demo', *only, '--out', str(out / inside)]) == 2
-    _, err = capsys.readouterr()
-    assert err.count('\n') == 1
-    assert 'cannot be written' in err
+    assert 'cannot be written' in one_error()
     assert out.read_text(encoding='utf-8') == 'my own file'
 
 
 @pytest.mark.usefixtures('_nothing_runs')
 @pytest.mark.parametrize('only', [(), ('--only', 'explain')])
 def test_a_page_of_somebody_else_is_refused_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], only: tuple[str, ...]
+    tmp_path: Path, one_error: Callable[[], str], only: tuple[str, ...]
 ) -> None:
     page = tmp_path / 'explain' / 'report.html'
     page.parent.mkdir()
     page.write_text('my own page', encoding='utf-8')
     assert main(['demo', *only, '--out', str(tmp_path)]) == 2
-    assert f'{page}: exists and was not written by trainid' in capsys.readouterr().err
+    assert f'{page}: exists and was not written by trainid' in one_error()
     assert page.read_text(encoding='utf-8') == 'my own page'
 
 
@@ -84,7 +73,7 @@ def test_only_the_chapters_played_need_their_folders(tmp_path: Path) -> None:
         main(['demo', '--only', 'yizhuang', '--out', str(tmp_path)])
 
 
-def newest() -> dict[Node, Output[Any]]:
+def newest() -> dict[demo.Node, Output[Any]]:
     stamp = START_NS + 90 * NS_PER_S
     resistance, _, brake_rate = MISSION
     return {
@@ -100,17 +89,10 @@ def test_line_shows_estimates_truth_and_status() -> None:
         assert wanted in text
     assert 'brake rate 0.910 ± 0.050 (truth 0.950) HOLDING' in text  # the truth at that time
     assert 'w by V-MILS 1.700 ± 0.200 (truth 1.800) CONVERGING' in text
-
-
-def test_line_without_truth_or_brake_rate() -> None:
-    text = line({V_MILS: newest()[V_MILS]}, None)
-    assert text == 'w by V-MILS 1.700 ± 0.200 CONVERGING, 2 used, 18 rejected'
-
-
-def test_line_with_a_truth_that_knows_no_brake_rate() -> None:
-    text = line(newest(), replace(TRUTH, brake_rate=()))
-    assert '(truth 1.800) VALID' in text
-    assert 'brake rate 0.910 ± 0.050 HOLDING' in text
+    without_rate = line(newest(), replace(TRUTH, brake_rate=()))
+    assert '(truth 1.800) VALID' in without_rate
+    assert 'brake rate 0.910 ± 0.050 HOLDING' in without_rate
+    assert line({V_MILS: newest()[V_MILS]}, None) == 'w by V-MILS 1.700 ± 0.200 CONVERGING, 2 used, 18 rejected'
 
 
 def test_the_resistance_of_an_algorithm_is_shown_with_its_error() -> None:
@@ -123,7 +105,7 @@ def test_the_resistance_of_an_algorithm_is_shown_with_its_error() -> None:
 
 
 def test_parameters_make_every_topic_reliable() -> None:
-    sections = yaml.safe_load(node_parameters())
+    sections = yaml.safe_load(demo.node_parameters())
     mission = {'resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'}
     assert set(sections) == {*mission, 'v_mils_estimator'}
     algorithms = {name: section['ros__parameters']['algorithm'] for name, section in sections.items()}
@@ -136,16 +118,13 @@ def test_parameters_make_every_topic_reliable() -> None:
         assert sum('publisher' in entities for entities in topics.values()) == 1
 
 
-@pytest.mark.parametrize('name', ['altrios', 'yizhuang'])
-def test_stock_bags_are_complete(name: str) -> None:
-    bag = load_demo_bag(stock_bag(name))
-    assert bag.truth is not None
-    assert bag.title != bag.path.name
-
-
-def test_bag_without_train_file_is_reported(tmp_path: Path) -> None:
+def test_stock_bags_are_complete_and_another_needs_a_train_file(tmp_path: Path) -> None:
+    for name in ('altrios', 'yizhuang'):
+        bag = demo.load_demo_bag(demo.stock_bag(name))
+        assert bag.truth is not None
+        assert bag.title != bag.path.name
     with pytest.raises(InputError, match=r'train\.yaml'):
-        load_demo_bag(tmp_path)
+        demo.load_demo_bag(tmp_path)
 
 
 def published(estimate: Any) -> list[tuple[int, int]]:
@@ -186,3 +165,26 @@ def test_missing_different_and_unexpected_messages_are_counted() -> None:
     assert '1 were missed' in str(found)
     assert compare([*same, (3, 30)], same).extra == 1
     assert not compare([*same, (3, 30)], same).exact
+
+
+@pytest.mark.slow
+def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / 'explain'
+    (folder / 'bag').mkdir(parents=True)
+    assert main(['demo', '--only', 'explain', '--out', str(tmp_path), '--json']) == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert (answer['worked'], answer['bags'], answer['explain']['hidden']) == (True, [], demo.HIDDEN)
+    assert answer['explain']['found']['gap']['after'] < answer['explain']['found']['gap']['before']
+    assert demo.HIDDEN in err
+    assert {path.name for path in folder.iterdir()} == {'bag', 'report.html', 'report.json', 'train.yaml'}
+    assert demo.HIDDEN in (folder / 'report.html').read_text(encoding='utf-8')
+
+
+def test_text_shows_the_hidden_and_the_found_effect(
+    make_explanation: Callable[..., Explanation], stated: TrainFile
+) -> None:
+    text = demo.describe_hidden(stated, make_explanation(), Path('out'))
+    assert text.index(demo.HIDDEN) < text.index('EXPLAINED: The current model lacks local_drag')
+    assert demo.is_found(make_explanation())
+    assert not demo.is_found(make_explanation(effects=()))

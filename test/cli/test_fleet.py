@@ -24,6 +24,8 @@ from trainid_ros.fleet.table_file import Row, read_table, write_table
 from trainid_ros.interface.errors import NoAnswerError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from trainid_ros.fleet.plan import FleetRun
 
 
@@ -44,14 +46,22 @@ def fleet(depot: Path, *options: str, out: str = 't.csv') -> list[str]:
     return ['fleet', str(depot), '--train', str(train), '--out', str(table), *options]
 
 
-def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+def replayed(capsys: pytest.CaptureFixture[str], command: list[str]) -> dict[str, Any]:
+    """Return the summary of a run of fleet that succeeds."""
+    capsys.readouterr()
+    assert main([*command, '--json']) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
 
 
+def reported(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Return what ``fleet report`` prints."""
+    assert main(['fleet', 'report', *map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
 def test_one_row_per_bag_and_failures_are_rows(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(fleet(depot, '--json', '--jobs', '2', out='t.parquet')) == 0
-    shown = summary(capsys)
+    shown = replayed(capsys, fleet(depot, '--jobs', '2', out='t.parquet'))
     assert (shown['bags'], shown['known'], shown['errors'], shown['trains']) == (5, 0, 1, 2)
     rows, about = read_table(depot.parent / 't.parquet')
     assert [row['bag'] for row in rows] == sorted(str(depot / name) for name in (*NAMES, 'T2/broken.mcap'))
@@ -70,24 +80,20 @@ def test_a_run_goes_on_where_another_was_killed(depot: Path, capsys: pytest.Capt
             time.sleep(0.001)
         process.send_signal(signal.SIGKILL)
     done = len(list(rows.glob('*.json')))
-    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
-    assert summary(capsys)['known'] == done < 4
+    assert replayed(capsys, fleet(depot, '--jobs', '1'))['known'] == done < 4
     first = read_table(depot.parent / 't.csv')
-    assert main(fleet(depot, '--json', '--jobs', '1', out='whole.csv')) == 0
+    replayed(capsys, fleet(depot, '--jobs', '1', out='whole.csv'))
     assert first == read_table(depot.parent / 'whole.csv')
 
 
 def test_what_has_changed_is_replayed_again(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(fleet(depot, '--jobs', '1')) == 0
-    file = next((depot / 'T1/one').glob('*.mcap'))
-    os.utime(file, ns=(0, 0))
-    capsys.readouterr()
-    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
-    assert summary(capsys)['known'] == 3
+    command = fleet(depot, '--jobs', '1')
+    replayed(capsys, command)
+    os.utime(next((depot / 'T1/one').glob('*.mcap')), ns=(0, 0))
+    assert replayed(capsys, command)['known'] == 3
     train = depot / 'T1/one/train.yaml'
     train.write_text(train.read_text(encoding='utf-8') + '\n', encoding='utf-8')
-    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
-    assert summary(capsys)['known'] == 0
+    assert replayed(capsys, command)['known'] == 0
 
 
 def test_a_bag_of_two_trains_has_a_row_of_each(
@@ -120,12 +126,11 @@ def test_a_bag_of_two_trains_has_a_row_of_each(
     ],
 )
 def test_bad_usage_is_one_line(
-    options: tuple[str, str], problem: str, depot: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+    options: tuple[str, str], problem: str, depot: Path, one_error: Callable[[], str], monkeypatch: Any
 ) -> None:
     monkeypatch.setattr('trainid_ros.fleet.run_fleet.CONNECT_S', 0.2)
     assert main(fleet(depot, *options)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert problem in line
+    assert problem in one_error()
 
 
 def test_no_usable_bag_is_bad_input(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -134,39 +139,29 @@ def test_no_usable_bag_is_bad_input(depot: Path, capsys: pytest.CaptureFixture[s
     assert 'broken.mcap: is not an MCAP file' in capsys.readouterr().err
 
 
-def test_a_table_of_others_is_not_replaced(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    own = depot.parent / 't.csv'
+@pytest.mark.parametrize(('name', 'problem'), [('t.csv', 't.csv: exists already'), ('t.csv.rows', 'File exists')])
+def test_files_of_others_are_not_replaced(depot: Path, one_error: Callable[[], str], name: str, problem: str) -> None:
+    own = depot.parent / name
     own.write_text('train,depot\n', encoding='utf-8')
     assert main(fleet(depot)) == 2
-    assert 't.csv: exists already' in capsys.readouterr().err
+    assert str(own) in (error := one_error())
+    assert problem in error
     assert own.read_text(encoding='utf-8') == 'train,depot\n'
 
 
-def test_another_file_is_not_taken_for_rows(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = depot.parent / 't.csv.rows'
-    rows.write_text('hello\n', encoding='utf-8')
-    assert main(fleet(depot)) == 2
-    assert f'{rows}: File exists' in capsys.readouterr().err
-    assert rows.read_text(encoding='utf-8') == 'hello\n'
-
-
 def test_a_table_of_another_plan_is_not_replaced_unasked(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(fleet(depot, '--jobs', '1')) == 0
+    replayed(capsys, fleet(depot, '--jobs', '1'))
     table = (depot.parent / 't.csv').read_bytes()
-    capsys.readouterr()
     fewer = ['fleet', str(depot / 'T1'), *fleet(depot, '--jobs', '1')[2:]]
     assert main(fewer) == 2
     lost = f'3 of its 5 bags are not given now, such as {depot}/T2/broken.mcap'
     assert f't.csv: is the table of another plan: {lost}' in capsys.readouterr().err
-    other = fleet(depot, '--jobs', '1', '--namespace', '/train_2')
-    assert main(other) == 2
+    assert main(fleet(depot, '--jobs', '1', '--namespace', '/train_2')) == 2
     assert 'it was made with another train file, mapping' in capsys.readouterr().err
     assert (depot.parent / 't.csv').read_bytes() == table
     copytree(depot / 'T1/one', depot / 'T1/three')
-    assert main(fleet(depot, '--jobs', '1', '--json')) == 0  # more bags are no other plan
-    assert summary(capsys)['known'] == 4
-    assert main([*fewer, '--replace', '--json']) == 0
-    assert summary(capsys)['bags'] == 3
+    assert replayed(capsys, fleet(depot, '--jobs', '1'))['known'] == 4  # more bags are no other plan
+    assert replayed(capsys, [*fewer, '--replace'])['bags'] == 3
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -188,12 +183,8 @@ def test_a_stopped_run_says_what_is_done(depot: Path, number: signal.Signals) ->
 
 
 def test_other_labels_replay_nothing(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
-    before = summary(capsys)
-    label = ('--label', r'(?P<line>T\d)/(?P<train>\w+)')
-    assert main(fleet(depot, '--json', '--jobs', '1', *label)) == 0
-    after = summary(capsys)
-    assert (before['known'], after['known']) == (0, 4)
+    labels: tuple[tuple[str, ...], ...] = ((), ('--label', r'(?P<line>T\d)/(?P<train>\w+)'))
+    assert [replayed(capsys, fleet(depot, '--jobs', '1', *label))['known'] for label in labels] == [0, 4]
     rows, _ = read_table(depot.parent / 't.csv')
     known = [row for row in rows if row['status']]
     assert [(row['line'], row['train']) for row in known] == [tuple(name.split('/')) for name in sorted(NAMES)]
@@ -230,8 +221,7 @@ def table(tmp_path: Path) -> Path:
 
 def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = table.parent / 'report.html'
-    assert main(['fleet', 'report', str(table), '--out', str(report)]) == 0
-    text = capsys.readouterr().out
+    text = reported(capsys, table, '--out', report)
     assert '1 of 8 trains stands out: T03.' in text
     assert 'Changed on 2026-03-07' in text
     assert 'worn or glazed brake pads' in text
@@ -239,8 +229,7 @@ def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFi
     assert page.count('<section>') == 8
     assert '<a href="#train-3">T03</a>' in page
     assert 'http' not in page.replace('http://www.w3.org', '')
-    assert main(['fleet', 'report', str(table), '--json']) == 0
-    (found,) = json.loads(capsys.readouterr().out)['found']
+    (found,) = json.loads(reported(capsys, table, '--json'))['found']
     assert (found['train'], found['changes'][0]['day']) == ('T03', '2026-03-07')
     assert found['changes'][0]['steps']['brake_rate']['after'] < found['changes'][0]['steps']['brake_rate']['before']
 
@@ -248,8 +237,7 @@ def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFi
 def test_a_fault_that_has_ended_is_told_with_its_days(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / 't.csv'
     write_table(fleet_rows(14, 8, 12, {3: (4, 1.5 * PADS)}, lasts=4), path, {})
-    assert main(['fleet', 'report', str(path)]) == 0
-    text = capsys.readouterr().out
+    text = reported(capsys, path)
     assert 'Changed on 2026-03-05 until 2026-03-08, certain on 2026-03-06' in text
     assert 'By the channels alone: worn or glazed brake pads' in text
 
@@ -259,15 +247,14 @@ def test_a_fleet_too_small_to_find_faults_in_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], trains: int, few: bool
 ) -> None:
     write_table(fleet_rows(5002, trains, 6), tmp_path / 't.csv', {})
-    assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 0
-    assert ('the weather of a day cannot be told from a dragging brake' in capsys.readouterr().out) is few
+    text = reported(capsys, tmp_path / 't.csv')
+    assert ('the weather of a day cannot be told from a dragging brake' in text) is few
 
 
 def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = {'setup': {'train': 'bags/tiny/train.yaml', 'mapping': None, 'namespace': '/', 'max_chunk': 1 << 20}}
     table.with_name('t.csv.plan.json').write_text(json.dumps(plan), encoding='utf-8')
-    assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
-    assert 'By its bags: no answer (3/5: no such bag)' in capsys.readouterr().out
+    assert 'By its bags: no answer (3/5: no such bag)' in reported(capsys, table, '--explain', '1')
 
 
 def test_each_bag_is_explained_with_the_setup_of_its_table(
@@ -287,8 +274,8 @@ def test_each_bag_is_explained_with_the_setup_of_its_table(
         return Explained()
 
     monkeypatch.setattr('trainid_ros.fleet.analysis._explain', explain)
-    assert main(['fleet', 'report', str(tmp_path / 'old.csv'), str(tmp_path / 'new.csv'), '--explain', '1']) == 0
-    assert 'By its bags: no effect that is new' in capsys.readouterr().out
+    text = reported(capsys, tmp_path / 'old.csv', tmp_path / 'new.csv', '--explain', 1)
+    assert 'By its bags: no effect that is new' in text
     old, new = ('old.yaml', 'old.csv.map', '/old'), ('new.yaml', 'new.csv.map', '/new')
     assert used == [('3/5', *old), *((f'3/{day}', *new) for day in (6, 7, 8))]
 
@@ -301,19 +288,17 @@ def test_a_cause_in_the_bags_agrees_with_channels_that_name_none(
     drag = FoundEffect('dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, '', ())
     effects: list[tuple[FoundEffect, ...]] = [(), *[(drag,)] * 3]  # of the bag before, and of three after
     monkeypatch.setattr('trainid_ros.fleet.analysis._explain', lambda _: Explained(effects.pop(0)))
-    assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
-    text = capsys.readouterr().out
+    text = reported(capsys, table, '--explain', 1)
     assert 'By the channels alone: no single known cause (' in text
     assert 'By its bags, which tell apart what the channels do not: dragging_brake (drag) in 3 of 3' in text
 
 
-@pytest.mark.parametrize('name', ['none.parquet', 'none.csv'])
-def test_a_table_that_is_not_there_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['fleet', 'report', str(tmp_path / name)]) == 2
-    assert f'{name}: cannot be read (No such file or directory)' in capsys.readouterr().err
-
-
-def test_a_table_without_trains_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_without_trains_is_no_answer_and_none_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ('none.parquet', 'none.csv'):
+        assert main(['fleet', 'report', str(tmp_path / name)]) == 2
+        assert f'{name}: cannot be read (No such file or directory)' in capsys.readouterr().err
     write_table([row | {'train': None} for row in fleet_rows(1, 3, 3)], tmp_path / 't.csv', {})
     assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 1
     assert 'too few days of trains to compare: ' in capsys.readouterr().err

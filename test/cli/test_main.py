@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -11,30 +12,31 @@ import pytest
 
 import trainid_ros
 from trainid_ros.cli import main as entry
-from trainid_ros.cli.arguments import namespace
+from trainid_ros.cli.arguments import OPTIONS, VERBS, Verb, namespace
 from trainid_ros.interface.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
     from pathlib import Path
 
 
+Run = Callable[['argparse.Namespace'], int]
+Install = Callable[[Run], None]
+
+
 @pytest.fixture
-def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse.Namespace], int]], None]:
+def verb(monkeypatch: pytest.MonkeyPatch) -> Install:
     """Return a function that replaces ``info``."""
 
-    def configure(parser: argparse.ArgumentParser) -> None:
-        parser.add_argument('--x', type=int)
-
-    def install(run: Callable[[argparse.Namespace], int]) -> None:
-        monkeypatch.setattr(entry, 'VERBS', (entry.Verb('info', 'for tests', configure),))
+    def install(run: Run) -> None:
+        monkeypatch.setattr(entry, 'VERBS', (Verb('info', 'for tests', '--x'),))
+        monkeypatch.setitem(OPTIONS, '--x', {'type': int})
         monkeypatch.setattr(entry, 'import_module', lambda _name: SimpleNamespace(run=run))
 
     return install
 
 
-def raising(error: BaseException) -> Callable[[argparse.Namespace], int]:
+def raising(error: BaseException) -> Run:
     def run(_args: argparse.Namespace) -> int:
         raise error
 
@@ -51,11 +53,7 @@ def raising(error: BaseException) -> Callable[[argparse.Namespace], int]:
     ],
 )
 def test_errors_become_one_line_and_a_code(
-    verb: Callable[[Callable[[argparse.Namespace], int]], None],
-    capsys: pytest.CaptureFixture[str],
-    error: BaseException,
-    code: int,
-    text: str,
+    verb: Install, capsys: pytest.CaptureFixture[str], error: BaseException, code: int, text: str
 ) -> None:
     verb(raising(error))
     assert entry.main(['info']) == code
@@ -63,15 +61,13 @@ def test_errors_become_one_line_and_a_code(
     assert (captured.out, captured.err) == ('', text)
 
 
-def test_programming_errors_are_not_hidden(verb: Callable[[Callable[[argparse.Namespace], int]], None]) -> None:
+def test_programming_errors_are_not_hidden(verb: Install) -> None:
     verb(raising(ZeroDivisionError()))
     with pytest.raises(ZeroDivisionError):
         entry.main(['info'])
 
 
-def test_exit_code_and_arguments_are_passed_through(
-    verb: Callable[[Callable[[argparse.Namespace], int]], None],
-) -> None:
+def test_exit_code_and_arguments_are_passed_through(verb: Install) -> None:
     verb(lambda args: int(args.x))
     assert entry.main(['info', '--x', '7']) == 7
 
@@ -101,19 +97,15 @@ def test_a_namespace_may_have_parts(name: str) -> None:
     assert namespace(name) == name
 
 
-def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        entry.main(['--help'])
-    assert caught.value.code == 0
+@pytest.mark.parametrize('option', ['--help', '--version'])
+def test_help_lists_every_verb_and_the_version_is_known(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match='0'):
+        entry.main([option])
     text = capsys.readouterr().out
-    assert all(verb.name in text and verb.help in text for verb in entry.VERBS)
-
-
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        entry.main(['--version'])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out == f'trainid {trainid_ros.__version__}\n'
+    if option == '--version':
+        assert text == f'trainid {trainid_ros.__version__}\n'
+    else:
+        assert all(verb.name in text and verb.help in text for verb in VERBS)
 
 
 def imported_by(arguments: list[str]) -> set[str]:
@@ -132,7 +124,7 @@ def imported_by(arguments: list[str]) -> set[str]:
 
 # Each takes 20 to 150 ms to import.
 SLOW = {'importlib_metadata', 'matplotlib', 'multiprocessing', 'rclpy', 'rich', 'rosbags', 'scipy'}
-HELP = [['--help'], ['--version'], *([verb.name, '--help'] for verb in entry.VERBS if verb.name != 'simulate')]
+HELP = [['--help'], ['--version'], *([verb.name, '--help'] for verb in VERBS if verb.name != 'simulate')]
 
 
 @pytest.mark.parametrize('arguments', HELP, ids=' '.join)
@@ -145,13 +137,10 @@ def test_the_help_of_the_simulator_imports_only_what_it_names() -> None:
     assert not imported_by(['simulate', '--help']) & (SLOW | {'mcap', 'trainid_ros.estimators.pipeline'})
 
 
-def test_info_imports_only_what_it_needs(driven_bag: Path) -> None:
+def test_verbs_import_only_what_they_need(driven_bag: Path) -> None:
     found = imported_by(['info', str(driven_bag)])
     assert 'trainid_ros.inspection.bag_info' in found
     assert not found & (SLOW | {'trainid_ros.estimators.pipeline', 'trainid_ros.sim.truth'})
-
-
-def test_replay_imports_only_what_it_needs(driven_bag: Path) -> None:
     found = imported_by(['replay', str(driven_bag), '--train', str(driven_bag / 'train.yaml')])
     assert 'trainid_ros.estimators.pipeline' in found
     assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.report.recording'})

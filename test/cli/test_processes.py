@@ -36,24 +36,28 @@ def wait_until_gone(pid: int) -> None:
         time.sleep(0.02)
 
 
-def test_a_child_that_ends_is_a_failure_unless_it_may(tmp_path: Path) -> None:
+def test_a_child_that_ends_is_a_failure_unless_it_may_without_an_error(tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
         assert group.start('version', '--version').wait() == 0
         group.check(may_end='version')
         with pytest.raises(NoAnswerError, match=r'version ended with exit code 0 .*: trainid '):
             group.check()
-
-
-def test_a_child_that_fails_gives_the_end_of_its_log(tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
         group.start('bad', 'info', str(tmp_path / 'nothing')).wait()
         with pytest.raises(NoAnswerError, match=r'bad ended with exit code 2 .*no such bag'):
             group.check(may_end='bad')
 
 
-def test_stop_kills_children_that_ignore_sigterm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_kills_children_that_ignore_sigterm_whatever_interrupts_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(processes, '_MAX_END_S', 0.5)
-    code = 'import signal,time; signal.signal(15, signal.SIG_IGN); print("ready", flush=True); time.sleep(900)'
+    # It answers SIGTERM by interrupting its parent, which must not stop the clean-up, and stays.
+    code = (
+        'import os,signal,time\n'
+        'signal.signal(15, lambda *_: os.kill(os.getppid(), 2)); print("ready", flush=True)\n'
+        'while True: time.sleep(900)'
+    )
     monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
     with pytest.raises(ZeroDivisionError), ProcessGroup(tmp_path) as group:
         child = group.start('stubborn')
@@ -80,22 +84,6 @@ def test_stop_reaches_grandchildren_and_runs_on_errors(tmp_path: Path, monkeypat
         raise ZeroDivisionError
     wait_until_gone(grandchild)
     assert not is_alive(child.pid)
-
-
-def test_a_second_interrupt_does_not_stop_the_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, '_MAX_END_S', 0.5)
-    # It answers SIGTERM by interrupting its parent, and stays.
-    code = (
-        'import os,signal,time\n'
-        'signal.signal(15, lambda *_: os.kill(os.getppid(), 2)); print("ready", flush=True)\n'
-        'while True: time.sleep(900)'
-    )
-    monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
-    with ProcessGroup(tmp_path) as group:
-        child = group.start('stubborn')
-        _wait_for(tmp_path / 'stubborn.log', 'ready')
-        assert group.stop() == ('stubborn',)
-    assert child.returncode == -signal.SIGKILL
 
 
 def test_child_ends_with_a_parent_that_was_killed() -> None:

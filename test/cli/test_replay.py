@@ -22,7 +22,10 @@ from trainid_ros.stream.sample_stream import Contradiction
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+
+    from test.cli.conftest import Change
 
 FINDING = ('input_finding', 'input_finding_begin_s', 'input_finding_end_s')
 START_NS = 1_700_000_000 * NS_PER_S
@@ -97,25 +100,19 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, printed: Printed
     assert answer['rejected'] == {reason.name: count for reason, count in outcome.resistance.rejections}
 
 
-def test_summary_shows_estimates_reasons_and_speed(printed: Printed) -> None:
-    wanted_words = (
-        *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'rejected: braking', 'used'),
-        *('resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a'),
-    )
-    for wanted in wanted_words:
+def test_summary_shows_estimates_reasons_and_what_to_drive(printed: Printed) -> None:
+    for wanted in (
+        'x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'rejected: braking', 'used',
+        'resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a',
+    ):  # fmt: skip
         assert wanted in printed.text
-
-
-def test_what_to_drive_is_said_where_a_parameter_is_not_seen(printed: Printed) -> None:
-    drive = json.loads(printed.out)['suggested_drive']
+    answer = json.loads(printed.out)
+    drive, fastest = answer['suggested_drive'], answer['resistance']['speed_range'][1]
     assert f'to learn more: {drive["text"]}' in printed.text
     least = drive['std'][drive['least_known']]
     assert least['then'] < least['now'] > least['wanted']
     assert drive['duration_s'] > 0.0 < drive['length_m']
-
-
-def test_speed_outside_those_learned_from_is_marked(printed: Printed) -> None:
-    fastest = json.loads(printed.out)['resistance']['speed_range'][1]
+    # Speeds outside those learned from are marked.
     lines = [line for line in printed.text.splitlines() if line.startswith('w at')]
     assert [('*' in line) for line in lines] == [speed > fastest for speed in (10.0, 15.0, 20.0)]
 
@@ -145,14 +142,14 @@ def test_parameters_of_the_nodes_hold(driven_bag: Path, tmp_path: Path, capsys: 
     ],
 )
 def test_wrong_choices_are_named_in_one_line(
-    driven_bag: Path, options: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
+    driven_bag: Path, options: tuple[str, ...], reason: str, one_error: Callable[[], str]
 ) -> None:
     assert call(driven_bag, *options) == 2
-    assert reason in one_line(capsys)
+    assert reason in one_error()
 
 
 def test_out_is_a_bag_and_is_never_overwritten(
-    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], one_error: Callable[[], str]
 ) -> None:
     out = tmp_path / 'out'
     assert call(driven_bag, '--out', str(out)) == 0
@@ -162,7 +159,7 @@ def test_out_is_a_bag_and_is_never_overwritten(
     before = sorted((item.name, item.stat().st_size) for item in out.iterdir())
     capsys.readouterr()
     assert call(driven_bag, '--out', str(out)) == 2
-    assert one_line(capsys) == f'trainid: error: {out}: exists already and is not overwritten'
+    assert one_error() == f'trainid: error: {out}: exists already and is not overwritten'
     assert sorted((item.name, item.stat().st_size) for item in out.iterdir()) == before
 
 
@@ -170,17 +167,13 @@ def test_out_is_a_bag_and_is_never_overwritten(
 def test_report_is_written_with_the_truth_of_the_bag(driven_bag: Path, tmp_path: Path) -> None:
     report = tmp_path / 'new' / 'report.html'
     assert call(driven_bag, '--report', str(report)) == 0
-    text = report.read_text(encoding='utf-8')
-    assert 'error / std' in text
+    assert 'error / std' in report.read_text(encoding='utf-8')
 
 
 def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
-    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driven_bag: Path, changed: Change, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / 'sign'
-    with BagReader(driven_bag) as reader, BagWriter(path) as writer:
-        for record in reader.records():
-            writer.write_record(replace(record, force=-record.force) if isinstance(record, ForceRecord) else record)
+    path = changed(lambda item: replace(item, force=-item.force) if isinstance(item, ForceRecord) else item)
     call(path, '--json', train=driven_bag / 'train.yaml')
     answer = json.loads(capsys.readouterr().out)
     finding, begin_s, end_s = (answer[key] for key in FINDING)
@@ -205,12 +198,12 @@ def test_a_wrong_sign_of_the_brake_is_said(
 
 
 def test_wrong_truth_is_reported_before_the_work(
-    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driven_bag: Path, tmp_path: Path, one_error: Callable[[], str]
 ) -> None:
     wrong = tmp_path / 'truth.yaml'
     wrong.write_text('start_ns: 0\n', encoding='utf-8')
     assert call(driven_bag, '--report', str(tmp_path / 'r.html'), '--truth', str(wrong)) == 2
-    assert 'truth.yaml' in one_line(capsys)
+    assert 'truth.yaml' in one_error()
     assert not (tmp_path / 'r.html').exists()
 
 
@@ -218,53 +211,37 @@ def test_standing_train_is_no_answer_and_says_why(standing_bag: Path, capsys: py
     assert call(standing_bag, '--json') == 1
     out, err = capsys.readouterr()
     answer: dict[str, Any] = json.loads(out)
-    assert answer['used'] == 0
-    assert answer['resistance']['speed_range'] == [None, None]
+    assert (answer['used'], answer['resistance']['speed_range']) == (0, [None, None])
     assert err.count('\n') == 1
-    assert 'nothing was learned' in err
-    assert 'STANDSTILL' in err
+    assert all(wanted in err for wanted in ('nothing was learned', 'STANDSTILL'))
 
 
-def test_missing_topic_is_bad_input(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
-        for record in reader.records():
-            if not isinstance(record, GradientRecord):
-                writer.write_record(record)
-    assert call(tmp_path / 'blind', '--json', train=driven_bag / 'train.yaml') == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    assert 'blind' in err
-    assert 'ato/gradient' in err
-    assert err.count('\n') == 1
+def test_what_is_missing_is_bad_input(driven_bag: Path, changed: Change, one_error: Callable[[], str]) -> None:
+    blind, nothing = changed(lambda item: None if isinstance(item, GradientRecord) else item), driven_bag / 'nothing'
+    assert call(blind, '--json', train=driven_bag / 'train.yaml') == 2
+    assert 'changed: no messages on ato/gradient' in one_error()
+    for bag, train in ((nothing, driven_bag / 'train.yaml'), (driven_bag, nothing)):
+        assert call(bag, train=train) == 2
+        assert str(nothing) in one_error()
 
 
-@pytest.mark.parametrize('missing', ['bag', 'train'])
-def test_missing_files_are_bad_input(
-    missing: str, tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]
+def test_failed_replay_leaves_no_bag_behind(
+    driven_bag: Path, tmp_path: Path, standing_bag: Path, changed: Change
 ) -> None:
-    nothing = tmp_path / 'nothing'
-    code = call(nothing, train=driven_bag / 'train.yaml') if missing == 'bag' else call(driven_bag, train=nothing)
-    assert code == 2
-    assert str(nothing) in one_line(capsys)
-
-
-def test_failed_replay_leaves_no_bag_behind(driven_bag: Path, tmp_path: Path, standing_bag: Path) -> None:
     # No answer is an answer about the data: the bag is complete and stays.
     assert call(standing_bag, '--out', str(tmp_path / 'kept')) == 1
     assert (tmp_path / 'kept' / 'metadata.yaml').is_file()
-    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
-        for record in reader.records():
-            if not isinstance(record, ForceRecord):
-                writer.write_record(record)
-    code = call(tmp_path / 'blind', '--out', str(tmp_path / 'gone'), train=driven_bag / 'train.yaml')
-    assert code == 2
+    blind = changed(lambda item: None if isinstance(item, ForceRecord) else item)
+    assert call(blind, '--out', str(tmp_path / 'gone'), train=driven_bag / 'train.yaml') == 2
     assert not (tmp_path / 'gone').exists()
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    err = capsys.readouterr().err
-    assert err.count('\n') == 1
-    return err.strip()
+def test_two_outputs_are_not_one_file(tmp_path: Path, driven_bag: Path, one_error: Callable[[], str]) -> None:
+    report, link = tmp_path / 'report.html', tmp_path / 'link.html'
+    link.symlink_to(report)
+    for out in (report, tmp_path / 'folder' / '..' / 'report.html', link):
+        assert call(driven_bag, '--out', str(out), '--report', str(report)) == 2
+        assert f'{report}: is given for two outputs' in one_error()
 
 
 def test_a_report_overwrites_no_input(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

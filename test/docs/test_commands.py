@@ -17,7 +17,7 @@ import pytest
 
 from benchmarks.run import PARTS
 from tools.documents import ROOT, Block, blocks, documents
-from trainid_ros.cli.main import VERBS
+from trainid_ros.cli.arguments import VERBS, add_options
 
 TRAINID = '.venv/bin/trainid'
 # Command lines that are only checked, by how they begin and with the reason.
@@ -115,9 +115,9 @@ def check(text: str) -> None:
 
 
 def check_verb(name: str, arguments: list[str]) -> None:
-    (configure,) = (verb.configure for verb in VERBS if verb.name == name)
+    (verb,) = (verb for verb in VERBS if verb.name == name)
     parser = argparse.ArgumentParser(prog=name)
-    configure(parser)
+    add_options(verb, parser)
     parser.parse_args(arguments)
     for word in arguments:
         if word.startswith(('bags/', 'config/')):

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
-from trainid_ros.cli.main import VERBS
+from trainid_ros.cli.arguments import VERBS
 from trainid_ros.client import TrainModel
 from trainid_ros.inputs import mapping
 from trainid_ros.interface.errors import TrainIdError

@@ -161,14 +161,11 @@ def test_several_trains_have_a_line_each(driven: Driven) -> None:
     assert second.startswith('/a ')
     assert second.count('VALID') == 3
     assert second.count('2.006 ± 0.283') == 1
+    for width in (60, 80):
+        lines = drawn(driven('/depot/train_12', '/line'), width, 24)[2:4]
+        assert [line.split()[0] for line in lines] == ['/depot/train_12', '/line']
+        assert all('68.5 km/h' in line for line in lines)
     assert finding.startswith('/b STALE ato/force: no message')
-
-
-@pytest.mark.parametrize('width', [60, 80])
-def test_names_of_several_trains_are_not_cut_on_a_small_terminal(driven: Driven, width: int) -> None:
-    lines = drawn(driven('/depot/train_12', '/line'), width, 24)
-    assert [line.split()[0] for line in lines[2:4]] == ['/depot/train_12', '/line']
-    assert all('68.5 km/h' in line for line in lines[2:4])
 
 
 def test_control_characters_of_others_do_not_reach_the_terminal(driven: Driven) -> None:

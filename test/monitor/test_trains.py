@@ -62,7 +62,8 @@ def test_time_in_a_status_starts_with_it(driven: Driven) -> None:
     trains = driven()
     feed(trains.by_namespace['/'], 10.0, 13.0, Status.HOLDING)
     brake = view(trains, 12.9).estimates[2]
-    assert (brake.status, brake.status_s) == (Status.HOLDING, pytest.approx(2.9))
+    assert brake.status is Status.HOLDING
+    assert brake.status_s == pytest.approx(2.9)
     feed(trains.by_namespace['/'], 3600.0, 3602.0)  # time without a node is no time in a status
     first = view(trains, 3601.9).estimates[0]
     assert (round(first.status_s, 1), first.is_longer) == (1.9, True)

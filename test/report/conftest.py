@@ -17,7 +17,7 @@ from trainid_ros.interface.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.report.drive_report import Chapter, RejectionCounts
+from trainid_ros.report.drive_report import Chapter
 from trainid_ros.report.recording import Recorder
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.train_file import Davis, Train, TrainFile
@@ -79,10 +79,10 @@ def make_chapter() -> Callable[..., Chapter]:
             resistance=output(seconds, RESISTANCE, Status.HOLDING),
             speed_model=output(seconds, MODEL, Status.HOLDING),
             brake_rate=output(seconds, BRAKE, Status.HOLDING),
-            rejections=(
-                RejectionCounts('resistance', ((Reason.BRAKING, 60), (Reason.STANDSTILL, 60))),
-                RejectionCounts('brake rate', ((Reason.NOT_BRAKING, 120),)),
-            ),
+            rejections={
+                'resistance': {Reason.BRAKING: 60, Reason.STANDSTILL: 60},
+                'brake rate': {Reason.NOT_BRAKING: 120},
+            },
             truth=truth,
             notes=('a note',),
         )

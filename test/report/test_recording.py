@@ -18,12 +18,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Output, ResistanceEstimate, Status
 from trainid_ros.report.recording import CAPACITY, PlausibleStamps, Recorder
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
@@ -62,15 +57,11 @@ def test_long_track_is_thinned_evenly_and_ends_with_the_newest() -> None:
     np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
 
 
-def test_greatest_test_ratio_is_kept_by_thinning() -> None:
+def test_of_the_test_ratios_the_greatest_is_kept_and_repeated_ones_are_not() -> None:
     track = outputs(4 * CAPACITY, test_ratio=lambda i: 50.0 if i == 1234 else 0.1).finish().resistance
     assert track.ratios.values.max() == 50.0
     assert track.ratios.time_s[track.ratios.values.argmax()] == pytest.approx(1234 / 5)
-
-
-def test_repeated_innovation_is_plotted_once() -> None:
-    track = outputs(50, innovation=lambda i: float(i // 10)).finish().resistance
-    assert len(track.ratios.values) == 5
+    assert len(outputs(50, innovation=lambda i: float(i // 10)).finish().resistance.ratios.values) == 5
 
 
 @pytest.mark.parametrize(
@@ -107,24 +98,18 @@ def test_an_unknown_speed_is_a_gap() -> None:
     assert recording.drive()[1].tolist() == [5.0, 6.0]
 
 
-def test_inputs_may_be_recorded_after_the_outputs() -> None:
+def test_inputs_may_be_recorded_after_the_outputs_or_not_at_all() -> None:
     recorder = outputs(10_000)
     for i in range(10):
         recorder.add_record(SpeedRecord(START_NS + i * NS_PER_S, 5.0, 0.0))
     assert len(recorder.finish().drive()[0]) == 10
-
-
-def test_no_input_gives_an_empty_recording() -> None:
     recording = Recorder().finish()
     assert recording.resistance.theta.shape == (0, 3)
     assert recording.resistance.covariance.shape == (0, 3, 3)
-    assert recording.modes == ()
-    assert recording.duration_s == 0.0
+    assert (recording.modes, recording.duration_s) == ((), 0.0)
 
 
-@pytest.fixture
-def paused(tmp_path: Path) -> Path:
-    """Return a bag with a pause of a quarter of an hour."""
+def test_inputs_after_a_pause_are_shown(tmp_path: Path) -> None:
     with BagReader(BAG) as reader:
         records = list(reader.records())
     end_ns = records[0].stamp_ns + DRIVEN_S * NS_PER_S
@@ -132,15 +117,10 @@ def paused(tmp_path: Path) -> Path:
         for record in records:
             later = record.stamp_ns + (900 * NS_PER_S if record.stamp_ns > end_ns else 0)
             writer.write_record(replace(record, stamp_ns=later), later)
-    return tmp_path / 'paused'
-
-
-def test_inputs_after_a_pause_are_shown(paused: Path) -> None:
     file, settings = load_train_file(BAG / 'train.yaml'), EstimatorSettings()
-    factories: Any = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
-    pipelines = Pipelines(*(make(file, settings) for make in factories))
+    pipelines = Pipelines(*(kind.pipeline(file, settings) for kind in KINDS))
     recorder = Recorder()
-    with BagReader(paused) as reader:
+    with BagReader(tmp_path / 'paused') as reader:
         stamps = [record.stamp_ns for record in reader.records() if isinstance(record, SpeedRecord)]
         replay_through(pipelines, reader, None, (recorder,))
     recording = recorder.finish()

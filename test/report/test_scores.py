@@ -20,10 +20,7 @@ def test_resistance_and_its_standard_deviation() -> None:
     P = np.array([[4.0, -0.1, 0.0], [-0.1, 0.01, 0.0], [0.0, 0.0, 1e-4]])
     # phi = (1, 10, 100): 4 - 2 * 10 * 0.1 + 100 * 0.01 + 10000 * 1e-4 = 4
     assert resistance_std(P, 10.0) == pytest.approx(2.0)
-
-
-def test_negative_variance_by_rounding_gives_zero_deviation() -> None:
-    assert resistance_std(np.diag([-1e-18, 0.0, 0.0]), 5.0) == 0.0
+    assert resistance_std(np.diag([-1e-18, 0.0, 0.0]), 5.0) == 0.0  # negative by rounding
 
 
 def test_scores_follow_steps_of_the_truth(make_chapter: Callable[..., Any]) -> None:
@@ -53,15 +50,12 @@ def test_no_score_without_a_true_brake_rate_or_a_usable_output(make_chapter: Cal
     assert score_brake_rate(make_chapter(120).recording, Truth(0, ((0.0, 1.0, 0.0, 0.0),))) is None
 
 
-def test_modes_follow_force_brake_and_speed(make_chapter: Callable[..., Any]) -> None:
-    modes = make_chapter(240).recording.modes
+def test_modes_statuses_and_observability_are_spans(make_chapter: Callable[..., Any]) -> None:
+    recording = make_chapter(240).recording
+    modes = recording.modes
     assert [span.label for span in modes] == ['traction', 'coast', 'brake', 'standstill'] * 2
     assert all(first.end_s == second.start_s for first, second in pairwise(modes))
     assert [span.end_s - span.start_s for span in modes[:-1]] == [30.0] * 7
-
-
-def test_statuses_and_observability_are_spans(make_chapter: Callable[..., Any]) -> None:
-    recording = make_chapter(240).recording
     assert [span.label for span in recording.resistance.statuses[:3]] == ['CONVERGING', 'VALID', 'HOLDING']
     assert [(span.start_s, span.end_s) for span in recording.observable] == [(60.0, 90.0), (180.0, 210.0)]
     assert recording.duration_s == 239.0

@@ -10,21 +10,8 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.explain.result import Alternative, Explanation, Gap, Verdict
-from trainid_ros.report.words import (
-    alternatives,
-    davis_rows,
-    drive_text,
-    gap_sentence,
-    headline,
-    how_sure,
-    join,
-    noise_rows,
-    parameters_text,
-    plus_minus,
-    sigmas_from_neutral,
-    strong_text,
-    strongest,
-)
+from trainid_ros.report import words
+from trainid_ros.report.words import alternatives, drive_text, gap_sentence, headline, how_sure, parameters_text
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Explanation]
@@ -43,11 +30,16 @@ Make = Callable[..., Explanation]
     ],
 )
 def test_values_are_rounded_by_their_std(value: float, std: float, text: str) -> None:
-    assert plus_minus(value, std) == text
+    assert words.plus_minus(value, std) == text
 
 
 def test_enumerations() -> None:
-    assert [join([]), join(['a']), join(['a', 'b']), join(['a', 'b', 'c'])] == ['', 'a', 'a and b', 'a, b and c']
+    assert [words.join([]), words.join(['a']), words.join(['a', 'b']), words.join(['a', 'b', 'c'])] == [
+        '',
+        'a',
+        'a and b',
+        'a, b and c',
+    ]
 
 
 def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
@@ -70,15 +62,12 @@ def test_effect_is_reported_with_units_and_evidence(make_explanation: Make) -> N
     assert parameters_text(effect) == 'start = 300 ± 12 m, end = 500.0 ± 9.0 m and permille = 1.500 ± 0.050 per mille'
     # e^24 to one, and 1.5 over 0.05
     assert how_sure(effect).startswith('evidence 48: the data are more than a million times')
-    assert sigmas_from_neutral(effect) == pytest.approx(30.0)
+    assert words.sigmas_from_neutral(effect) == pytest.approx(30.0)
     assert 'are 4e+02 times' in how_sure(replace(effect, evidence=12.0))
-
-
-def test_effect_not_in_the_library(make_explanation: Make) -> None:
-    effect = replace(make_explanation().effects[0], name='snow')
-    assert sigmas_from_neutral(effect) is None
-    assert parameters_text(effect).endswith('permille = 1.500 ± 0.050')
-    assert 'std' not in how_sure(effect)
+    unknown = replace(effect, name='snow')  # not in the library
+    assert words.sigmas_from_neutral(unknown) is None
+    assert parameters_text(unknown).endswith('permille = 1.500 ± 0.050')
+    assert 'std' not in how_sure(unknown)
 
 
 def test_alternatives_name_the_test_run_that_distinguishes_them(make_explanation: Make) -> None:
@@ -100,19 +89,16 @@ def test_gap_sentence(make_explanation: Make) -> None:
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
 
 
-def test_parts_with_most_missing_resistance(make_explanation: Make) -> None:
+def test_parts_with_most_missing_resistance_and_table_rows(make_explanation: Make, stated: TrainFile) -> None:
     # Runs are not a cause, and parts within 3 std of zero are left out.
-    found = strongest(make_explanation())
+    found = words.strongest(make_explanation())
     assert [strong.where for strong in found] == ['at 300 to 400 m', 'at 400 to 500 m']
-    assert strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled'
-
-
-def test_table_rows(make_explanation: Make, stated: TrainFile) -> None:
-    rows = davis_rows(make_explanation(), stated)
-    assert rows[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
-    assert ('speeds excluded (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
-    assert ('error of the weighed load', '0.3', '% of the mass') in noise_rows(make_explanation())
-    assert any('not weighed)' in name for name, _, _ in noise_rows(make_explanation(weighed=False)))
+    assert words.strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled'
+    assert words.davis_rows(make_explanation(), stated)[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
+    rows = words.noise_rows(make_explanation())
+    assert ('speeds excluded (slip, outliers)', '1.2', '%') in rows
+    assert ('error of the weighed load', '0.3', '% of the mass') in rows
+    assert any('not weighed)' in name for name, _, _ in words.noise_rows(make_explanation(weighed=False)))
 
 
 def test_drive_text(make_explanation: Make) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of all verbs, apart from their code: help and usage errors come before that is loaded."""
+"""The verbs and their options, apart from their code: help and usage errors come before that is loaded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import argparse
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,330 +19,14 @@ DEMO_RATE: Final = 70.0
 """Rate at which two cores keep up with four nodes, player and listener [x real time]."""
 DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
-_MAX_CHUNK_MB: Final = 64
-_MAX_MB: Final = 4095  # offsets within a chunk have 32 bits
-_NAMESPACE: Final = re.compile(r'/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?', re.ASCII)
-_FALSE_ALARM_DAYS: Final = 20_000.0
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
-
-
-def configure_demo(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``demo``."""
-    parser.add_argument(
-        'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
-    )
-    parser.add_argument(
-        '--rate',
-        type=positive,
-        default=DEMO_RATE,
-        metavar='R',
-        help=f'playback rate, x real time (default: {DEMO_RATE:g})',
-    )
-    parser.add_argument(
-        '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
-    )
-    parser.add_argument('--only', choices=(*DEMO_BAGS, EXPLAIN_CHAPTER), help='run only this chapter')
-    parser.add_argument('--quick', action='store_true', help=f'only the first {DEMO_QUICK_S:g} s of each bag')
-    _add_json(parser)
-
-
-def configure_run(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``run``."""
-    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
-    _add_map(parser, 'mapping file (parameter mapping_file): inputs from other topics, types and units')
-    parser.add_argument(
-        '--node', action='append', choices=LIVE_NODES, metavar='NAME', help='run only this node; repeatable'
-    )
-    _add_ros_args(parser)
-
-
-def configure_monitor(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``monitor``."""
-    parser.add_argument('--namespace', metavar='NAME', help='namespace of the train (default: all trains found)')
-    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='end after this many seconds')
-    _add_ros_args(parser)
-
-
-def configure_view(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``view``."""
-    _add_bag(parser)
-    _add_map(parser)
-    _add_max_chunk(parser)
-    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (default: train.yaml in the bag)')
-    _add_settings(parser)
-    parser.add_argument('--out', type=Path, metavar='FILE.rrd', help='write a recording instead of opening the viewer')
-    _add_namespace(parser, 'topics and nodes')
-
-
-def configure_replay(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``replay``."""
-    _add_bags(parser)
-    _add_map(parser)
-    _add_max_chunk(parser)
-    _add_train(parser)
-    _add_settings(parser)
-    parser.add_argument(
-        '--out',
-        type=Path,
-        metavar='OUT',
-        help='write inputs and estimates to a new bag, or estimates to a table if it ends in .parquet or .csv; of '
-        'several bags, to one bag each in this folder',
-    )
-    parser.add_argument(
-        '--report',
-        type=Path,
-        metavar='FILE.html',
-        help='write a report with plots; of several bags, one each in this folder',
-    )
-    parser.add_argument(
-        '--truth', type=Path, metavar='FILE', help='truth for the report (default: truth.yaml in the bag, if any)'
-    )
-    _add_jobs(parser)
-    _add_namespace(parser, 'topics and nodes')
-    _add_json(parser)
-
-
-def configure_play(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``play``."""
-    _add_bag(parser)
-    _add_map(parser, 'mapping file: also play the topics that it names')
-    _add_max_chunk(parser)
-    parser.add_argument(
-        '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
-    )
-    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only this many seconds')
-    parser.add_argument('--loop', action='store_true', help='start over at the end')
-    parser.add_argument(
-        '--wait',
-        type=int,
-        default=0,
-        metavar='N',
-        help='wait for this many subscribers on each topic before starting; run with --map subscribes once to each',
-    )
-    _add_namespace(parser, 'the topics in the bag')
-    _add_ros_args(parser)
-
-
-def configure_simulate(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``simulate``."""
-    # Imported here because other verbs need not load it.
-    from trainid_ros.sim.worlds import (  # noqa: PLC0415
-        REALISMS,
-        UNKNOWNS,
-        WORLDS,
-    )
-
-    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
-    parser.add_argument(
-        '--train', type=Path, metavar='T.yaml', help='the true train; with --world the train as an engineer states it'
-    )
-    parser.add_argument('--world', choices=tuple(WORLDS), help='type of railway: train, line and driver')
-    parser.add_argument(
-        '--realism',
-        choices=tuple(REALISMS),
-        help='clean: the train file is exact; field: it has errors as on real trains (default: clean)',
-    )
-    parser.add_argument(
-        '--unknown',
-        action='append',
-        default=[],
-        choices=UNKNOWNS,
-        metavar='NAME',
-        help=f'quantity that is wrong in the train file or missing from it; repeatable: {", ".join(UNKNOWNS)}',
-    )
-    parser.add_argument(
-        '--effect',
-        action='append',
-        default=[],
-        metavar='NAME:key=value',
-        help='add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable',
-    )
-    parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
-    parser.add_argument(
-        '--seed', type=whole, default=1, metavar='S', help='seed of the random numbers, >= 0 (default: 1)'
-    )
-    _add_json(parser)
-
-
-def configure_fit(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``fit``."""
-    _add_bag(parser)
-    _add_map(parser)
-    _add_max_chunk(parser)
-    _add_train(parser)
-    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument(
-        '--duration', type=not_negative, default=math.inf, metavar='S', help='fit only this many seconds'
-    )
-    _add_namespace(parser)
-    _add_json(parser)
-
-
-def configure_explain(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``explain``."""
-    _add_bags(parser)
-    _add_map(parser)
-    _add_max_chunk(parser)
-    _add_train(parser, 'train file: the model to check')
-    parser.add_argument(
-        '--out', type=Path, metavar='DIR', help='write report.html, report.json and the new train.yaml there'
-    )
-    _add_namespace(parser)
-    _add_json(parser)
-
-
-def configure_info(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``info``."""
-    _add_bags(parser)
-    _add_map(parser, 'mapping file: check the inputs that it makes')
-    parser.add_argument(
-        '--suggest-map', action='store_true', help='print a mapping file for a bag, with reasons as comments'
-    )
-    parser.add_argument(
-        '--train', type=Path, metavar='T.yaml', help='train file: its mass shows units, its line has gradients'
-    )
-    _add_max_chunk(parser)
-    _add_jobs(parser)
-    _add_namespace(parser)
-    _add_json(parser)
-
-
-def configure_import(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``import``."""
-    parser.add_argument('file', type=Path, metavar='FILE', help='table: .csv, .parquet or .npz')
-    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
-    parser.add_argument(
-        '--map', type=Path, required=True, metavar='MAPPING.yaml', help='mapping file: inputs from columns and units'
-    )
-    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file, if the gradient comes from its line')
-    _add_json(parser)
-
-
-def configure_fleet(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``fleet``."""
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='bags, folders that hold bags, or patterns')
-    _add_map(parser)
-    _add_max_chunk(parser)
-    _add_train(parser)
-    _add_params(parser)
-    parser.add_argument(
-        '--out', type=Path, required=True, metavar='TABLE.parquet', help='table to write; .csv needs no pyarrow'
-    )
-    parser.add_argument(
-        '--label',
-        metavar='REGEX',
-        help='regular expression on the path of a bag; its named groups train, line, weather and day are columns '
-        '(default: the train is the folder that holds the bag)',
-    )
-    parser.add_argument(
-        '--scheduler', metavar='ADDRESS', help='replay on the workers of a Dask scheduler, such as tcp://host:8786'
-    )
-    parser.add_argument(
-        '--replace', action='store_true', help='write over a table of other bags, or made with other files'
-    )
-    _add_jobs(parser, 0)
-    _add_namespace(parser)
-    _add_json(parser)
-
-
-def configure_fleet_report(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``fleet report``."""
-    parser.add_argument('tables', nargs='+', type=Path, metavar='TABLE', help='tables of trainid fleet')
-    parser.add_argument('--out', type=Path, metavar='REPORT.html', help='write a report with plots')
-    parser.add_argument(
-        '--explain', type=whole, default=0, metavar='N', help='name the cause for the N worst trains, from their bags'
-    )
-    parser.add_argument(
-        '--false-alarm-days',
-        type=positive,
-        default=_FALSE_ALARM_DAYS,
-        metavar='D',
-        help=f'train-days for one false alarm (default: {_FALSE_ALARM_DAYS:g})',
-    )
-    _add_json(parser)
-
-
-def _add_bag(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
-
-
-def _add_bags(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
-
-
-def _add_max_chunk(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--max-chunk',
-        type=megabytes,
-        default=_MAX_CHUNK_MB << 20,
-        metavar='MB',
-        help=f'leave out chunks of a bag that unpack to more than this (default: {_MAX_CHUNK_MB})',
-    )
-
-
-def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> None:
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
-
-
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    _add_params(parser)
-    parser.add_argument(
-        '--algorithm',
-        action='append',
-        default=[],
-        metavar='NAME',
-        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
-    )
-
-
-def _add_map(
-    parser: argparse.ArgumentParser, text: str = 'mapping file: inputs from other topics, types and units'
-) -> None:
-    parser.add_argument('--map', type=Path, metavar='MAPPING.yaml', help=text)
-
-
-def _add_params(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--params',
-        type=Path,
-        metavar='FILE.yaml',
-        help='ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given',
-    )
-
-
-def _add_jobs(parser: argparse.ArgumentParser, default: int = 1) -> None:
-    parser.add_argument(
-        '--jobs',
-        type=whole,
-        default=default,
-        metavar='N',
-        help=f'bags to work on at once, each in its own process; 0 = one per processor (default: {default})',
-    )
-
-
-def _add_namespace(parser: argparse.ArgumentParser, of: str = 'the topics') -> None:
-    parser.add_argument('--namespace', type=namespace, default='/', help=f'namespace of {of} (default: /)')
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--json', action='store_true', help='print JSON on standard output and nothing else there')
-
-
-def _add_ros_args(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--ros-args',
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar='...',
-        help='remaining arguments are passed to ROS; must come last',
-    )
+_MAX_MB: Final = 4095  # offsets within a chunk have 32 bits
 
 
 def namespace(text: str) -> str:
     """Return a namespace that ROS allows; ArgumentTypeError for anything else."""
-    if _NAMESPACE.fullmatch(text) is None:
+    if re.fullmatch(r'/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?', text, re.ASCII) is None:
         raise argparse.ArgumentTypeError(
             f'{text!r} is no namespace: letters, digits and underscores, parts separated by /'
         )
@@ -351,15 +35,15 @@ def namespace(text: str) -> str:
 
 def positive(text: str) -> float:
     """Return a finite number above zero; ArgumentTypeError for anything else."""
-    return _number(text, 'a number > 0', lambda value: value > 0.0)
+    return _finite(text, 'a number > 0', lambda value: value > 0.0)
 
 
 def not_negative(text: str) -> float:
     """Return a finite number, zero or above; ArgumentTypeError for anything else."""
-    return _number(text, 'a number >= 0', lambda value: value >= 0.0)
+    return _finite(text, 'a number >= 0', lambda value: value >= 0.0)
 
 
-def _number(text: str, wanted: str, is_wanted: Callable[[float], bool]) -> float:
+def _finite(text: str, wanted: str, is_wanted: Callable[[float], bool]) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -381,3 +65,198 @@ def megabytes(text: str) -> int:
     if not (text.isdecimal() and 1 <= int(text) <= _MAX_MB):
         raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to {_MAX_MB}')
     return int(text) << 20
+
+
+def _path(metavar: str, text: str, **more: Any) -> dict[str, Any]:
+    return {'type': Path, 'metavar': metavar, 'help': text, **more}
+
+
+def _value(kind: Callable[[str], Any], default: Any, metavar: str | None, text: str, **more: Any) -> dict[str, Any]:
+    return {'type': kind, 'default': default, 'metavar': metavar, 'help': text, **more}
+
+
+def _flag(text: str) -> dict[str, Any]:
+    return {'action': 'store_true', 'help': text}
+
+
+def _repeated(text: str, metavar: str = 'NAME', **more: Any) -> dict[str, Any]:
+    return {'action': 'append', 'default': [], 'metavar': metavar, 'help': text, **more}
+
+
+def _namespace(of: str) -> dict[str, Any]:
+    return _value(namespace, '/', None, f'namespace of {of} (default: /)')
+
+
+def _jobs(default: int) -> dict[str, Any]:
+    text = f'bags to work on at once, each in its own process; 0 = one per processor (default: {default})'
+    return _value(whole, default, 'N', text)
+
+
+class Verb(NamedTuple):
+    """One sub-command."""
+
+    name: str
+    help: str
+    options: str  # Names of its arguments, see ``OPTIONS``, in the order of its help
+    function: str = ''  # Module and function; those of its name and ``run`` if empty
+
+
+VERBS: Final = (
+    Verb('demo', 'play a bag through the live nodes and write a report', 'bag --rate --out --only --quick --json'),
+    Verb('run', 'run the estimator nodes live', '--train --map --node --ros-args', 'live.run_nodes'),
+    Verb(
+        'monitor', 'show inputs, estimates and diagnostics live in a terminal', '--namespace --duration --ros-args',
+        'live.monitor',
+    ),
+    Verb(
+        'view', 'show a bag and its estimates in the Rerun viewer',
+        'bag --map --max-chunk --train --params --algorithm --out --namespace',
+    ),
+    Verb(
+        'replay', 'run the estimators over bags, off line',
+        'bags --map --max-chunk --train --params --algorithm --out --report --truth --jobs --namespace --json',
+    ),
+    Verb(
+        'play', "publish a bag's inputs with /clock",
+        'bag --map --max-chunk --rate --start --duration --loop --wait --namespace --ros-args', 'live.play',
+    ),
+    Verb(
+        'simulate', 'create a bag with the simulator',
+        'out --train --world --realism --unknown --effect --runs --seed --json', 'new_bag.simulate',
+    ),
+    Verb(
+        'fit', 'fit Davis parameters to a bag in one batch',
+        'bag --map --max-chunk --train --start --duration --namespace --json',
+    ),
+    Verb(
+        'explain', 'find the effects that a train file lacks and add them',
+        'bags --map --max-chunk --train --out --namespace --json',
+    ),
+    Verb(
+        'info', 'show what is in bags and whether they can be used',
+        'bags --map --suggest-map --train --max-chunk --jobs --namespace --json',
+    ),
+    Verb(
+        'import', 'make a bag of a table: CSV, Parquet or npz', 'file out --map --train --json', 'new_bag.import_table'
+    ),
+    Verb(
+        'fleet', 'replay the bags of a fleet into a table',
+        'bags --map --max-chunk --train --params --out --label --scheduler --replace --jobs --namespace --json',
+    ),
+    Verb(
+        'fleet report', 'find the trains that stand out in a table', 'tables --out --explain --false-alarm-days --json',
+        'fleet.report',
+    ),
+)  # fmt: skip
+
+OPTIONS: Final[dict[str, dict[str, Any]]] = {
+    'bag': _path('BAG', 'rosbag2 directory, .mcap or .db3 file'),
+    'demo bag': _path('BAG', 'bags with train.yaml inside (default: those of the package)', nargs='*'),
+    'bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file', nargs='+'),
+    'fleet bags': _path('BAG', 'bags, folders that hold bags, or patterns', nargs='+'),
+    'tables': _path('TABLE', 'tables of trainid fleet', nargs='+'),
+    'file': _path('FILE', 'table: .csv, .parquet or .npz'),
+    'out': _path('OUT', 'bag to create'),
+    '--map': _path('MAPPING.yaml', 'mapping file: inputs from other topics, types and units'),
+    'run --map': _path(
+        'MAPPING.yaml', 'mapping file (parameter mapping_file): inputs from other topics, types and units'
+    ),
+    'play --map': _path('MAPPING.yaml', 'mapping file: also play the topics that it names'),
+    'info --map': _path('MAPPING.yaml', 'mapping file: check the inputs that it makes'),
+    'import --map': _path('MAPPING.yaml', 'mapping file: inputs from columns and units', required=True),
+    '--suggest-map': _flag('print a mapping file for a bag, with reasons as comments'),
+    '--max-chunk': _value(
+        megabytes, 64 << 20, 'MB', 'leave out chunks of a bag that unpack to more than this (default: 64)'
+    ),
+    '--train': _path('T.yaml', 'train file', required=True),
+    'run --train': _path('T.yaml', 'train file (parameter train_file)'),
+    'view --train': _path('T.yaml', 'train file (default: train.yaml in the bag)'),
+    'simulate --train': _path('T.yaml', 'the true train; with --world the train as an engineer states it'),
+    'explain --train': _path('T.yaml', 'train file: the model to check', required=True),
+    'info --train': _path('T.yaml', 'train file: its mass shows units, its line has gradients'),
+    'import --train': _path('T.yaml', 'train file, if the gradient comes from its line'),
+    '--params': _path(
+        'FILE.yaml', 'ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given'
+    ),
+    '--algorithm': _repeated('algorithm instead of the default, or resistance=NAME and so on; repeatable'),
+    'demo --out': _path('DIR', 'report and logs (default: out/demo)', default=Path('out/demo')),
+    'view --out': _path('FILE.rrd', 'write a recording instead of opening the viewer'),
+    'replay --out': _path(
+        'OUT',
+        'write inputs and estimates to a new bag, or estimates to a table if it ends in .parquet or .csv; of several '
+        'bags, to one bag each in this folder',
+    ),
+    'explain --out': _path('DIR', 'write report.html, report.json and the new train.yaml there'),
+    'fleet --out': _path('TABLE.parquet', 'table to write; .csv needs no pyarrow', required=True),
+    'fleet report --out': _path('REPORT.html', 'write a report with plots'),
+    '--report': _path('FILE.html', 'write a report with plots; of several bags, one each in this folder'),
+    '--truth': _path('FILE', 'truth for the report (default: truth.yaml in the bag, if any)'),
+    'demo --rate': _value(positive, DEMO_RATE, 'R', f'playback rate, x real time (default: {DEMO_RATE:g})'),
+    'play --rate': _value(positive, 1.0, 'R', 'recorded seconds per second (default: 1)'),
+    '--start': _value(not_negative, 0.0, 'S', 'skip the first seconds'),
+    'monitor --duration': _value(positive, 0.0, 'S', 'end after this many seconds'),
+    'play --duration': _value(positive, 0.0, 'S', 'play only this many seconds'),
+    'fit --duration': _value(not_negative, math.inf, 'S', 'fit only this many seconds'),
+    '--loop': _flag('start over at the end'),
+    '--wait': _value(
+        int,
+        0,
+        'N',
+        'wait for this many subscribers on each topic before starting; run with --map subscribes once to each',
+    ),
+    '--only': _value(str, None, None, 'run only this chapter', choices=(*DEMO_BAGS, EXPLAIN_CHAPTER)),
+    '--quick': _flag(f'only the first {DEMO_QUICK_S:g} s of each bag'),
+    '--node': _repeated('run only this node; repeatable', choices=LIVE_NODES),
+    '--world': _value(str, None, None, 'type of railway: train, line and driver'),
+    '--realism': _value(
+        str,
+        None,
+        None,
+        'clean: the train file is exact; field: it has errors as on real trains (default: clean)',
+    ),
+    '--unknown': _repeated('quantity that is wrong in the train file or missing from it; repeatable: '),
+    '--effect': _repeated('add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable', 'NAME:key=value'),
+    '--runs': _value(int, 4, 'N', 'runs from stop to stop (default: 4)'),
+    '--seed': _value(whole, 1, 'S', 'seed of the random numbers, >= 0 (default: 1)'),
+    '--label': _value(
+        str,
+        None,
+        'REGEX',
+        'regular expression on the path of a bag; its named groups train, line, weather and day are columns (default: '
+        'the train is the folder that holds the bag)',
+    ),
+    '--scheduler': _value(str, None, 'ADDRESS', 'replay on the workers of a Dask scheduler, such as tcp://host:8786'),
+    '--replace': _flag('write over a table of other bags, or made with other files'),
+    '--explain': _value(whole, 0, 'N', 'name the cause for the N worst trains, from their bags'),
+    '--false-alarm-days': _value(positive, 20_000.0, 'D', 'train-days for one false alarm (default: 20000)'),
+    '--jobs': _jobs(1),
+    'fleet --jobs': _jobs(0),
+    '--namespace': _namespace('the topics'),
+    'view --namespace': _namespace('topics and nodes'),
+    'replay --namespace': _namespace('topics and nodes'),
+    'play --namespace': _namespace('the topics in the bag'),
+    'monitor --namespace': _value(str, None, 'NAME', 'namespace of the train (default: all trains found)'),
+    '--ros-args': {
+        **{'nargs': argparse.REMAINDER, 'default': [], 'metavar': '...'},
+        'help': 'remaining arguments are passed to ROS; must come last',
+    },
+    '--json': _flag('print JSON on standard output and nothing else there'),
+}
+"""The arguments of all verbs by name; where one verb differs, its name stands before."""
+
+
+def add_options(verb: Verb, parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of a verb."""
+    choices: dict[str, tuple[str, ...]] = {}
+    if verb.name == 'simulate':
+        # Imported here because other verbs need not load it.
+        from trainid_ros.sim.worlds import REALISMS, UNKNOWNS, WORLDS  # noqa: PLC0415
+
+        choices = {'--world': tuple(WORLDS), '--realism': tuple(REALISMS), '--unknown': UNKNOWNS}
+    for name in verb.options.split():
+        settings = OPTIONS.get(f'{verb.name} {name}') or OPTIONS[name]
+        if name in choices:
+            settings = settings | {'choices': choices[name]}
+        if name == '--unknown':
+            settings['help'] += ', '.join(choices[name])
+        parser.add_argument(name, **settings)

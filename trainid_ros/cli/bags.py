@@ -31,12 +31,7 @@ if TYPE_CHECKING:
 def load_setups(
     args: argparse.Namespace, train: Path, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Setup, ...]:
-    """Return the set-ups of the three nodes, by a train file and ``params``, ``algorithm``, ``map`` and ``namespace``.
-
-    Raises:
-        InputError: Train file, mapping or parameters cannot be used.
-    """
-    # Imported here because verbs that replay nothing need not load the estimators.
+    """Return the set-ups of the three nodes by a train file and the options; InputError if a file cannot be used."""
     from trainid_ros.setup.params_file import node_setups  # noqa: PLC0415
 
     foreign = () if args.map is None else load_mapping(args.map).topics
@@ -50,13 +45,7 @@ def load_setups(
 def opened(
     args: argparse.Namespace, inputs: Callable[[], MappedInputs] | None = None, mapping: Mapping = OWN
 ) -> Iterator[BagReader]:
-    """Open ``args.bag`` with a progress bar: a bag without an index is read as a whole for that.
-
-    The other arguments are those of :class:`BagReader`.
-
-    Raises:
-        InputError: If the bag cannot be read.
-    """
+    """Open ``args.bag``, with a progress bar as one without an index is read as a whole; see :class:`BagReader`."""
     with ExitStack() as stack:
         with progress(f'open {args.bag.name}', 1.0) as advance:
             reader = BagReader(args.bag, args.namespace, args.max_chunk, inputs, mapping=mapping, opening=advance)
@@ -64,11 +53,16 @@ def opened(
         yield reader
 
 
+def beside(bag: Path, name: str) -> Path:
+    """Return the path of a file in the folder of a bag."""
+    return (bag if bag.is_dir() else bag.parent) / name
+
+
 @dataclass(frozen=True, slots=True)
 class BagResult:
     """What a command says of one bag."""
 
-    shown: dict[str, Any] | str | None  # JSON object with ``--json``, else text; None if the bag could not be used
+    shown: Any  # JSON object with ``--json``, else text; None if the bag could not be used
     warnings: tuple[str, ...] = ()  # Faults that do not prevent an answer
     error: str = ''  # Why there is no answer, '' if there is one
 
@@ -85,20 +79,26 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
     bags: Sequence[Path] = args.bags
     name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
     with progress(f'{text} {name}', total=len(bags)) as advance:
-        results = map_bags(partial(_attempt, work, args), bags, args.jobs or processors(), advance, _killed)
+        results = map_bags(
+            partial(_attempt, work, args), bags, args.jobs or processors(), advance,
+            killed=lambda bag: BagResult(None, error=killed_message(bag)),
+        )  # fmt: skip
     for line in dict.fromkeys(line for result in results for line in result.warnings):
         warn(line)
     shown = [result.shown for result in results if result.shown is not None]
     if len(bags) > 1 and args.json:
-        print_json([{'bag': bag, **_object(result)} for bag, result in zip(bags, results, strict=True)])
+        answers = zip(bags, results, strict=True)
+        print_json(
+            [{'bag': bag, **(one.shown or {}), **({'error': one.error} if one.error else {})} for bag, one in answers]
+        )
     elif shown and args.json:
         print_json(shown[0])
     elif shown:
         show('\n\n'.join(map(str, shown)))
-    for result in results:
-        if result.error:
-            report_error(result.error)
-    return max(map(_exit_code, results))
+    failed = [result for result in results if result.error]
+    for result in failed:
+        report_error(result.error)
+    return max((EXIT_BAD_INPUT if result.shown is None else EXIT_NO_ANSWER for result in failed), default=0)
 
 
 def _attempt(work: Work, args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
@@ -108,21 +108,6 @@ def _attempt(work: Work, args: argparse.Namespace, bag: Path, advance: Callable[
         return BagResult(None, error=str(error))
     except OSError as error:
         return BagResult(None, error=f'{error.filename or bag}: {error.strerror}')
-
-
-def _killed(bag: Path) -> BagResult:
-    return BagResult(None, error=killed_message(bag))
-
-
-def _object(result: BagResult) -> dict[str, Any]:
-    shown = result.shown if isinstance(result.shown, dict) else {}
-    return {**shown, 'error': result.error} if result.error else shown
-
-
-def _exit_code(result: BagResult) -> int:
-    if not result.error:
-        return 0
-    return EXIT_BAD_INPUT if result.shown is None else EXIT_NO_ANSWER
 
 
 def davis_rows(values: Sequence[float], stds: Sequence[float]) -> list[tuple[str, str, str, str]]:

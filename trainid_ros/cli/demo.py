@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
@@ -33,17 +34,7 @@ from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.report.drive_report import (
-    SPEEDS,
-    Chapter,
-    RejectionCounts,
-    final_truth,
-    resistance_at,
-    resistance_std,
-    score_brake_rate,
-    score_resistance,
-    write_report,
-)
+from trainid_ros.report import drive_report
 from trainid_ros.report.recording import Recorder
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
 from trainid_ros.sim.scenario import Scenario, simulate
@@ -106,12 +97,7 @@ NODES: Final = (*MISSION, V_MILS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if live estimates equal the replayed ones and the effect was found.
-
-    Raises:
-        InputError: A bag, a train file or the output folder cannot be used.
-        NoAnswerError: A process failed.
-    """
+    """Run the demo; return 0 only if live estimates equal the replayed ones and the effect was found."""
 
     def say(text: str) -> None:
         print(for_output(text), file=sys.stderr if args.json else sys.stdout, flush=True)
@@ -156,17 +142,10 @@ def stock_bag(name: str) -> Path:
 
 
 def load_demo_bag(path: Path) -> DemoBag:
-    """Load the train file and, if there is one, the truth in the folder of a bag.
-
-    Raises:
-        InputError: There is no train file in it, or a file cannot be used.
-    """
+    """Load the train file and, if there is one, the truth in the folder of a bag; InputError if one is unusable."""
     train, truth = path / 'train.yaml', path / 'truth.yaml'
     known = load_truth(truth) if truth.is_file() else None
     return DemoBag(path, _TITLES.get(path.name, path.name), train, load_train_file(train), known)
-
-
-# Bags through the live nodes
 
 
 def _live(bags: list[DemoBag], args: argparse.Namespace, report: Path, say: Say) -> list[Played]:
@@ -183,7 +162,7 @@ def _live(bags: list[DemoBag], args: argparse.Namespace, report: Path, say: Say)
         played.append(_conclude(bag, *play_live(bag, args.rate, duration_s, folder, say)))
         for note in played[-1].chapter.notes:
             say(note)
-    write_report('trainid demo', [one.chapter for one in played], report)
+    drive_report.write_report('trainid demo', [one.chapter for one in played], report)
     return played
 
 
@@ -274,13 +253,8 @@ def _subscribed() -> Iterator[tuple[Any, Mapping[Node, Any]]]:
     try:
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
         # Messages are polled, which costs far less than a wait set for each: the callback is never called.
-        yield (
-            listener,
-            {
-                node: listener.create_subscription(message_class(node.kind.topic), node.topic, lambda _: None, qos)
-                for node in NODES
-            },
-        )
+        subscribe = partial(listener.create_subscription, callback=lambda _: None, qos_profile=qos)
+        yield listener, {node: subscribe(message_class(node.kind.topic), node.topic) for node in NODES}
     finally:
         listener.destroy_node()
         rclpy.try_shutdown(context=context)
@@ -300,14 +274,16 @@ class Published:
         """Take in an output; return False for a repeat."""
         if output.status is Status.STALE and output.stamp_ns == (self.digests[-1][0] if self.digests else 0):
             return False
-        values = [_plain(getattr(output.estimate, item.name)) for item in fields(output.estimate)]
+        values = _values(output.estimate, type(output.estimate))
         self.digests.append((output.stamp_ns, hash(repr(values))))
         self.newest = output
         return True
 
 
-def _plain(value: Any) -> Any:
-    return tuple(map(float, value)) if hasattr(value, '__len__') else value
+def _values(source: Any, kind: type[Any]) -> dict[str, Any]:
+    """Return the fields of an estimate, of which a message may hold some as arrays."""
+    values = ((item.name, getattr(source, item.name)) for item in fields(kind))
+    return {name: tuple(map(float, value)) if hasattr(value, '__len__') else value for name, value in values}
 
 
 class Live:
@@ -337,14 +313,12 @@ class Live:
 
     def lacks(self, replayed: Replayed) -> bool:
         """Return whether a node has published fewer estimates than its replay."""
-        both = ((self.published[node].digests, replayed.published[node].digests) for node in NODES)
-        return any(len(live) < len(expected) for live, expected in both)
+        return any(len(one.digests) < len(replayed.published[node].digests) for node, one in self.published.items())
 
     def _receive(self, node: Node, message: Any) -> bool:
         kind = node.kind.topic.estimate
-        estimate = kind(**{item.name: _plain(getattr(message, item.name)) for item in fields(kind)})
         counts = int(message.used), int(message.rejected)
-        output: Any = Output(stamp_of(message), estimate, status_of(message), *counts, None)
+        output: Any = Output(stamp_of(message), kind(**_values(message, kind)), status_of(message), *counts, None)
         is_new = self.published[node].add(output)
         if is_new:
             (self.v_mils if node is V_MILS else self.recorder).on_output(output)
@@ -368,9 +342,6 @@ def line(newest: Mapping[Node, Output[Any]], truth: Truth | None) -> str:
             value = f'mass factor {e.mass_factor:.3f}'
         parts.append(f'{value}{known} {output.status.name}, {output.used} used, {output.rejected} rejected')
     return '  '.join(parts)
-
-
-# Live against replay and truth
 
 
 class Comparison(NamedTuple):
@@ -407,14 +378,14 @@ def compare(received: list[tuple[int, int]], replayed: list[tuple[int, int]]) ->
 class Played(NamedTuple):
     """A bag that was played live and replayed: its chapter of the report, and its part of the JSON output."""
 
-    chapter: Chapter
+    chapter: drive_report.Chapter
     answer: dict[str, Any]
     worked: bool  # True if every live estimate equals its replayed one
 
     def summary(self) -> str:
         """Return the results as lines of text."""
         chapter, answer, f = self.chapter, self.answer, self.chapter.brake_rate
-        true = None if chapter.truth is None else final_truth(chapter.recording, chapter.truth)[0]
+        true = None if chapter.truth is None else drive_report.final_truth(chapter.recording, chapter.truth)[0]
         lines = (
             chapter.title,
             f'{chapter.recording.duration_s / 60.0:.0f} min of driving, {chapter.how}',
@@ -436,16 +407,14 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     """Return a, b, c of an algorithm, and w at three speeds with its error if the truth is known, as two lines."""
     e = output.estimate
     values = []
-    for v in SPEEDS:
-        w = float(resistance_at(np.array([e.a, e.b, e.c]), v))
-        std = float(resistance_std(np.reshape(e.covariance, (3, 3)), v))
+    for v in drive_report.SPEEDS:
+        w = float(drive_report.resistance_at(np.array([e.a, e.b, e.c]), v))
+        std = float(drive_report.resistance_std(np.reshape(e.covariance, (3, 3)), v))
         error = '' if true is None else f' (error {w - davis(true, v):+.3f})'
         values.append(f'w({v:g} m/s) = {w:.3f} ± {std:.3f}{error}')
     head = f'{name}: w(v) = {e.a:.3f} {e.b:+.4f} v {e.c:+.5f} v² N/kN'
-    return (
-        f'{head}, {output.status.name}, {output.used} samples used, {output.rejected} rejected',
-        f'  {", ".join(values)}',
-    )
+    counts = f'{output.used} samples used, {output.rejected} rejected'
+    return f'{head}, {output.status.name}, {counts}', f'  {", ".join(values)}'
 
 
 class Replayed:
@@ -471,24 +440,21 @@ class Replayed:
 
 def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
     """Compare what the nodes published with the replay, and score it."""
-    comparisons = {
-        node.label: compare(live.published[node].digests, replayed.published[node].digests) for node in NODES
-    }
+    digests = {node.label: (live.published[node].digests, replayed.published[node].digests) for node in NODES}
+    comparisons = {label: compare(*both) for label, both in digests.items()}
     # A node that published nothing live still has its prior.
     newest: dict[str, Any] = {node.key: live.published[node].newest or replayed.priors[node] for node in NODES}
     recording, beside, truth = live.recorder.finish(), live.v_mils.finish(), bag.truth
     rate = recording.duration_s / (live.last_s - live.first_s) if live.last_s > live.first_s else math.nan
-    chapter = Chapter(
-        title=bag.title,
-        bag=str(bag.path),
-        train_file_name=str(bag.train_path),
-        train_file=bag.train_file,
-        how=f'live over ROS 2 at {rate:.0f} x real time, then off line',
-        recording=recording,
+    chapter = drive_report.Chapter(
+        bag.title,
+        str(bag.path),
+        str(bag.train_path),
+        bag.train_file,
+        f'live over ROS 2 at {rate:.0f} x real time, then off line',
+        recording,
         **{node.key: newest[node.key] for node in MISSION},
-        rejections=tuple(
-            RejectionCounts(node.label, tuple(replayed.pipelines[node].rejections.most_common())) for node in MISSION
-        ),
+        rejections={node.label: replayed.pipelines[node].rejections for node in MISSION},
         truth=truth,
         notes=tuple(f'{label}: {comparison}' for label, comparison in comparisons.items()),
         others=(('V-MILS', beside.resistance),),
@@ -499,27 +465,19 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         'rate': rate,
         **newest,
         'scores': {
-            'resistance': truth and score_resistance(recording, truth),
-            'v_mils': truth and score_resistance(beside, truth),
-            'brake_rate': truth and score_brake_rate(recording, truth),
+            'resistance': truth and drive_report.score_resistance(recording, truth),
+            'v_mils': truth and drive_report.score_resistance(beside, truth),
+            'brake_rate': truth and drive_report.score_brake_rate(recording, truth),
         },
         'live_against_replay': {label: comparison._asdict() for label, comparison in comparisons.items()},
     }
     return Played(chapter, answer, all(comparison.exact for comparison in comparisons.values()))
 
 
-# A hidden effect
-
-
 def _hidden(folder: Path, say: Say) -> tuple[TrainFile, Explanation]:
-    """Simulate runs with an effect that the train file lacks, explain the gap, and return that file and what is found.
-
-    Raises:
-        InputError: The train file of the package or the folder cannot be used.
-    """
-    say(
-        f'{_HIDDEN_RUNS} runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and a, b, c unlike the train file'
-    )
+    """Simulate runs with an effect that the train file lacks, explain the gap, and return that file and the result."""
+    line = f'{_HIDDEN_RUNS} runs on the Yizhuang line, there and back'
+    say(f'{line}; hidden: {HIDDEN}, and a, b, c unlike the train file')
     path = stock_bag('yizhuang') / 'train.yaml'
     full = load_train_file(path)
     stated = replace(full, line=replace(full.line, stops=full.line.stops[:_HIDDEN_STOPS]))

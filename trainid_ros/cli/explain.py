@@ -5,21 +5,12 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import contextmanager, nullcontext, suppress
-from functools import partial
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
-from trainid_ros.cli.output import (
-    check_output,
-    print_json,
-    progress,
-    show,
-    table,
-    to_plain,
-    warn,
-)
+from trainid_ros.cli.output import check_output, print_json, progress, show, table, to_plain, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise, printable
@@ -29,36 +20,37 @@ from trainid_ros.train.train_file import dump_train_file, load_train_file
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from trainid_ros.explain.dataset import Run
-    from trainid_ros.explain.result import Explanation, FoundEffect, Gap
+    from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.train.train_file import TrainFile
 
 REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
 TRAIN_FILE: Final = 'train.yaml'
 _NAMED_BAGS: Final = 3
-_JSON_START: Final = '{\n  "verdict":'
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain the gap between bags and train file, and print what was found.
-
-    Raises:
-        InputError: If a bag, the train file or the output folder cannot be used.
-        NoAnswerError: If the bags hold too little motion.
-    """
+    """Explain the gap between bags and train file; NoAnswerError if the bags hold too little motion."""
     train_file = load_train_file(args.train)
     notes: list[str] = []
+
+    def note(line: str) -> None:
+        warn(line)
+        notes.append(f'Warning: {line}')
+
     with _outputs(args.out, args.train):
-        explanation = _explain(args, train_file, partial(_note, notes))
+        explanation = _explain(args, train_file, note)
         if args.out is not None:
             # Written before printing, which a closed pipe may interrupt.
             write_all(args.out, explanation, train_file, str(args.train), args.bags, tuple(notes))
-    if explanation.gradient_point is not None:
-        warn(gradient_warning(explanation.gradient_point))
+    if (point := explanation.gradient_point) is not None:
+        warn(
+            f'the gradients in the bags are those at the {point} of the train and were used as such here, but '
+            'simulator and live estimators expect the mean under the train: correct the publisher of the gradient'
+        )
     if args.json:
         print_json(to_json(explanation))
         return 0
@@ -68,19 +60,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _note(notes: list[str], line: str) -> None:
-    """Warn of a fault of the bags, and add it to the notes of the report."""
-    warn(line)
-    notes.append(f'Warning: {line}')
-
-
 def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[str], None]) -> Explanation:
-    """Read the bags and explain them; ``note`` is called with each fault of theirs.
-
-    Raises:
-        InputError: If a bag cannot be used.
-        NoAnswerError: If the bags hold too little motion.
-    """
+    """Read the bags and explain them; ``note`` is called with each fault of theirs."""
     inputs = mapped_inputs(args.map, train_file)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'open {name}', total=len(args.bags)) as advance:
@@ -96,32 +77,17 @@ def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[st
         return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
         if args.json:
-            print_json(no_answer(str(error)))
+            print_json(to_json(None, str(error)))
         raise NoAnswerError(f'{name}: {error}') from None
 
 
-def gradient_warning(point: str) -> str:
-    """Return the warning that gradients of the bags are those at one point of the train."""
-    return (
-        f'the gradients in the bags are those at the {point} of the train and were used as such here, but simulator '
-        'and live estimators expect the mean under the train: correct the publisher of the gradient'
-    )
-
-
-def _outputs(folder: Path | None, train: Path) -> AbstractContextManager[None]:
-    return nullcontext() if folder is None else _output_folder(folder, train)
-
-
 @contextmanager
-def _output_folder(folder: Path, train: Path) -> Iterator[None]:
-    """Prepare the output folder; remove the folders created for it if the work fails.
-
-    Raises:
-        InputError: As :func:`prepare_folder`.
-    """
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+def _outputs(folder: Path | None, train: Path) -> Iterator[None]:
+    """Prepare the output folder, if one is given; remove the folders created for it if the work fails."""
+    made = [] if folder is None else [path for path in (folder, *folder.parents) if not path.exists()]
     try:
-        prepare_folder(folder, train)
+        if folder is not None:
+            prepare_folder(folder, train)
         yield
     except BaseException:
         with suppress(OSError):  # stops at the first that is not empty
@@ -131,11 +97,7 @@ def _output_folder(folder: Path, train: Path) -> Iterator[None]:
 
 
 def prepare_folder(folder: Path, train: Path) -> None:
-    """Create the output folder, and check that the outputs can be written.
-
-    Raises:
-        InputError: It cannot be created or written to, or a file that is not an earlier output would be overwritten.
-    """
+    """Create the output folder; InputError if it cannot be written to, or more than earlier outputs would be lost."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f'.{REPORT_JSON}.part'
@@ -144,23 +106,16 @@ def prepare_folder(folder: Path, train: Path) -> None:
     except OSError as error:
         raise InputError(f'{folder}: cannot be written ({error.strerror})') from None
     check_output(folder / REPORT_HTML, (train,), HTML_START)
-    check_output(folder / REPORT_JSON, (train,), _JSON_START)
+    check_output(folder / REPORT_JSON, (train,), '{\n  "verdict":')
     target = folder / TRAIN_FILE
-    if not target.exists():
-        return
-    if target.samefile(train):
+    if target.exists() and target.samefile(train):
         raise InputError(f'{target}: is the input train file and would be overwritten; choose another --out')
-    if not (folder / REPORT_JSON).exists():
+    if target.exists() and not (folder / REPORT_JSON).exists():
         raise InputError(f'{target}: exists and was not written by trainid explain; choose another --out')
 
 
 def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path]) -> Explanation:
-    """Run the workflow, showing its steps on a terminal.
-
-    Raises:
-        NoAnswerError: There is too little motion.
-    """
-    # Imported here: linear algebra takes long to load, and input errors should be reported without it.
+    """Run the workflow, showing its steps on a terminal; NoAnswerError if there is too little motion."""
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415
 
     with _steps() as advance:
@@ -186,23 +141,12 @@ def provenance(bags: Sequence[Path], runs: int) -> str:
     return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {pluralise(runs, "run")}'
 
 
-def to_json(explanation: Explanation) -> dict[str, Any]:
-    """Return the object of ``--json``."""
-    e = explanation
-    return _json(e.verdict.value, e.effects, e.gap, e.remaining, e.gradient_point)
-
-
-def no_answer(reason: str) -> dict[str, Any]:
-    """Return the object of ``--json`` if the data hold no answer."""
-    return _json(None, (), None, reason, None)
-
-
-def _json(
-    verdict: str | None, effects: Sequence[FoundEffect], gap: Gap | None, remaining: str, gradient_point: str | None
-) -> dict[str, Any]:
+def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]:
+    """Return the object of ``--json``; without an explanation, ``reason`` says why there is none."""
+    e, gap = explanation, explanation and explanation.gap
     plain: dict[str, Any] = to_plain(
         {
-            'verdict': verdict,
+            'verdict': e and e.verdict.value,
             'effects': [
                 {
                     'name': effect.name,
@@ -212,18 +156,18 @@ def _json(
                     'where': effect.where,
                     'indistinguishable_from': [twin.name for twin in effect.twins],
                 }
-                for effect in effects
+                for effect in (e.effects if e else ())
             ],
             'gap': {
                 'metric': 'rms speed',
                 'unit': 'm/s',
-                'before': None if gap is None else gap.before,
-                'after': None if gap is None else gap.after,
-                'noise_floor': None if gap is None else gap.noise_floor,
-                'runs_held_out': 0 if gap is None else gap.runs_held_out,
+                'before': gap and gap.before,
+                'after': gap and gap.after,
+                'noise_floor': gap and gap.noise_floor,
+                'runs_held_out': gap.runs_held_out if gap else 0,
             },
-            'remaining': remaining,
-            'gradient_read_at': gradient_point,
+            'remaining': e.remaining if e else reason,
+            'gradient_read_at': e and e.gradient_point,
         }
     )
     return plain
@@ -231,14 +175,23 @@ def _json(
 
 def describe(explanation: Explanation, prior: TrainFile) -> str:
     """Return the findings as text; ``prior`` is the train file that was explained."""
-    from trainid_ros.report.words import davis_rows, drive_text, gap_sentence, headline  # noqa: PLC0415
+    from trainid_ros.report.words import (  # noqa: PLC0415
+        davis_rows,
+        drive_text,
+        gap_sentence,
+        headline,
+        strong_text,
+        strongest,
+    )
 
     head = f'{explanation.verdict.value.upper()}: {headline(explanation)}\n{drive_text(explanation)}'
     davis = [('value', 'train file', 'estimate ± std', 'unit'), *davis_rows(explanation, prior)]
+    # Where the gap is if no effect explains it.
+    unnamed = [] if explanation.effects else ['\n'.join(strong_text(part) for part in strongest(explanation))]
     blocks = (
         head,
         *(_describe_effect(effect) for effect in explanation.effects),
-        *_unnamed(explanation),
+        *filter(None, unnamed),
         gap_sentence(explanation),
         table(davis, numbers=(1,)),
         explanation.remaining,
@@ -250,49 +203,27 @@ def _describe_effect(effect: FoundEffect) -> str:
     from trainid_ros.report.words import how_sure, parameters_text  # noqa: PLC0415
 
     what = 'sensor' if effect.origin == 'sensor' else 'physics'
-    lines = [
+    lines = (
         f'{effect.name}: {effect.title} ({what})',
-        f'  {effect.equation}',
-        f'  {parameters_text(effect)}',
-        f'  {how_sure(effect)}',
-        f'  where: {effect.where}',
-    ]
-    lines += [
-        f'  could also be {twin.name}; to distinguish: {twin.drive or "no drive is known"}' for twin in effect.twins
-    ]
-    return '\n'.join(lines)
-
-
-def _unnamed(explanation: Explanation) -> list[str]:
-    """Return where the gap is if no effect explains it."""
-    from trainid_ros.report.words import strong_text, strongest  # noqa: PLC0415
-
-    strong = [] if explanation.effects else strongest(explanation)
-    return ['\n'.join(strong_text(part) for part in strong)] if strong else []
+        effect.equation,
+        parameters_text(effect),
+        how_sure(effect),
+        f'where: {effect.where}',
+        *(f'could also be {twin.name}; to distinguish: {twin.drive or "no drive is known"}' for twin in effect.twins),
+    )
+    return '\n  '.join(lines)
 
 
 def write_all(
-    folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path],
-    notes: tuple[str, ...] = (),
-) -> None:  # fmt: skip
-    """Write the three outputs into a folder that exists.
-
-    Raises:
-        InputError: One cannot be written.
-    """
-    # Imported here because matplotlib takes long to load and only reports need it.
+    folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path], notes: tuple[str, ...]
+) -> None:
+    """Write the three outputs into a folder that exists; InputError if one cannot be written."""
     from trainid_ros.report.explained import Explained, write_explained  # noqa: PLC0415
+    from trainid_ros.report.page import write_page  # noqa: PLC0415
 
     names = tuple(str(bag) for bag in bags)
     title = f'trainid explain: {", ".join(bag.name for bag in bags[:_NAMED_BAGS])}'
     text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
-    _write(folder / REPORT_JSON, f'{text}\n')
-    _write(folder / TRAIN_FILE, dump_train_file(explanation.train_file))
+    write_page(f'{text}\n', folder / REPORT_JSON)
+    write_page(dump_train_file(explanation.train_file), folder / TRAIN_FILE)
     write_explained(Explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding='utf-8', errors='backslashreplace')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror})') from None

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from trainid_ros.bag.reader import require_topics
 from trainid_ros.cli.bags import davis_rows, opened
@@ -28,18 +27,8 @@ if TYPE_CHECKING:
     from trainid_ros.interface.results import Reason
     from trainid_ros.resistance.davis_fit import Trajectory
 
-_UNKNOWN: Final = {
-    **dict.fromkeys('abc'),
-    'std': [None] * 3,
-    'iterations': 0,
-    'mse': None,
-    'converged': False,
-    'speed_range': [None, None],
-}
 
-
-@dataclass(frozen=True, slots=True)
-class UndisturbedMotion:
+class UndisturbedMotion(NamedTuple):
     """Undisturbed motion in a bag: trajectory, number of samples, rejected samples by reason, last contradiction."""
 
     trajectory: Trajectory
@@ -49,12 +38,7 @@ class UndisturbedMotion:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit a bag and print what was found.
-
-    Raises:
-        InputError: If bag or train file cannot be used, or the bag has no data in the requested interval.
-        NoAnswerError: If the motion does not determine a, b and c, or the result is implausible (wrong units).
-    """
+    """Fit a bag and print what was found; NoAnswerError if a, b and c remain unknown, or implausible (wrong units)."""
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
     inputs = mapped_inputs(args.map, collector.train_file)
@@ -71,9 +55,12 @@ def run(args: argparse.Namespace) -> int:
         check_plausible(fit, config)
     except NoAnswerError as error:
         if args.json:
-            print_json(_UNKNOWN)
+            unknown = {**dict.fromkeys('abc'), 'std': [None] * 3, 'iterations': 0, 'mse': None, 'converged': False}
+            print_json({**unknown, 'speed_range': [None, None]})
+        most = motion.rejected.most_common(1)
+        common = ''.join(f' (most often rejected: {reason.name}, {count} times)' for reason, count in most)
         contradiction = f'; inputs contradict each other: {motion.finding}' if motion.finding else ''
-        raise NoAnswerError(f'{args.bag}: {error}{_most_common(motion.rejected)}{contradiction}') from None
+        raise NoAnswerError(f'{args.bag}: {error}{common}{contradiction}') from None
     if args.json:
         print_json(to_json(fit))
     else:
@@ -97,10 +84,8 @@ def collect(
     first_ns, last_ns = reader.time_range() or (0, 0)
     begin_ns = first_ns + round(start_s * NS_PER_S)
     if begin_ns > last_ns or duration_s == 0.0:
-        length = (last_ns - first_ns) / NS_PER_S
-        raise InputError(
-            f'{reader.path}: --start {start_s:g} --duration {duration_s:g} selects nothing of its {length:.1f} s'
-        )
+        wanted, length = f'--start {start_s:g} --duration {duration_s:g}', (last_ns - first_ns) / NS_PER_S
+        raise InputError(f'{reader.path}: {wanted} selects nothing of its {length:.1f} s')
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
     config = StreamConfig(collector.train_file, reader.mapping.alignment(AlignmentConfig()))
     stream, samples = SampleStream(config), 0
@@ -119,13 +104,8 @@ def collect(
 def to_json(fit: DavisFit) -> dict[str, Any]:
     """Return the object of ``--json``."""
     a, b, c = fit.theta.tolist()
-    return {
-        **{'a': a, 'b': b, 'c': c, 'std': _deviations(fit)},
-        'iterations': fit.iterations,
-        'mse': fit.mse,
-        'converged': fit.converged,
-        'speed_range': list(fit.speed_range),
-    }
+    fitted = {'iterations': fit.iterations, 'mse': fit.mse, 'converged': fit.converged}
+    return {'a': a, 'b': b, 'c': c, 'std': _deviations(fit), **fitted, 'speed_range': list(fit.speed_range)}
 
 
 def _deviations(fit: DavisFit) -> list[float]:
@@ -139,18 +119,12 @@ def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
     for v in (slow, 0.5 * (slow + fast), fast):
         w, std = fit.resistance(v)
         rows.append((f'w at {v:.1f} m/s', f'{w:.4g}', f'{std:.2g}', 'N/kN'))
-    used = f'{fit.nodes} of {motion.samples} samples'
-    head = f'{used} in {fit.pieces} pieces without braking, {slow:.1f} to {fast:.1f} m/s'
+    head = (
+        f'{fit.nodes} of {motion.samples} samples in {fit.pieces} pieces without braking, {slow:.1f} to {fast:.1f} m/s'
+    )
     tail = (
         f'mean square of measured less calculated speed {fit.mse:.3g} (m/s)^2, {fit.iterations} iterations\n'
         f'speed noise {fit.speed_std:.3g} m/s, {fit.outliers:.1%} outliers; gusts {fit.disturbance:.2g} (N/kN)^2 s; '
         f'force {1e3 * fit.force_delay:.0f} ms late, {fit.force_gain:+.2%}'
     )
     return '\n\n'.join((head, table(rows, numbers=(1, 2)), tail))
-
-
-def _most_common(rejected: Counter[Reason]) -> str:
-    if not rejected:
-        return ''
-    reason, count = rejected.most_common(1)[0]
-    return f' (most often rejected: {reason.name}, {count} times)'

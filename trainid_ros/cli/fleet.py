@@ -4,31 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
-from trainid_ros.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_NO_ANSWER,
-    check_output,
-    print_json,
-    progress,
-    report_error,
-    show,
-    warn,
-)
-from trainid_ros.fleet.plan import (
-    FleetRun,
-    Setup,
-    find_bags,
-    label_rule,
-    list_bags,
-    make_plan,
-    plan_file,
-    read_plan,
-    setup_of,
-)
+from trainid_ros.cli import output
+from trainid_ros.cli.output import print_json, progress, report_error, show, warn
+from trainid_ros.fleet import plan as plans
 from trainid_ros.fleet.run_fleet import check_setup, known_rows, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.interface.errors import InputError
@@ -38,36 +20,35 @@ from trainid_ros.setup.params_file import mapping_in
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from trainid_ros.fleet.analysis import CauseByBags, FleetView, TrainView
-    from trainid_ros.fleet.changes import Step
-    from trainid_ros.fleet.plan import Plan
-    from trainid_ros.fleet.run_fleet import Rows
+    from trainid_ros.fleet.changes import Change, Departure
     from trainid_ros.fleet.table_file import Row
 
 
-_NAMED_ERRORS: Final = 3  # Failures that are printed; all are in the table.
+_NAMED_ERRORS: Final = 3  # failures that are printed; all are in the table
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay all bags and write the table; return the exit code.
-
-    Raises:
-        InputError: Train file, mapping, labels or bags cannot be used, or the table cannot be written.
-    """
+    """Replay all bags and write the table."""
     check_table(args.out)
-    if args.out.exists() and not (plan_file(args.out).exists() or rows_folder(args.out).exists()):
+    if args.out.exists() and not (plans.plan_file(args.out).exists() or rows_folder(args.out).exists()):
         raise InputError(f'{args.out}: exists already, and no run of fleet has written it; choose another --out')
     plan = _plan(args)
     if not args.replace:
         _check_plan(plan, args.out)
     rows_folder(args.out).mkdir(parents=True, exist_ok=True)
-    plan.write(plan_file(args.out))
+    plan.write(plans.plan_file(args.out))
     known = known_rows(plan, args.out)
     try:
-        with progress('replay', total=len(plan.bags), unit='bags') as advance, _rows(args) as rows:
+        place = (
+            nullcontext(rows_here(args.jobs or processors()))
+            if args.scheduler is None
+            else rows_on_cluster(args.scheduler)
+        )
+        with progress('replay', total=len(plan.bags), unit='bags') as advance, place as rows:
             advance(len(known))
             table = run_plan(plan, args.out, known, rows, advance)
     except (KeyboardInterrupt, SystemExit):  # Ctrl-C, or SIGTERM
@@ -77,46 +58,32 @@ def run(args: argparse.Namespace) -> int:
     return _report(args, table, len(known))
 
 
-def _check_plan(plan: Plan, table: Path) -> None:
+def _check_plan(plan: plans.Plan, table: Path) -> None:
     """Raise InputError if a table is there whose rows would be lost or made in another way."""
-    old = read_plan(table)
+    old = plans.read_plan(table)
     bags = {bag['path'] for bag in old.get('bags', ())}
     if not table.exists() or not bags:
         return
     if lost := bags - {bag.path for bag in plan.bags}:
         problem = f'{len(lost)} of its {pluralise(len(bags), "bag")} are not given now, such as {min(lost)}'
-    elif setup_of(old) != plan.setup:
+    elif plans.setup_of(old) != plan.setup:
         problem = 'it was made with another train file, mapping, parameter file, namespace or --max-chunk'
     else:
         return
     raise InputError(f'{table}: is the table of another plan: {problem}; choose another --out, or --replace it')
 
 
-def _plan(args: argparse.Namespace) -> Plan:
-    """Return the plan: all bags listed, none decoded.
-
-    Raises:
-        InputError: Train file, mapping, labels or bags cannot be used.
-    """
-    rule = label_rule(args.label, args.namespace)
+def _plan(args: argparse.Namespace) -> plans.Plan:
+    """Return the plan: all bags listed, none decoded."""
+    rule = plans.label_rule(args.label, args.namespace)
     # A report may be made from another folder.
     mapping = args.map or mapping_in(args.params, args.namespace)
     params, mapping = (path and path.absolute() for path in (args.params, mapping))
-    setup = Setup(args.train.absolute(), params, mapping, args.namespace, args.max_chunk)
+    setup = plans.Setup(args.train.absolute(), params, mapping, args.namespace, args.max_chunk)
     check_setup(setup)
-    bags = find_bags(args.bags)
+    bags = plans.find_bags(args.bags)
     with progress('list', total=len(bags), unit='bags') as advance:
-        return make_plan(setup, list_bags(bags, rule, advance))
-
-
-@contextmanager
-def _rows(args: argparse.Namespace) -> Iterator[Rows]:
-    """Yield what replays bags, here or on a cluster."""
-    if args.scheduler is None:
-        yield rows_here(args.jobs or processors())
-        return
-    with rows_on_cluster(args.scheduler) as rows:
-        yield rows
+        return plans.make_plan(setup, plans.list_bags(bags, rule, advance))
 
 
 def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
@@ -126,7 +93,7 @@ def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
         report_error(row['error'] if row['bag'] in row['error'] else f'{row["bag"]}: {row["error"]}')
     if len(errors) > _NAMED_ERRORS:
         warn(f'{len(errors) - _NAMED_ERRORS} more bags without an estimate, see the column error of {args.out}')
-    summary = {
+    summary: dict[str, Any] = {
         'out': args.out,
         'bags': len(table),
         'known': known,
@@ -138,30 +105,20 @@ def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
     if args.json:
         print_json(summary)
     else:
-        show(_text(summary))
+        counts = ', '.join(pluralise(summary[f'{word}s'], word) for word in ('bag', 'train', 'day'))
+        more = ((known, 'replayed before'), (len(errors), 'without an estimate'))
+        show('; '.join((f'{args.out}: {counts}', *(f'{count} {what}' for count, what in more if count))))
     if len(errors) < len(table):
         return 0
-    return EXIT_BAD_INPUT if all(row['status'] is None for row in table) else EXIT_NO_ANSWER
-
-
-def _text(summary: dict[str, Any]) -> str:
-    counts = (pluralise(summary[f'{word}s'], word) for word in ('bag', 'train', 'day'))
-    more = ((summary['known'], 'replayed before'), (summary['errors'], 'without an estimate'))
-    return '; '.join((f'{summary["out"]}: {", ".join(counts)}', *(f'{count} {what}' for count, what in more if count)))
+    return output.EXIT_BAD_INPUT if all(row['status'] is None for row in table) else output.EXIT_NO_ANSWER
 
 
 def report(args: argparse.Namespace) -> int:
-    """Analyse the tables, print what stands out, and write the report; return the exit code.
-
-    Raises:
-        InputError: A table cannot be read, or the report cannot be written.
-        NoAnswerError: The tables hold too little.
-    """
-    # Imported here: linear algebra takes long to load, and input errors should be reported without it.
+    """Analyse the tables, print what stands out, and write the report; NoAnswerError if the tables hold too little."""
     from trainid_ros.fleet.analysis import analyse  # noqa: PLC0415
 
     if args.out is not None:
-        check_output(args.out, args.tables, HTML_START)
+        output.check_output(args.out, args.tables, HTML_START)
     runs = _read(args)
     view = analyse([run.row for run in runs], args.false_alarm_days)
     named = _name_causes(args, view, runs)
@@ -176,25 +133,25 @@ def report(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace) -> list[FleetRun]:
+def _read(args: argparse.Namespace) -> list[plans.FleetRun]:
     """Return the rows of all tables, each train of a bag once, with how their table was made."""
-    runs: dict[tuple[str, str, str], FleetRun] = {}
+    runs: dict[tuple[str, str, str], plans.FleetRun] = {}
     for path in args.tables:
         rows, about = read_table(path)
-        setup = setup_of(about) or setup_of(read_plan(path))
+        setup = plans.setup_of(about) or plans.setup_of(plans.read_plan(path))
         namespace = '' if setup is None else setup.namespace.strip('/')
-        runs |= {(row['bag'], row['train'], namespace): FleetRun(row, setup) for row in rows}
+        runs |= {(row['bag'], row['train'], namespace): plans.FleetRun(row, setup) for row in rows}
     return list(runs.values())
 
 
-def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[FleetRun]) -> dict[str, CauseByBags]:
+def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[plans.FleetRun]) -> dict[str, CauseByBags]:
     """Return what ``explain`` finds in the bags of the worst trains, by their names."""
     worst = [train for train in view.found if train.main][: args.explain]
     if not worst:
         return {}
-    named = {}
     from trainid_ros.fleet.analysis import name_cause  # noqa: PLC0415 - as in run
 
+    named = {}
     with progress('explain', total=len(worst), unit='trains') as advance:
         for train in worst:
             named[train.name] = name_cause(view, train, runs)
@@ -203,7 +160,6 @@ def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[FleetRun]
 
 
 def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, CauseByBags]) -> None:
-    # Imported here because matplotlib takes long to load and only reports need it.
     from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
 
@@ -259,22 +215,12 @@ def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
     return {
         'train': train.name,
         'evidence': train.evidence,
-        'changes': [
-            {
-                'day': days[change.day],
-                'certain': days[change.alarm],
-                'evidence': change.evidence,
-                'steps': _steps(view, change.steps),
-            }
-            for change in train.changes
-        ],
+        'changes': [{'day': days[change.day], **_step(view, change)} for change in train.changes],
         'departures': [
             {
                 'day': days[departure.first],
                 'last': None if departure.end is None else days[departure.end - 1],
-                'certain': days[departure.alarm],
-                'evidence': departure.evidence,
-                'steps': _steps(view, departure.steps),
+                **_step(view, departure),
             }
             for departure in train.departures
         ],
@@ -283,17 +229,17 @@ def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
     }
 
 
-def _steps(view: FleetView, steps: tuple[Step | None, ...]) -> dict[str, Any]:
-    """Return steps by channel: levels before and after, standard deviation of the step, and evidence."""
-    return {
+def _step(view: FleetView, found: Change | Departure) -> dict[str, Any]:
+    """Return day of the alarm, evidence, and by channel the levels, the standard deviation of the step and evidence."""
+    steps = {
         v.channel.name: step
         and {'before': step.before.mean, 'after': step.after.mean, 'std': step.std, 'evidence': step.evidence}
-        for v, step in zip(view.channels, steps, strict=True)
+        for v, step in zip(view.channels, found.steps, strict=True)
     }
+    return {'certain': view.labels.days[found.alarm], 'evidence': found.evidence, 'steps': steps}
 
 
 def _named(cause: CauseByBags | None) -> dict[str, Any]:
-    """Return what ``explain`` found."""
     if cause is None:
         return {}
     effects = {effect.name: {'bags': count, **dict(effect.parameters)} for effect, count in cause.effects}

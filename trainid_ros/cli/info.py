@@ -26,11 +26,7 @@ if TYPE_CHECKING:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the contents of bags, or a mapping for one; return the exit code.
-
-    Raises:
-        InputError: Mapping or train file cannot be used, or a mapping is asked for of several bags.
-    """
+    """Print the contents of bags, or a mapping for one."""
     mapped_inputs(args.map, _train_file(args))  # what cannot be used for any bag is reported once
     if not args.suggest_map:
         return run_per_bag(args, _inspect, 'read')
@@ -44,12 +40,7 @@ def _train_file(args: argparse.Namespace) -> TrainFile | None:
 
 
 def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
-    """Return a mapping for one bag.
-
-    Raises:
-        InputError: It cannot be read, or holds several trains.
-    """
-    # Imported here because other uses need not load it.
+    """Return a mapping for one bag; InputError if it cannot be read, or holds several trains."""
     from trainid_ros.inspection.number_series import read_numbers  # noqa: PLC0415
     from trainid_ros.inspection.suggest import suggest, trains_in  # noqa: PLC0415
 
@@ -62,19 +53,13 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
     suggestion = suggest(numbers, bag.name, _train_file(args))
     text, missing = suggestion.text(), suggestion.missing
     if missing and numbers.trains and not numbers.own:
-        raise InputError(
-            f'{bag}: our own topics are in {", ".join(numbers.trains)}: no mapping is needed, use --namespace'
-        )
+        own = ', '.join(numbers.trains)
+        raise InputError(f'{bag}: our own topics are in {own}: no mapping is needed, use --namespace')
     error = f'{bag}: nothing found for {", ".join(missing)}' if missing else ''
     return BagResult({'mapping': text, 'missing': list(missing)} if args.json else text, error=error)
 
 
 def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
-    """Return the contents of one bag.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
     train_file = _train_file(args)
     info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file, advance)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)

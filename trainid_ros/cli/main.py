@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``trainid`` command.
 
-A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a function ``(args) -> exit code``, usually ``run`` in
-a module of its own name. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs
-without ROS.
+A verb of :mod:`trainid_ros.cli.arguments` has a function ``(args) -> exit code``, usually ``run`` in a module of its
+name. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs without ROS. Its
+functions import what takes long to load (linear algebra, matplotlib, rich) or may be missing (ROS) where they use it,
+so that wrong inputs are reported without it.
+
+It raises InputError for what cannot be used, and NoAnswerError where the data hold no answer.
 """
 
 from __future__ import annotations
@@ -13,50 +16,19 @@ import os
 import signal
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
-from trainid_ros.cli import arguments as options
+from trainid_ros.cli.arguments import VERBS, add_options
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, report_error
 from trainid_ros.interface.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 EXIT_INTERRUPTED: Final = 130
 EXIT_BROKEN_PIPE: Final = 141
-
-
-class Verb(NamedTuple):
-    """One sub-command."""
-
-    name: str
-    help: str
-    configure: Callable[[argparse.ArgumentParser], None]
-    function: str = ''  # Module and function; those of its name and ``run`` if empty
-
-
-VERBS: Final = (
-    Verb('demo', 'play a bag through the live nodes and write a report', options.configure_demo),
-    Verb('run', 'run the estimator nodes live', options.configure_run, 'live.run_nodes'),
-    Verb(
-        'monitor',
-        'show inputs, estimates and diagnostics live in a terminal',
-        options.configure_monitor,
-        'live.monitor',
-    ),
-    Verb('view', 'show a bag and its estimates in the Rerun viewer', options.configure_view),
-    Verb('replay', 'run the estimators over bags, off line', options.configure_replay),
-    Verb('play', "publish a bag's inputs with /clock", options.configure_play, 'live.play'),
-    Verb('simulate', 'create a bag with the simulator', options.configure_simulate),
-    Verb('fit', 'fit Davis parameters to a bag in one batch', options.configure_fit),
-    Verb('explain', 'find the effects that a train file lacks and add them', options.configure_explain),
-    Verb('info', 'show what is in bags and whether they can be used', options.configure_info),
-    Verb('import', 'make a bag of a table: CSV, Parquet or npz', options.configure_import, 'import_table.run'),
-    Verb('fleet', 'replay the bags of a fleet into a table', options.configure_fleet),
-    Verb('fleet report', 'find the trains that stand out in a table', options.configure_fleet_report, 'fleet.report'),
-)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -79,13 +51,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        code = _run(arguments)
+        code = _dispatch(arguments)
         if sys.stdout is not None:
             sys.stdout.flush()
-    except InputError as error:
-        return _report(error, EXIT_BAD_INPUT)
-    except NoAnswerError as error:
-        return _report(error, EXIT_NO_ANSWER)
+    except (InputError, NoAnswerError) as error:
+        report_error(error)
+        return EXIT_BAD_INPUT if isinstance(error, InputError) else EXIT_NO_ANSWER
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
@@ -94,7 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:  # standard output is full
             _drop_output()
-        return _report(f'{error.filename or "output"}: {error.strerror}', EXIT_BAD_INPUT)
+        report_error(f'{error.filename or "output"}: {error.strerror}')
+        return EXIT_BAD_INPUT
     return code
 
 
@@ -102,15 +74,8 @@ def _end(number: int, _: object) -> NoReturn:
     raise SystemExit(128 + number)
 
 
-def _run(arguments: list[str]) -> int:
-    """Run a verb; InputError if it needs an optional package that is not installed."""
-    try:
-        return _dispatch(arguments)
-    except ModuleNotFoundError as error:
-        raise missing_package_error(error) from None
-
-
 def _dispatch(arguments: list[str]) -> int:
+    """Run a verb; InputError if it needs an optional package that is not installed."""
     if arguments[:2] == ['fleet', 'report']:
         arguments = ['fleet report', *arguments[2:]]
     wanted = next((text for text in arguments if not text.startswith('-')), None)
@@ -120,17 +85,14 @@ def _dispatch(arguments: list[str]) -> int:
     for verb in VERBS:
         sub = verbs.add_parser(verb.name, help=verb.help, description=f'{verb.help[0].upper()}{verb.help[1:]}.')
         if verb.name == wanted:
-            verb.configure(sub)
+            add_options(verb, sub)
     args = parser.parse_args(arguments)
     verb = next(verb for verb in VERBS if verb.name == args.verb)
     module, _, function = (verb.function or f'{verb.name}.run').partition('.')
-    return int(getattr(import_module(f'trainid_ros.cli.{module}'), function)(args))
-
-
-def _report(error: object, code: int) -> int:
-    """Print an error and return the exit code."""
-    report_error(error)
-    return code
+    try:
+        return int(getattr(import_module(f'trainid_ros.cli.{module}'), function)(args))
+    except ModuleNotFoundError as error:
+        raise missing_package_error(error) from None
 
 
 def _drop_output() -> None:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-_OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 
@@ -34,8 +33,7 @@ def print_json(value: Any) -> None:
     """Print one JSON object on standard output; see :func:`to_plain` for the permitted types."""
     plain = to_plain(value)
     text = json.dumps(plain, allow_nan=False, ensure_ascii=False)
-    if not _is_shown(text):
-        text = json.dumps(plain, allow_nan=False)
+    text = text if _is_shown(text) else json.dumps(plain, allow_nan=False)
     print(''.join(char if char.isprintable() else json.dumps(char)[1:-1] for char in text))
 
 
@@ -51,7 +49,6 @@ def for_output(text: str) -> str:
 
 
 def _is_shown(text: str) -> bool:
-    """Return whether standard output has all characters of a text."""
     try:
         text.encode(sys.stdout.encoding or 'utf-8')
     except UnicodeEncodeError:
@@ -60,12 +57,9 @@ def _is_shown(text: str) -> bool:
 
 
 def to_plain(value: Any) -> Any:
-    """Return a value in JSON types.
+    """Return a value in JSON types; TypeError if it has none.
 
     Dataclasses become objects, enumerations their names, arrays lists, non-finite numbers None.
-
-    Raises:
-        TypeError: If a value has no JSON form.
     """
     if value is None or isinstance(value, (str, bool)):
         return value
@@ -79,13 +73,13 @@ def to_plain(value: Any) -> Any:
 
 
 def _compound_to_plain(value: Any) -> Any:
-    # Imported here because it loads NumPy, which help needs not.
     from trainid_ros.interface.results import Output  # noqa: PLC0415
 
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
     if isinstance(value, Output):
-        return {name: to_plain(getattr(value, name)) for name in _OUTPUT_FIELDS}
+        names = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
+        return {name: to_plain(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
         return {key.name if isinstance(key, Enum) else str(key): to_plain(item) for key, item in value.items()}
     if hasattr(value, 'tolist'):  # array or number of NumPy
@@ -135,26 +129,13 @@ def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
 
 
 def prepare_page(path: Path) -> Path:
-    """Create the folder of a page, check that writing the page destroys nothing else, and return its path.
-
-    Raises:
-        InputError: The folder cannot be created, or the page exists and is something else.
-    """
+    """Create the folder of a page and return its path; InputError if that fails, or the page is something else."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f'{path.parent}: cannot be written ({error.strerror})') from None
     check_output(path, (), HTML_START)
     return path
-
-
-def check_distinct(*paths: Path | None) -> None:
-    """Raise InputError if two outputs are one file, by whatever names."""
-    seen: set[Path] = set()
-    for path in paths:
-        if path is not None and path.resolve() in seen:
-            raise InputError(f'{path}: is given for two outputs; choose another name for one of them')
-        seen |= {path.resolve()} if path is not None else set()
 
 
 def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
@@ -165,12 +146,10 @@ def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
         numbers: Columns to align to the right.
     """
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    aligns = ['>' if i in numbers else '<' for i in range(len(widths))]
     lines = []
     for row in rows:
-        cells = [
-            cell.rjust(width) if i in numbers else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
+        cells = (f'{cell:{align}{width}}' for cell, align, width in zip(row, aligns, widths, strict=True))
         lines.append('  '.join(cells).rstrip())
     return '\n'.join(lines)
 
@@ -190,7 +169,6 @@ def progress(text: str, total: float | None = None, unit: str = '') -> Iterator[
     if not sys.stderr.isatty():
         yield lambda _amount: None
         return
-    # Imported here so that commands without progress need not load it.
     from rich.console import Console  # noqa: PLC0415
     from rich.markup import escape  # noqa: PLC0415
     from rich.progress import Progress, ProgressColumn, Task  # noqa: PLC0415

@@ -21,18 +21,13 @@ if TYPE_CHECKING:
 
 # Time in which children end after SIGTERM, before they are killed [s].
 _MAX_END_S: Final = 6.0
-# Linux: the signal that the kernel sends to a child when its parent ends.
-_PR_SET_PDEATHSIG: Final = 1
-_LAST_LINES: Final = 3
 
 
 class ProcessGroup:
     """``trainid`` commands that all end with the ``with`` block: SIGTERM first, SIGKILL for those that remain.
 
-    Should the block itself be interrupted, the kernel ends them with this process.
-
-    Args:
-        folder: Folder of the logs, which must exist.
+    Should the block itself be interrupted, the kernel ends them with this process. Their logs are in a folder, which
+    must exist.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -63,7 +58,7 @@ class ProcessGroup:
             if code is None or (code == 0 and name == may_end):
                 continue
             log = self._folder / f'{name}.log'
-            lines = log.read_text(encoding='utf-8', errors='replace').strip().splitlines()[-_LAST_LINES:]
+            lines = log.read_text(encoding='utf-8', errors='replace').strip().splitlines()[-3:]
             tail = ' | '.join(line.strip() for line in lines) or 'no output'
             raise NoAnswerError(f'{name} ended with exit code {code} ({log}: {tail})')
 
@@ -88,31 +83,22 @@ class ProcessGroup:
         return tuple(killed)
 
     def _signal_all(self, number: int) -> None:
-        """Send a signal to all that run, with their own children."""
         for child in self._children.values():
             if child.poll() is None:
                 with suppress(ProcessLookupError):
                     os.killpg(child.pid, number)
 
 
-# From the RTPS specification: the first port, the ports of a domain, and those of its first participants.
-_BASE_PORT: Final = 7400
-_PORTS_OF_DOMAIN: Final = 250
-_OFFSETS: Final = (0, 10, 11, 12, 13)
 # ROS recommends domains up to 101; 0 is the default of all processes.
 _MAX_DOMAIN: Final = 101
-_FAST_DDS: Final = 'rmw_fastrtps_cpp'
 
 
 def free_domain(first: int) -> int:
-    """Return a domain whose ports are all free, searching from ``first``.
-
-    Raises:
-        InputError: All are in use.
-    """
+    """Return a domain whose ports are all free, searching from ``first``; InputError if all are in use."""
     for step in range(_MAX_DOMAIN):
         domain = 1 + (first + step) % _MAX_DOMAIN
-        if all(_is_free(_BASE_PORT + _PORTS_OF_DOMAIN * domain + offset) for offset in _OFFSETS):
+        # By the RTPS specification: the first port of all, the ports of a domain, those of its first participants.
+        if all(_is_free(7400 + 250 * domain + offset) for offset in (0, 10, 11, 12, 13)):
             return domain
     raise InputError(f'ROS_DOMAIN_ID: all domains from 1 to {_MAX_DOMAIN} are in use')
 
@@ -127,7 +113,7 @@ def _is_free(port: int) -> bool:
 def local_environment(profile: Path) -> dict[str, str]:
     """Return the variables with which ROS uses this machine alone; ``profile`` says the same to Fast DDS."""
     # LOCALHOST finds nobody outside, but overrides a profile and opens sockets on all interfaces.
-    reads_profile = os.environ.get('RMW_IMPLEMENTATION', _FAST_DDS) == _FAST_DDS
+    reads_profile = os.environ.get('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp') == 'rmw_fastrtps_cpp'
     return {
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute()),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT' if reads_profile else 'LOCALHOST',
@@ -151,7 +137,8 @@ def isolate(logs: Path) -> int:
 def die_with(parent: int) -> None:
     """Ask the kernel for SIGTERM when the parent process ends."""
     if sys.platform == 'linux':
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        pr_set_pdeathsig = 1
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)
         if os.getppid() != parent:
             sys.exit(f'trainid: the parent process {parent} is gone')
 

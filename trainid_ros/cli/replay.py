@@ -7,14 +7,13 @@ import math
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.bags import BagResult, davis_rows, load_setups, run_per_bag
-from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
+from trainid_ros.cli.bags import BagResult, beside, davis_rows, load_setups, run_per_bag
+from trainid_ros.cli.output import check_output, table, to_plain
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.bag_info import brake_sign
@@ -32,7 +31,7 @@ from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
@@ -43,30 +42,16 @@ if TYPE_CHECKING:
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
-TRUTH_FILE: Final = 'truth.yaml'
-_SPEEDS: Final = (10.0, 15.0, 20.0)
 # A load that nobody weighs varies by more than this share of the mass [1].
 _UNWEIGHED: Final = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class Drives:
-    """What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
-
-    resistance: SuggestedDrive | None = None
-    brake_rate: SuggestedDrive | None = None
-
-
-NO_DRIVES: Final = Drives()
+Drives = tuple['SuggestedDrive | None', 'SuggestedDrive | None']
+"""What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay bags and print what was identified; return the exit code.
-
-    Raises:
-        InputError: If train file or parameters cannot be used, or an output would overwrite another, an input or a
-            file that is no report.
-    """
+    """Replay bags and print what was identified."""
     args.map = args.map or mapping_in(args.params, args.namespace)
     # What cannot be used for any bag is reported once.
     mapped_inputs(args.map, load_setups(args, args.train)[0].train_file)
@@ -74,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
         _check_outputs(args)
     for out, report in (_outputs(args, bag) for bag in args.bags):
         if report is not None:
-            check_distinct(out, report)
+            if out is not None and out.resolve() == report.resolve():
+                raise InputError(f'{report}: is given for two outputs; choose another name for one of them')
             check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
     return run_per_bag(args, _replay, 'replay')
 
@@ -108,15 +94,10 @@ def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | N
 
 
 def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
-    """Replay one bag.
-
-    Raises:
-        InputError: If bag or truth cannot be used, or an output exists already.
-    """
     warnings: list[str] = []
     setups = load_setups(args, args.train, warnings.append)
     out, report = _outputs(args, bag)
-    truth = None if report is None else find_truth(bag, args.truth)
+    truth = None if report is None else _find_truth(bag, args.truth)
     with ExitStack() as stack:
         inputs = mapped_inputs(args.map, setups[0].train_file)
         opening, reading = in_two(advance)
@@ -127,19 +108,19 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start
-        warnings += unweighed(reader, setups[0].train_file)
+        warnings += _unweighed(reader, setups[0].train_file)
         if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):
             warnings.append(reader.mapping.named(wrong))
     if report is not None and recorder is not None:
         _write_report(args, bag, outcome, recorder.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
-    drives = NO_DRIVES
+    drives: Drives = (None, None)
     if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
-        drives = Drives(
+        drives = (
             suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
             suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
         )
-    shown: str | dict[str, Any]
+    shown: Any
     if args.json:
         shown = to_json(outcome, setups, wall_s, drives)
         shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
@@ -150,49 +131,39 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     return BagResult(shown, (*warnings, *reader.warnings), f'{bag}: {reason}' if reason else '')
 
 
-def unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
+def _unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
     """Say so where no mass is recorded, and the train file states one as if the load were weighed at each stop."""
     share = train_file.train.mass_std
-    if share >= _UNWEIGHED or not reader.missing(MASS_TOPIC):
-        return []
-    return [
+    text = (
         f'{MASS_TOPIC.name}: no messages, so train.mass_std = {share:g} must cover the load too: state at least '
         f'{_UNWEIGHED:g} unless it never changes'
-    ]
+    )
+    return [text] if share < _UNWEIGHED and reader.missing(MASS_TOPIC) else []
 
 
 def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], Recorder | None]:
     """Return what writes the new bag or table and what collects the columns of the report, and the latter alone."""
-    observers: list[Observer] = []
     if out is None and report is None:
-        return observers, None
-    # Imported here because most replays only print.
+        return [], None
     from trainid_ros.bag.writer import BagRecorder, BagWriter  # noqa: PLC0415
     from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
+    recorder = None if report is None else Recorder()
+    observers: list[Observer] = [] if recorder is None else [recorder]
     if out is not None and out.suffix in TABLE_SUFFIXES:
         observers.append(stack.enter_context(estimate_table(out)))
     elif out is not None:
         observers.append(BagRecorder(stack.enter_context(BagWriter(out))))
-    if report is None:
-        return observers, None
-    recorder = Recorder()
-    return [*observers, recorder], recorder
+    return observers, recorder
 
 
-def find_truth(bag: Path, given: Path | None) -> Truth | None:
-    """Return the truth of a bag: from the file given, or from the one in its directory, None without either.
-
-    Raises:
-        InputError: The file cannot be used.
-    """
-    if given is not None:
-        return load_truth(given)
-    beside = (bag if bag.is_dir() else bag.parent) / TRUTH_FILE
-    return load_truth(beside) if beside.is_file() else None
+def _find_truth(bag: Path, given: Path | None) -> Truth | None:
+    """Return the truth of a bag: from the file given, or from the one in its directory, None without either."""
+    path = given or beside(bag, 'truth.yaml')
+    return load_truth(path) if given is not None or path.is_file() else None
 
 
-def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> dict[str, Any]:
+def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
     body = {
@@ -211,8 +182,8 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
-        'suggested_drive': None if drives.resistance is None else drives.resistance.numbers,
-        'suggested_braking': None if drives.brake_rate is None else drives.brake_rate.numbers,
+        'suggested_drive': drives[0] and drives[0].numbers,
+        'suggested_braking': drives[1] and drives[1].numbers,
         'algorithms': {setup.kind.name: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
@@ -247,15 +218,14 @@ def _with_std(result: Result[Any], name: str) -> dict[str, float]:
     return {'value': getattr(estimate, name), 'std': getattr(estimate, f'{name}_std')}
 
 
-def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> str:
+def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives) -> str:
     """Return the outcome as text for people."""
     head = (
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
     contradiction = (outcome.contradiction.text,) if outcome.contradiction.finding else ()
-    found = (drives.resistance, drives.brake_rate)
-    to_drive = tuple(f'to learn more: {drive.text}' for drive in found if drive is not None)
+    to_drive = (f'to learn more: {drive.text}' for drive in drives if drive is not None)
     parts = (head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups), *to_drive)
     return '\n\n'.join(parts)
 
@@ -265,22 +235,26 @@ def _estimates(outcome: Replay) -> str:
     rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
     shown = table(rows, numbers=(1, 2))
     seen = [f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'] if '*' in shown else []
-    return '\n'.join((shown, *seen, *_why_converging(outcome), *force_findings(w), *outcome.brake_findings))
+    converging = (
+        f'{name} CONVERGING: {result.why_converging}'
+        for name, result in _results(outcome).items()
+        if result.why_converging
+    )
+    return '\n'.join((shown, *seen, *converging, *force_findings(w), *outcome.brake_findings))
 
 
-def _why_converging(outcome: Replay) -> Iterator[str]:
-    """Yield why estimates are CONVERGING although their standard deviations are small enough."""
-    results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
-    for name, result in zip(('resistance', 'speed model', 'brake rate'), results, strict=True):
-        if result.why_converging:
-            yield f'{name} CONVERGING: {result.why_converging}'
+def _results(outcome: Replay) -> dict[str, Result[Any]]:
+    """Return the results by the names of the estimators for people."""
+    return {
+        'resistance': outcome.resistance, 'speed model': outcome.speed_model, 'brake rate': outcome.brake_rate
+    }  # fmt: skip
 
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
     w, status = outcome.resistance.output.estimate, outcome.resistance.output.status.name
     known = davis_rows((w.a, w.b, w.c), deviations(w.covariance))
     rows: list[tuple[str, ...]] = [(*row, status) for row in known]
-    for v in _SPEEDS:
+    for v in (10.0, 15.0, 20.0):
         name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
         std = resistance_std(w.covariance, v)
         rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
@@ -294,22 +268,18 @@ def _other_rows(outcome: Replay) -> list[tuple[str, ...]]:
     f, m = outcome.brake_rate.output.estimate, outcome.speed_model.output.estimate
     rate_status, model_status = outcome.brake_rate.output.status.name, outcome.speed_model.output.status.name
     known = quantities(SpeedModelEstimate)
-    return [
-        ('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate_status),
-        *(
-            (name, f'{getattr(m, name):.6g}', '', known[name].unit, model_status)
-            for name in parameters(SpeedModelEstimate)
-        ),
-    ]
+    rate = ('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate_status)
+    names = parameters(SpeedModelEstimate)
+    return [rate, *((name, f'{getattr(m, name):.6g}', '', known[name].unit, model_status) for name in names)]
 
 
 def _usage(outcome: Replay) -> str:
-    results = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
-    counts: list[dict[Reason, int]] = [dict(result.rejections) for result in results]
+    results = _results(outcome)
+    counts: list[dict[Reason, int]] = [dict(result.rejections) for result in results.values()]
     reasons = sorted({reason for count in counts for reason in count})
     rows = [
-        ('samples', 'resistance', 'speed model', 'brake rate'),
-        ('used', *(str(result.output.used) for result in results)),
+        ('samples', *results),
+        ('used', *(str(result.output.used) for result in results.values())),
         *((f'rejected: {reason.text}', *(str(count.get(reason, 0)) for count in counts)) for reason in reasons),
     ]
     return table(rows, numbers=(1, 2, 3))
@@ -317,10 +287,9 @@ def _usage(outcome: Replay) -> str:
 
 def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
     """Return the algorithms, the consistency of their uncertainty, and the observability of the resistance."""
-    results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
     lines = [
-        f'{setup.kind.name.replace("_", " ")} by {setup.algorithm}: uncertainty {result.consistency}'
-        for setup, result in zip(setups, results, strict=True)
+        f'{name} by {setup.algorithm}: uncertainty {result.consistency}'
+        for (name, result), setup in zip(_results(outcome).items(), setups, strict=True)
     ]
     w, prior = outcome.resistance.output.estimate, outcome.resistance.prior
     seen = observe(w.covariance, prior.covariance, w.speed_min, w.speed_max)
@@ -337,12 +306,7 @@ def _write_report(
     how: str,
     path: Path,
 ) -> None:
-    # Imported here because matplotlib takes long to load and only reports need it.
-    from trainid_ros.report.drive_report import (  # noqa: PLC0415
-        Chapter,
-        RejectionCounts,
-        write_report,
-    )
+    from trainid_ros.report.drive_report import Chapter, write_report  # noqa: PLC0415
 
     chapter = Chapter(
         title=bag.name,
@@ -354,11 +318,7 @@ def _write_report(
         resistance=outcome.resistance.output,
         speed_model=outcome.speed_model.output,
         brake_rate=outcome.brake_rate.output,
-        rejections=(
-            RejectionCounts('resistance', outcome.resistance.rejections),
-            RejectionCounts('speed model', outcome.speed_model.rejections),
-            RejectionCounts('brake rate', outcome.brake_rate.rejections),
-        ),
+        rejections={name: dict(result.rejections) for name, result in _results(outcome).items()},
         truth=truth,
     )
     write_report(f'trainid replay: {bag.name}', (chapter,), path)

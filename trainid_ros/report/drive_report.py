@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -20,7 +20,7 @@ from trainid_ros.report.words import DASH, DAVIS_UNITS, number
 from trainid_ros.train.forces import davis
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.artist import Artist
@@ -29,15 +29,8 @@ if TYPE_CHECKING:
 
     from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.report.recording import Array, Recording, Series, Track
-    from trainid_ros.sim.truth import Truth
+    from trainid_ros.sim.truth import Truth, TruthPoint
     from trainid_ros.train.train_file import Davis, TrainFile
-
-
-class RejectionCounts(NamedTuple):
-    """Records and samples that one estimator did not use: its name, and their number by reason."""
-
-    estimator: str
-    counts: tuple[tuple[Reason, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +46,7 @@ class Chapter:
     resistance: Output[ResistanceEstimate]  # Last output of the resistance estimator
     speed_model: Output[SpeedModelEstimate]  # Last output of AM-VFF-RLS
     brake_rate: Output[BrakeRateEstimate]  # Last output of GSMA
-    rejections: tuple[RejectionCounts, ...]  # Rejected samples by estimator
+    rejections: Mapping[str, Mapping[Reason, int]]  # Numbers of rejected records and samples by name of the estimator
     truth: Truth | None = None  # True parameters, None if unknown
     notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
     others: tuple[tuple[str, Track], ...] = ()  # Resistance by other algorithms, by name
@@ -75,8 +68,7 @@ def resistance_std(covariance: Array, speed: float | Array) -> Array:
     """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of a, b, c, shape (..., 3, 3)."""
     v = np.asarray(speed, dtype=np.float64)
     phi = np.stack([np.ones_like(v), v, v * v], axis=-1)
-    variance: Array = np.einsum('...i,...ij,...j->...', phi, covariance, phi)
-    std: Array = np.sqrt(np.maximum(0.0, variance))
+    std: Array = np.sqrt(np.maximum(0.0, np.einsum('...i,...ij,...j->...', phi, covariance, phi)))
     return std
 
 
@@ -86,18 +78,20 @@ def resistance_at(theta: Array, speed: float | Array) -> Array:
     return w
 
 
-def true_theta(truth: Truth, start_ns: int, time_s: Array) -> Array:
-    """Return the true a, b, c [N/kN, v in m/s] at times since ``start_ns`` [s], shape (n, 3)."""
-    points = (truth.truth_at_ns(start_ns + round(t * NS_PER_S)).resistance for t in time_s)
-    return np.array([(point.a, point.b, point.c) for point in points]).reshape(-1, 3)
+def _points(truth: Truth, recording: Recording, times_s: Iterable[float]) -> list[TruthPoint]:
+    """Return the true values at times of a recording."""
+    return [truth.truth_at_ns(recording.start_ns + round(time_s * NS_PER_S)) for time_s in times_s]
 
 
-def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
-    """Return the true brake rate [1] at times since ``start_ns`` [s], None if it is unknown."""
-    if not truth.brake_rate:
-        return None
-    rates = [truth.truth_at_ns(start_ns + round(t * NS_PER_S)).brake_rate for t in time_s]
-    return np.array([math.nan if rate is None else rate for rate in rates])
+def true_theta(truth: Truth, recording: Recording, time_s: Array) -> Array:
+    """Return the true a, b, c [N/kN, v in m/s] at times of a recording [s], shape (n, 3)."""
+    return np.array([_theta(point.resistance) for point in _points(truth, recording, time_s)]).reshape(-1, 3)
+
+
+def true_rate(truth: Truth, recording: Recording, time_s: Array) -> Array | None:
+    """Return the true brake rate [1] at times of a recording [s], None if it is unknown."""
+    rates = [point.brake_rate for point in _points(truth, recording, time_s)]
+    return np.array([math.nan if rate is None else rate for rate in rates]) if truth.brake_rate else None
 
 
 def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None:
@@ -105,21 +99,24 @@ def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None
     track = recording.resistance
     speed = track.column('speed')
     w = resistance_at(track.theta, speed)
-    true = resistance_at(true_theta(truth, recording.start_ns, track.time_s), speed)
+    true = resistance_at(true_theta(truth, recording, track.time_s), speed)
     return _score(w - true, resistance_std(track.covariance, speed), track.usable)
 
 
 def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None:
     """Score the brake rate [1], None if the truth is unknown or no output was usable."""
     track = recording.brake_rate
-    if (true := true_rate(truth, recording.start_ns, track.time_s)) is None:
-        return None
-    return _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
+    true = true_rate(truth, recording, track.time_s)
+    return (
+        None
+        if true is None
+        else _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
+    )
 
 
 def final_truth(recording: Recording, truth: Truth) -> tuple[Davis, float | None]:
     """Return the true resistance and brake rate [1] at the end of the recording."""
-    point = truth.truth_at_ns(recording.start_ns + round(recording.duration_s * NS_PER_S))
+    (point,) = _points(truth, recording, [recording.duration_s])
     return point.resistance, point.brake_rate
 
 
@@ -149,16 +146,10 @@ STATUSES: Final = {
 }
 SPEEDS: Final = (10.0, 15.0, 20.0)
 """Speeds of the table [m/s]."""
-_CURVE_POINTS: Final = 80
-_RATIO_BINS: Final = 900
 
 
 def write_report(title: str, chapters: Sequence[Chapter], path: str | Path) -> None:
-    """Write a report and create missing folders.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a report and create missing folders; InputError if it cannot be written."""
     write_page(render_report(title, chapters), path)
 
 
@@ -168,7 +159,6 @@ def render_report(title: str, chapters: Sequence[Chapter]) -> str:
 
 
 def _content(chapter: Chapter) -> dict[str, object]:
-    """Return what the template shows of a drive."""
     return {
         'title': chapter.title,
         'facts': _facts(chapter),
@@ -200,50 +190,38 @@ def _facts(chapter: Chapter) -> tuple[tuple[str, str], ...]:
     )
 
 
-class _Card(NamedTuple):
-    """The last estimate of one estimator: value with its unit, status with a remark, and further lines."""
-
-    name: str
-    value: str
-    unit: str
-    status: str
-    remark: str
-    more: tuple[str, ...]
+def _card(name: str, value: str, unit: str, output: Output[Any], remark: str, *more: str) -> dict[str, object]:
+    """Return the last estimate of one estimator: value with its unit, status with a remark, and further lines."""
+    return {'name': name, 'value': value, 'unit': unit, 'status': output.status.name, 'remark': remark, 'more': more}
 
 
-def _resistance_card(chapter: Chapter) -> _Card:
+def _resistance_card(chapter: Chapter) -> dict[str, object]:
     estimate = chapter.resistance.estimate
     low, high = chapter.recording.resistance.speed_range
     # The speed of the table nearest to the middle of the range learned from.
     speed = min(SPEEDS, key=lambda speed: abs(speed - 0.5 * (low + high)))
-    w = resistance_at(np.array([estimate.a, estimate.b, estimate.c]), speed)
+    w = resistance_at(_theta(estimate), speed)
     std = resistance_std(np.array(estimate.covariance).reshape(3, 3), speed)
     learned = f'{KM_H * low:.0f} to {KM_H * high:.0f} km/h' if high > low else 'nothing yet'
     truth = None if chapter.truth is None else davis(final_truth(chapter.recording, chapter.truth)[0], speed)
-    return _Card(
-        f'Running resistance at {_speed_text(speed)}',
-        f'{w:.2f} ± {std:.2f}',
-        'N/kN',
-        chapter.resistance.status.name,
-        f'learned from {learned}',
-        () if truth is None else (f'truth {truth:.2f}, error {float(w) - truth:+.2f} N/kN',),
-    )
+    more = () if truth is None else (f'truth {truth:.2f}, error {float(w) - truth:+.2f} N/kN',)
+    name, value = f'Running resistance at {_speed_text(speed)}', f'{w:.2f} ± {std:.2f}'
+    return _card(name, value, 'N/kN', chapter.resistance, f'learned from {learned}', *more)
 
 
-def _brake_card(chapter: Chapter) -> _Card:
+def _brake_card(chapter: Chapter) -> dict[str, object]:
     estimate = chapter.brake_rate.estimate
     rate = None if chapter.truth is None else final_truth(chapter.recording, chapter.truth)[1]
     value = f'{estimate.brake_rate:.3f} ± {estimate.brake_rate_std:.3f}'
     more = () if rate is None else (f'truth {rate:.3f}, error {estimate.brake_rate - rate:+.3f}',)
-    return _Card('Brake rate', value, '', chapter.brake_rate.status.name, '1 = nominal', more)
+    return _card('Brake rate', value, '', chapter.brake_rate, '1 = nominal', *more)
 
 
-def _model_card(chapter: Chapter) -> _Card:
+def _model_card(chapter: Chapter) -> dict[str, object]:
     estimate = chapter.speed_model.estimate
     remark = f'mass factor (train file {1.0 + chapter.train_file.train.rotary_mass:.3f})'
     model = f'a1 {number(estimate.a1)}, a2 {number(estimate.a2, 7)}, b1 {number(estimate.b1)}, d0 {number(estimate.d0)}'
-    value, status = number(estimate.mass_factor), chapter.speed_model.status.name
-    return _Card('Speed model', value, '', status, remark, (model,))
+    return _card('Speed model', number(estimate.mass_factor), '', chapter.speed_model, remark, model)
 
 
 def _speed_text(speed: float) -> str:
@@ -252,72 +230,55 @@ def _speed_text(speed: float) -> str:
 
 def _estimates_table(chapter: Chapter) -> Table:
     """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
-    basis = _basis(chapter)
+    estimate, rate = chapter.resistance.estimate, chapter.brake_rate.estimate
+    theta, P = _theta(estimate), np.array(estimate.covariance).reshape(3, 3)
+    true, true_braking = (None, None) if chapter.truth is None else final_truth(chapter.recording, chapter.truth)
     low, high = chapter.recording.resistance.speed_range
-    rows = [_row(*item, basis) for item in zip('abc', DAVIS_UNITS, np.eye(3), strict=True)]
+    combinations = [*zip('abc', DAVIS_UNITS, np.eye(3), strict=True)]
     for speed in SPEEDS:
         name = f'w at {_speed_text(speed)}' + ('' if low <= speed <= high else ' *')
-        rows.append(_row(name, 'N/kN', np.array([1.0, speed, speed * speed]), basis))
-    if (rate := _rate_row(chapter)) is not None:
-        rows.append(rate)
-    head = ['', 'unit', 'estimate', 'std', 'train file']
-    if basis.truth is not None:
-        head += ['truth', 'error', 'error / std']
+        combinations.append((name, 'N/kN', _phi(speed)))
+    rows = []
+    for name, unit, phi in combinations:
+        std = math.sqrt(max(0.0, float(phi @ P @ phi)))
+        known = None if true is None else float(phi @ _theta(true))
+        rows.append(
+            _row(name, unit, float(phi @ theta), std, float(phi @ _theta(chapter.train_file.resistance)), known)
+        )
+    prior = chapter.train_file.brake.rate
+    rows.append(_row('brake rate', '1 = nominal', rate.brake_rate, rate.brake_rate_std, prior, true_braking))
+    head = ('', 'unit', 'estimate', 'std', 'train file', 'truth', 'error', 'error / std')
+    width = len(head) if chapter.truth is not None else 5
     caption = 'Estimates at the end. * outside the speed range learned from.'
-    return Table(caption, head, rows, 2)
+    return Table(caption, head[:width], [row[:width] for row in rows], 2)
 
 
-class _Basis(NamedTuple):
-    """Parameters a, b, c at the end: estimate, covariance, train file, truth if known."""
-
-    theta: Array
-    P: Array
-    before: Array
-    truth: Array | None
+def _phi(speed: float) -> Array:
+    """Return the factors of a, b, c in w at a speed [m/s]."""
+    return np.array([1.0, speed, speed * speed])
 
 
-def _basis(chapter: Chapter) -> _Basis:
-    estimate, prior = chapter.resistance.estimate, chapter.train_file.resistance
-    theta, P = np.array([estimate.a, estimate.b, estimate.c]), np.array(estimate.covariance).reshape(3, 3)
-    before = np.array([prior.a, prior.b, prior.c])
-    if chapter.truth is None:
-        return _Basis(theta, P, before, None)
-    true = final_truth(chapter.recording, chapter.truth)[0]
-    return _Basis(theta, P, before, np.array([true.a, true.b, true.c]))
+def _theta(davis: Davis | ResistanceEstimate) -> Array:
+    return np.array([davis.a, davis.b, davis.c])
 
 
-def _row(name: str, unit: str, phi: Array, basis: _Basis) -> list[str]:
-    """Return the row of a linear combination ``phi`` of a, b, c."""
-    value, std = float(phi @ basis.theta), math.sqrt(max(0.0, float(phi @ basis.P @ phi)))
-    cells = [name, unit, number(value), number(std, 2), number(float(phi @ basis.before))]
-    return cells if basis.truth is None else [*cells, *_against(value, std, float(phi @ basis.truth))]
-
-
-def _against(value: float, std: float, true: float) -> list[str]:
+def _row(name: str, unit: str, value: float, std: float, prior: float, true: float | None) -> list[str]:
+    cells = [name, unit, number(value), number(std, 2), number(prior)]
+    if true is None:
+        return [*cells, DASH, DASH, DASH]
     error = value - true
-    return [number(true), f'{error:+.2g}', f'{error / std:+.1f}' if std > 0.0 else DASH]
-
-
-def _rate_row(chapter: Chapter) -> list[str] | None:
-    estimate = chapter.brake_rate.estimate
-    value, std = estimate.brake_rate, estimate.brake_rate_std
-    cells = ['brake rate', '1 = nominal', number(value), number(std, 2), number(chapter.train_file.brake.rate)]
-    if chapter.truth is None:
-        return cells
-    rate = final_truth(chapter.recording, chapter.truth)[1]
-    return [*cells, *((DASH,) * 3 if rate is None else _against(value, std, rate))]
+    return [*cells, number(true), f'{error:+.2g}', f'{error / std:+.1f}' if std > 0.0 else DASH]
 
 
 def _scores_table(chapter: Chapter) -> Table:
-    """Return errors against the truth and the coverage of the published standard deviation."""
     caption = 'Over the whole drive, while VALID or HOLDING; a consistent std gives 68 % and 95 %'
     head = ('', 'unit', 'rms error', 'mean error', 'truth inside ±1 std', 'inside ±1.96 std')
     if chapter.truth is None:
         return Table(caption, head, ())
-    scores: list[tuple[str, str, AccuracyScore | None]] = [
+    scores = (
         ('w at the current speed', 'N/kN', score_resistance(chapter.recording, chapter.truth)),
         ('brake rate', '1', score_brake_rate(chapter.recording, chapter.truth)),
-    ]
+    )
     rows = [
         (name, unit, number(s.rms, 3), f'{s.bias:+.2g}', f'{s.inside_68:.0%}', f'{s.inside_95:.0%}')
         for name, unit, s in scores
@@ -327,14 +288,12 @@ def _scores_table(chapter: Chapter) -> Table:
 
 
 def _rejections_table(chapter: Chapter) -> Table:
-    """Return the number of samples that each estimator used, and of those it rejected by reason."""
-    names = [item.estimator for item in chapter.rejections]
-    counts = [dict(item.counts) for item in chapter.rejections]
-    reasons = sorted({reason for count in counts for reason in count})
+    counts = chapter.rejections.values()
     outputs = (chapter.resistance, chapter.speed_model, chapter.brake_rate)
+    reasons = sorted({reason for count in counts for reason in count})
     rows = [['used', *(f'{output.used}' for output in outputs)]]
     rows += [[item.text, *(f'{count[item]}' if item in count else DASH for count in counts)] for item in reasons]
-    return Table('Samples used, and samples rejected by reason', ('', *names), rows)
+    return Table('Samples used, and samples rejected by reason', ('', *chapter.rejections), rows)
 
 
 def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
@@ -357,8 +316,7 @@ def resistance_over_time(chapter: Chapter) -> str:
     with page.styled_figure(6.6) as figure:
         panels = figure.subplots(3, 2, sharex=True)
         for axes, speed in zip(panels[:, 0], shown_speeds(chapter), strict=True):
-            phi = np.array([1.0, speed, speed * speed])
-            page.draw_panel(axes, _linear_panel(chapter, phi, f'w at {_speed_text(speed)}', 'w [N/kN]'))
+            page.draw_panel(axes, _linear_panel(chapter, _phi(speed), f'w at {_speed_text(speed)}', 'w [N/kN]'))
         for axes, phi, name, unit in zip(panels[:, 1], np.eye(3), 'abc', DAVIS_UNITS, strict=True):
             page.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
         for axes in panels[-1]:
@@ -369,7 +327,7 @@ def resistance_over_time(chapter: Chapter) -> str:
 
 def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel:
     """Return the panel of a linear combination ``phi`` of a, b, c."""
-    track, prior = _picked(chapter.recording.resistance), chapter.train_file.resistance
+    track = _picked(chapter.recording.resistance)
     return Panel(
         title,
         label,
@@ -377,22 +335,18 @@ def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel
         track.theta @ phi,
         std=np.sqrt(np.maximum(0.0, np.einsum('i,nij,j->n', phi, track.covariance, phi))),
         usable=track.usable,
-        prior=float(phi @ np.array([prior.a, prior.b, prior.c])),
+        prior=float(phi @ _theta(chapter.train_file.resistance)),
         truth=_true_w(chapter, track, phi),
     )
 
 
 def _picked(track: Track) -> Track:
-    """Return a track with no more points than a figure needs."""
     return track[page.pick(len(track.estimates))]
 
 
 def _true_w(chapter: Chapter, track: Track, phi: Array) -> Array | None:
     """Return the true linear combination ``phi`` of a, b, c over time, None if it is unknown."""
-    if chapter.truth is None:
-        return None
-    theta: Array = true_theta(chapter.truth, chapter.recording.start_ns, track.time_s)
-    return theta @ phi
+    return None if chapter.truth is None else true_theta(chapter.truth, chapter.recording, track.time_s) @ phi
 
 
 def resistance_curve(chapter: Chapter) -> str:
@@ -401,7 +355,7 @@ def resistance_curve(chapter: Chapter) -> str:
         return ''
     with page.styled_figure(4.6) as figure:
         curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-        speeds = np.linspace(0.0, _top_speed(chapter), _CURVE_POINTS)
+        speeds = np.linspace(0.0, _top_speed(chapter), 80)
         _draw_curve(curve, speeds, chapter.recording.resistance, page.ESTIMATE)
         others = [(name, track) for name, track in chapter.others if track.estimates]
         for _, track in others:
@@ -409,7 +363,7 @@ def resistance_curve(chapter: Chapter) -> str:
         prior = davis(chapter.train_file.resistance, speeds)
         curve.plot(KM_H * speeds, prior, color=page.MUTED, linestyle=page.PRIOR_DASHES, linewidth=1.4)
         if chapter.truth is not None:
-            true = true_theta(chapter.truth, chapter.recording.start_ns, np.array([chapter.recording.duration_s]))[0]
+            true = _theta(final_truth(chapter.recording, chapter.truth)[0])
             curve.plot(KM_H * speeds, resistance_at(true, speeds), color=page.INK, linestyle=page.DASHES, linewidth=1.2)
         curve.set_ylim(bottom=0.0)
         curve.set_ylabel('w [N/kN]')
@@ -451,7 +405,7 @@ def brake_rate_over_time(chapter: Chapter) -> str:
     track = _picked(recording.brake_rate)
     if not track.estimates:
         return ''
-    true = None if chapter.truth is None else true_rate(chapter.truth, recording.start_ns, track.time_s)
+    true = None if chapter.truth is None else true_rate(chapter.truth, recording, track.time_s)
     panel = Panel(
         'Brake rate',
         'brake rate (1 = nominal)',
@@ -483,17 +437,10 @@ def speed_profile(chapter: Chapter) -> str:
     with page.styled_figure(3.8) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         page.draw_spans(above, recording.modes, MODES, alpha=0.45)
-        title = 'Speed and driving modes'
-        page.draw_panel(
-            above,
-            panels['speed']._replace(title=title, time_ns=time_ns[kept], value=KM_H * speed[kept]),
-            page.INK,
-            0.9,
-        )
+        driven = Panel('Speed and driving modes', panels['speed'].label, time_ns[kept], KM_H * speed[kept])
+        page.draw_panel(above, driven, page.INK, 0.9)
         above.set_ylim(bottom=0.0)
-        page.draw_panel(
-            below, panels['gradient']._replace(title='', time_ns=time_ns[kept], value=gradient[kept]), page.MUTED, 0.9
-        )
+        page.draw_panel(below, Panel('', panels['gradient'].label, time_ns[kept], gradient[kept]), page.MUTED, 0.9)
         page.time_axis(below, recording.duration_s)
         page.legend_above(figure, [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()])
         return page.to_svg(figure, 'Speed profile with driving modes')
@@ -507,7 +454,7 @@ def innovation_ratios(chapter: Chapter) -> str:
     if not rows:
         return ''
     with page.styled_figure(0.6 + 1.7 * len(rows)) as figure:
-        panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        panels = page.column_of_axes(figure, len(rows))
         for axes, (name, series) in zip(panels, rows, strict=True):
             _draw_ratios(axes, series)
             axes.set_title(name)
@@ -516,9 +463,9 @@ def innovation_ratios(chapter: Chapter) -> str:
 
 
 def _draw_ratios(axes: Axes, ratios: Series) -> None:
-    # Bins keep their greatest ratio, so no rejected innovation is lost by thinning.
+    # At most 900 bins keep their greatest ratio, so no rejected innovation is lost by thinning.
     ratio = ratios.values[:, 0]
-    step = max(1, -(-len(ratio) // _RATIO_BINS))
+    step = max(1, -(-len(ratio) // 900))
     starts = np.arange(0, len(ratio), step)
     greatest = np.maximum(np.maximum.reduceat(ratio, starts), 1e-4)
     time_min = ratios.time_s[starts] / 60.0
@@ -542,7 +489,7 @@ def speed_model_over_time(chapter: Chapter) -> str:
         track.time_ns,
         resistance_at(track.theta, speed),
         prior=davis(chapter.train_file.resistance, speed),
-        truth=_true_w(chapter, track, np.array([1.0, speed, speed * speed])),
+        truth=_true_w(chapter, track, _phi(speed)),
     )
     mass = Panel(
         'Speed model: mass factor (M / nominal M)(1 + γ)',
@@ -561,23 +508,18 @@ def speed_model_over_time(chapter: Chapter) -> str:
 def status_timeline(chapter: Chapter) -> str:
     """Plot the status of the three estimators over time."""
     recording = chapter.recording
-    lanes = {
-        'resistance': recording.resistance.statuses,
-        'speed model': recording.speed_model.statuses,
-        'brake rate': recording.brake_rate.statuses,
-    }
-    used = {span.label for spans in lanes.values() for span in spans}
+    tracks = (recording.resistance, recording.speed_model, recording.brake_rate)
+    used = {span.label for track in tracks for span in track.statuses}
     if not used:
         return ''
     with page.styled_figure(2.1) as figure:
         axes = figure.subplots()
-        for height, spans in zip((2, 1, 0), lanes.values(), strict=True):
-            page.draw_spans(axes, spans, STATUSES, lane=(height - 0.36, 0.72))
-        axes.set_yticks([2, 1, 0], [*lanes])
+        for height, track in zip((2, 1, 0), tracks, strict=True):
+            page.draw_spans(axes, track.statuses, STATUSES, lane=(height - 0.36, 0.72))
+        axes.set_yticks([2, 1, 0], ['resistance', 'speed model', 'brake rate'])
         axes.grid(visible=False, axis='y')
         axes.set_title('Status')
         page.time_axis(axes, recording.duration_s)
-        page.legend_above(
-            figure, [Patch(color=colour, label=name) for name, colour in STATUSES.items() if name in used]
-        )
+        patches = [Patch(color=colour, label=name) for name, colour in STATUSES.items() if name in used]
+        page.legend_above(figure, patches)
         return page.to_svg(figure, 'Status of the estimators over time')

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,35 +12,22 @@ from markupsafe import Markup
 from trainid_ros.fleet.changes import Level
 from trainid_ros.fleet.mixed_model import MIN_TRAINS
 from trainid_ros.interface.text import pluralise
-from trainid_ros.report.page import (
-    BAD,
-    BRAKE,
-    ESTIMATE,
-    GRID,
-    INK,
-    MUTED,
-    SECOND,
-    TRACTION,
-    Table,
-    render,
-    styled_figure,
-    to_svg,
-)
+from trainid_ros.report import page
 from trainid_ros.report.words import DASH, plus_minus
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from matplotlib.axes import Axes
 
     from trainid_ros.fleet.analysis import ChannelView, FleetView, LevelOutlier, TrainView
-    from trainid_ros.fleet.changes import Change, Departure
+    from trainid_ros.fleet.changes import Departure
 
 MAX_PAGES: Final = 60
 """Trains with a page of their own: those that stand out, and of the others the first."""
 # Channels of a change that are worth a line: ln of their Bayes factor.
 _TELLING: Final = 3.0
-_NAMED: Final = (BAD, BRAKE, SECOND, TRACTION, ESTIMATE)
+_NAMED: Final = (page.BAD, page.BRAKE, page.SECOND, page.TRACTION, page.ESTIMATE)
 _SIGMAS: Final = 2.0
 _MAX_LINES: Final = 200
 _MAX_TICKS: Final = 8
@@ -55,7 +43,7 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
         notes: Further sentences by name of the train, such as what ``explain`` found in its bags.
     """
     shown = view.trains[: max(MAX_PAGES, len(view.found))]
-    return render(
+    return page.render(
         'fleet.html.j2',
         'trainid fleet report',
         facts=_facts(view, tables, limit),
@@ -76,26 +64,18 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
 
 
 def summary(view: FleetView) -> str:
-    """Return the outcome in one sentence."""
+    """Return the outcome, and what was not compared."""
     trains = pluralise(len(view.trains), 'train')
-    few = (
-        f' Of fewer than {MIN_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
-        if len(view.trains) < MIN_TRAINS
-        else ''
-    )
-    few += _left_out(view)
-    if not view.found:
-        return f'No train of {trains} stands out.{few}'
-    verb = 'stands' if len(view.found) == 1 else 'stand'
-    return f'{len(view.found)} of {trains} {verb} out: {", ".join(train.name for train in view.found)}.{few}'
-
-
-def _left_out(view: FleetView) -> str:
-    """Return which runs are not compared, '' if all are."""
-    if not view.contradicted:
-        return ''
-    runs = ', '.join(f'{train} ({count})' for train, count in view.contradicted)
-    return f' Runs left out as their inputs contradict each other, see the column contradiction: {runs}.'
+    text = f'No train of {trains} stands out.'
+    if view.found:
+        verb = 'stands' if len(view.found) == 1 else 'stand'
+        text = f'{len(view.found)} of {trains} {verb} out: {", ".join(train.name for train in view.found)}.'
+    if len(view.trains) < MIN_TRAINS:
+        text += f' Of fewer than {MIN_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
+    if view.contradicted:
+        runs = ', '.join(f'{train} ({count})' for train, count in view.contradicted)
+        text += f' Runs left out as their inputs contradict each other, see the column contradiction: {runs}.'
+    return text
 
 
 def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
@@ -119,9 +99,10 @@ def _departure_text(view: FleetView, departure: Departure) -> str:
     ]
     what = '; '.join(step.rstrip() for step in steps) or 'in several channels a little'
     until = '' if departure.end is None else f' until {days[departure.end - 1]}'
-    if departure.first == 0:
-        return f'Different{until}, from the first day on, certain on {days[departure.alarm]}: {what}.'
-    return f'Changed on {days[departure.first]}{until}, certain on {days[departure.alarm]}: {what}.'
+    first = (
+        f'Changed on {days[departure.first]}{until}' if departure.first else f'Different{until}, from the first day on'
+    )
+    return f'{first}, certain on {days[departure.alarm]}: {what}.'
 
 
 def _outlier_text(outlier: LevelOutlier) -> str:
@@ -141,7 +122,7 @@ def _facts(view: FleetView, tables: str, limit: float) -> tuple[tuple[str, str],
     )
 
 
-def _ranking(view: FleetView) -> Table:
+def _ranking(view: FleetView) -> page.Table:
     rows = [
         (
             Markup('<a href="#train-{}">{}</a>').format(train.number, train.name),
@@ -151,106 +132,96 @@ def _ranking(view: FleetView) -> Table:
         for train in view.found
     ]
     caption = 'Trains that stand out; evidence is the natural logarithm of the odds of a change'
-    return Table(caption, ('train', 'what', 'evidence'), rows, 2)
+    return page.Table(caption, ('train', 'what', 'evidence'), rows, 2)
 
 
-def _spread_table(view: FleetView) -> Table:
+def _spread_table(view: FleetView) -> page.Table:
     """Return the table of what the values vary by."""
     names = tuple(dict.fromkeys(name for v in view.channels for name in v.fit.stds if name != 'stated'))
-    rows = [(v.channel.title, *_spread(v, names)) for v in view.channels]
+    rows = []
+    for title, fit in ((v.channel.title, v.fit) for v in view.channels):
+        stds = (f'{fit.stds[name]:.2g}' if name in fit.stds else DASH for name in names)
+        rows.append((title, f'{fit.mean:.4g}', *stds, f'{fit.stds["stated"]:.0%}', f'{fit.degrees:g}'))
     head = ('channel', 'mean', *names, 'stated std counts', 'degrees of freedom')
-    return Table('Mean of the fleet, and standard deviations of what it varies by', head, rows)
-
-
-def _spread(view: ChannelView, names: tuple[str, ...]) -> tuple[str, ...]:
-    stds = (f'{view.fit.stds[name]:.2g}' if name in view.fit.stds else DASH for name in names)
-    return (f'{view.fit.mean:.4g}', *stds, f'{view.fit.stds["stated"]:.0%}', f'{view.fit.degrees:g}')
+    return page.Table('Mean of the fleet, and standard deviations of what it varies by', head, rows)
 
 
 def fleet_over_days(view: FleetView) -> str:
     """Plot each channel of all trains, less what they have in common; those that stand out in colour."""
-    with styled_figure(2.1 * len(view.channels)) as figure:
-        panels = figure.subplots(len(view.channels), 1, sharex=True, squeeze=False)[:, 0]
-        for k, (axes, channel) in enumerate(zip(panels, view.channels, strict=True)):
-            _fleet_band(axes, channel, len(view.labels.days))
-            for train in view.trains[len(view.found) : _MAX_LINES]:
-                axes.plot(channel.fit.mean + train.series[k].value, color=MUTED, linewidth=0.5, alpha=0.5)
-            for train, colour in zip(view.found, _NAMED, strict=False):
-                axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.', label=train.name)
-            _label(axes, channel)
-        if view.found:
-            panels[0].legend(loc='upper left', ncols=len(_NAMED))
-        _days(panels[-1], view.labels.days)
-        return to_svg(figure, 'Values of all trains over the days')
+
+    def draw(axes: Axes, k: int, channel: ChannelView) -> None:
+        _fleet_band(axes, channel, len(view.labels.days))
+        for train in view.trains[len(view.found) : _MAX_LINES]:
+            axes.plot(channel.fit.mean + train.series[k].value, color=page.MUTED, linewidth=0.5, alpha=0.5)
+        for train, colour in zip(view.found, _NAMED, strict=False):
+            axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.', label=train.name)
+        if k == 0 and view.found:
+            axes.legend(loc='upper left', ncols=len(_NAMED))
+
+    return _over_days(view, 2.1, 'Values of all trains over the days', draw)
 
 
 def common_over_days(view: FleetView) -> str:
     """Plot what trains have in common on each day: the mean of the fleet."""
-    with styled_figure(1.6 * len(view.channels)) as figure:
-        panels = figure.subplots(len(view.channels), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, channel in zip(panels, view.channels, strict=True):
-            cells, days = channel.cells, len(view.labels.days)
-            count = np.bincount(cells.day, minlength=days)
-            with np.errstate(invalid='ignore', divide='ignore'):
-                mean = np.bincount(cells.day, channel.fit.common, days) / count
-            axes.plot(mean, color=ESTIMATE, marker='.')
-            _label(axes, channel)
-        _days(panels[-1], view.labels.days)
-        return to_svg(figure, 'What trains have in common on each day')
+
+    def draw(axes: Axes, _: int, channel: ChannelView) -> None:
+        cells, days = channel.cells, len(view.labels.days)
+        count = np.bincount(cells.day, minlength=days)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            mean = np.bincount(cells.day, channel.fit.common, days) / count
+        axes.plot(mean, color=page.ESTIMATE, marker='.')
+
+    return _over_days(view, 1.6, 'What trains have in common on each day', draw)
 
 
 def train_over_days(view: FleetView, train: TrainView) -> str:
     """Plot each channel of one train over the days with its levels and the band of the fleet."""
-    with styled_figure(1.8 * len(view.channels)) as figure:
-        panels = figure.subplots(len(view.channels), 1, sharex=True, squeeze=False)[:, 0]
+
+    def draw(axes: Axes, k: int, channel: ChannelView) -> None:
+        series = train.series[k]
+        _fleet_band(axes, channel, len(view.labels.days))
+        at, value = np.arange(series.value.size), channel.fit.mean + series.value
+        axes.errorbar(at, value, series.std, fmt='.', color=page.INK, elinewidth=0.8, markersize=4)
+        _levels(axes, channel, k, train)
+
+    return _over_days(view, 1.8, f'Train {train.name} over the days', draw)
+
+
+def _over_days(view: FleetView, height: float, label: str, draw: Callable[[Axes, int, ChannelView], None]) -> str:
+    """Return a figure with axes of a height [inch] for each channel, which a function draws."""
+    days = view.labels.days
+    with page.styled_figure(height * len(view.channels)) as figure:
+        panels = page.column_of_axes(figure, len(view.channels))
         for k, (axes, channel) in enumerate(zip(panels, view.channels, strict=True)):
-            series, mean = train.series[k], channel.fit.mean
-            _fleet_band(axes, channel, len(view.labels.days))
-            at = np.arange(series.value.size)
-            axes.errorbar(at, mean + series.value, series.std, fmt='.', color=INK, elinewidth=0.8, markersize=4)
-            _levels(axes, channel, k, train)
-            _label(axes, channel)
-        _days(panels[-1], view.labels.days)
-        return to_svg(figure, f'Train {train.name} over the days')
+            draw(axes, k, channel)
+            unit = f' [{channel.channel.unit}]' if channel.channel.unit else ''
+            axes.set_title(f'{channel.channel.title}{unit}')
+        every = max(1, -(-len(days) // _MAX_TICKS))
+        panels[-1].set_xticks(range(0, len(days), every), days[::every])
+        panels[-1].set_xlim(-0.5, len(days) - 0.5)
+        return page.to_svg(figure, label)
 
 
 def _levels(axes: Axes, channel: ChannelView, k: int, train: TrainView) -> None:
-    """Draw the levels between the changes with their bands."""
+    """Draw the levels before, between and after the changes with their bands."""
+    first = train.changes[0].steps[k] if train.changes else None
+    usual = Level(float(channel.fit.train[train.number]), float(channel.fit.train_std[train.number]))
+    steps = (change.steps[k] for change in train.changes)
+    levels = [first.before if first else usual, *(step.after if step else None for step in steps)]
     edges = [0, *(change.day for change in train.changes), len(train.series[k].value)]
-    for start, end, level, std in _segments(train.changes, edges, k, channel, train.number):
+    for (start, end), part in zip(pairwise(edges), levels, strict=True):
+        if part is None:
+            continue
+        level, std = part
         x = np.array([start - 0.5, end - 0.5])
         low, high = channel.fit.mean + level - _SIGMAS * std, channel.fit.mean + level + _SIGMAS * std
-        axes.fill_between(x, low, high, color=ESTIMATE, alpha=0.25, linewidth=0)
-        axes.plot(x, [channel.fit.mean + level] * 2, color=ESTIMATE)
+        axes.fill_between(x, low, high, color=page.ESTIMATE, alpha=0.25, linewidth=0)
+        axes.plot(x, [channel.fit.mean + level] * 2, color=page.ESTIMATE)
     for change in train.changes:
-        axes.axvline(change.day - 0.5, color=BAD, linewidth=1.0)
-
-
-def _segments(
-    changes: Sequence[Change], edges: Sequence[int], k: int, channel: ChannelView, number: int
-) -> list[tuple[int, int, float, float]]:
-    """Return start, end, level and standard deviation of each part between changes."""
-    first = changes[0].steps[k] if changes else None
-    level = first.before if first else Level(float(channel.fit.train[number]), float(channel.fit.train_std[number]))
-    found = [(edges[0], edges[1], *level)]
-    for i, change in enumerate(changes):
-        if (step := change.steps[k]) is not None:
-            found.append((edges[i + 1], edges[i + 2], *step.after))
-    return found
+        axes.axvline(change.day - 0.5, color=page.BAD, linewidth=1.0)
 
 
 def _fleet_band(axes: Axes, channel: ChannelView, days: int) -> None:
     """Draw mean and ±2 standard deviations of the trains."""
     mean, spread = channel.fit.mean, _SIGMAS * channel.fit.stds['train']
-    axes.fill_between([-0.5, days - 0.5], mean - spread, mean + spread, color=GRID, alpha=0.6)
-
-
-def _label(axes: Axes, channel: ChannelView) -> None:
-    unit = f' [{channel.channel.unit}]' if channel.channel.unit else ''
-    axes.set_title(f'{channel.channel.title}{unit}')
-
-
-def _days(axes: Axes, days: Sequence[str]) -> None:
-    every = max(1, -(-len(days) // _MAX_TICKS))
-    axes.set_xticks(range(0, len(days), every), days[::every])
-    axes.set_xlim(-0.5, len(days) - 0.5)
+    axes.fill_between([-0.5, days - 0.5], mean - spread, mean + spread, color=page.GRID, alpha=0.6)

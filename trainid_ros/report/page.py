@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import platform
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from io import StringIO
@@ -102,20 +102,13 @@ _RC: Final[Any] = {
 }
 
 
-_WIDTH: Final = 10.4
-
-
 @contextmanager
 def styled_figure(height: float) -> Iterator[Figure]:
-    """Yield a figure as wide as the page, to be drawn in the style of the reports whatever the user's settings.
-
-    Args:
-        height: Height of the figure [inch].
-    """
+    """Yield a figure of a height [inch], as wide as the page, in the style of the reports whatever the user's."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_RC)
-        yield Figure(figsize=(_WIDTH, height), layout='constrained')
+        yield Figure(figsize=(10.4, height), layout='constrained')
 
 
 def to_svg(figure: Figure, label: str) -> Markup:
@@ -127,8 +120,8 @@ def to_svg(figure: Figure, label: str) -> Markup:
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
     # Namespaces are implied in HTML, and the page scales the figure.
     text = re.sub(r'\s(xmlns|xmlns:xlink)="[^"]*"', '', text)
-    text = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r'\1', text, count=1)
-    text = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r'\1', text, count=1)
+    for size in ('width', 'height'):
+        text = re.sub(rf'(<svg[^>]*?)\s{size}="[^"]*"', r'\1', text, count=1)
     text = text.replace('<svg', f'<svg role="img" aria-label="{escape(label)}"', 1)
     for colour, variable, _ in COLOURS:
         text = text.replace(colour, f'var(--{variable})')
@@ -191,13 +184,9 @@ def _shown(panel: Panel, std: Array) -> list[Array]:
 
 
 def draw_spans(
-    axes: Axes,
-    spans: Iterable[Span],
-    colours: Mapping[str, str],
-    *,
-    alpha: float | None = None,
-    lane: tuple[float, float] | None = None,
-) -> None:
+    axes: Axes, spans: Iterable[Span], colours: Mapping[str, str], *,
+    alpha: float | None = None, lane: tuple[float, float] | None = None,
+) -> None:  # fmt: skip
     """Shade spans of time: by default over the whole height, behind a plot; otherwise from a height on, and how far."""
     place: dict[str, Any] = {'transform': axes.get_xaxis_transform()} if lane is None else {}
     for label, colour in colours.items():
@@ -227,7 +216,6 @@ def legend_above(figure: Figure, handles: Sequence[Artist]) -> None:
     figure.legend(handles=list(handles), loc='outside upper right', ncols=len(handles))
 
 
-_LIBRARIES: Final = ('numpy', 'scipy', 'rclpy')
 _TEMPLATES: Final = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
     autoescape=True,
@@ -252,21 +240,9 @@ class Table(NamedTuple):
 
 
 def render(template: str, title: str, **content: Any) -> str:
-    """Return a page as HTML text.
-
-    Args:
-        template: File name of the template.
-        title: Heading.
-        content: What the template shows, by the names that it uses.
-    """
-    return _TEMPLATES.get_template(template).render(
-        start=Markup(HTML_START),
-        version=__version__,
-        versions=versions(),
-        colours=COLOURS,
-        title=title,
-        **content,
-    )
+    """Return a page as HTML text, with its heading and what its template shows, by the names used there."""
+    shown = {'start': Markup(HTML_START), 'version': __version__, 'versions': versions(), 'colours': COLOURS}
+    return _TEMPLATES.get_template(template).render(title=title, **shown, **content)
 
 
 def page(title: str, body: str, footer: str) -> str:
@@ -275,11 +251,7 @@ def page(title: str, body: str, footer: str) -> str:
 
 
 def write_page(text: str, path: str | Path) -> None:
-    """Write a page and create missing folders.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a page and create missing folders; InputError if it cannot be written."""
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -289,12 +261,15 @@ def write_page(text: str, path: str | Path) -> None:
         raise InputError(f'{path}: cannot be written ({error.strerror})') from None
 
 
+def column_of_axes(figure: Figure, count: int, **options: Any) -> Any:
+    """Return axes one above the other, with one horizontal axis."""
+    return figure.subplots(count, 1, sharex=True, squeeze=False, **options)[:, 0]
+
+
 def versions() -> tuple[str, ...]:
     """Return names and versions of the software used; libraries that are not installed are left out."""
     found = [f'trainid_ros {__version__}', f'Python {platform.python_version()}']
-    for library in _LIBRARIES:
-        try:
+    for library in ('numpy', 'scipy', 'rclpy'):
+        with suppress(PackageNotFoundError):
             found.append(f'{library} {version(library)}')
-        except PackageNotFoundError:
-            continue
     return tuple(found)

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.records import KM_H, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.bag.reader import LoggedRecord
 
-AnyOutput: TypeAlias = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
 Array: TypeAlias = NDArray[np.float64]
 T = TypeVar('T')
 
@@ -190,7 +192,6 @@ class _Thinned(Generic[T]):
             self._stride *= 2
 
     def items(self) -> list[T]:
-        """Return the items, including an incomplete last one."""
         return self._items + self._pending
 
 
@@ -253,19 +254,19 @@ class _Outputs:
         self._innovation = estimate.innovation
 
     def track(self, start_ns: int, end_ns: int) -> Track:
-        kept, tested = self.kept.items(), self.tested.items()
-        ratios = np.array([_ratio(output) for output in tested], dtype=np.float64)
+        kept = self.kept.items()
         return Track(
-            _since(start_ns, [output.stamp_ns for output in kept]),
+            np.array([output.stamp_ns for output in kept], dtype=np.int64) - start_ns,
             tuple(output.estimate for output in kept),
             np.array([output.status in (Status.VALID, Status.HOLDING) for output in kept], dtype=np.bool_),
-            Series(_since(start_ns, [output.stamp_ns for output in tested]), ratios.reshape(-1, 1)),
+            _series([(output.stamp_ns, _ratio(output)) for output in self.tested.items()], 1, start_ns),
             self.statuses.spans(start_ns, end_ns),
         )
 
 
-def _since(start_ns: int, stamps: list[int]) -> NDArray[np.int64]:
-    return np.array(stamps, dtype=np.int64) - start_ns
+def _series(rows: Sequence[tuple[float, ...]], width: int, start_ns: int) -> Series:
+    values = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, width)
+    return Series(np.array([int(row[0]) for row in rows], dtype=np.int64) - start_ns, values)
 
 
 class Recorder:
@@ -293,10 +294,9 @@ class Recorder:
             return
         # A time base of its own of another input must not hide the speed.
         stamps = self._speed_stamps if isinstance(record, SpeedRecord) else self._other_stamps
-        row: tuple[float, ...] = ()
         match record:
             case SpeedRecord():
-                row = (stamp_ns, record.speed, self._gradient)
+                row: tuple[float, ...] = (stamp_ns, record.speed, self._gradient)
             case ForceRecord():
                 self._force = record.force
                 self._greatest_force = max(self._greatest_force, abs(record.force))
@@ -308,8 +308,8 @@ class Recorder:
                 self._gradient = record.gradient
                 row = (stamp_ns, self._gradient)
             case _:
-                pass
-        if not (row and stamps.accept(stamp_ns)):
+                return
+        if not stamps.accept(stamp_ns):
             return
         self._inputs[type(record)].add(row)
         if isinstance(record, SpeedRecord) and np.isfinite(record.speed):
@@ -332,22 +332,14 @@ class Recorder:
         """Return what was collected."""
         start_ns, end_ns = self._start_ns, self._newest_ns
         speed, force, gradient, command = (
-            self._series(kind, width)
-            for kind, width in ((SpeedRecord, 2), (ForceRecord, 1), (GradientRecord, 1), (BrakeRecord, 1))
+            _series(kept.items(), width, start_ns)
+            for kept, width in zip(self._inputs.values(), (2, 1, 1, 1), strict=True)
         )
         resistance, speed_model, brake_rate = (outputs.track(start_ns, end_ns) for outputs in self.outputs.values())
+        modes, observable = (labels.spans(start_ns, end_ns) for labels in (self._modes, self._observable))
+        length_s = (end_ns - start_ns) / NS_PER_S
         return Recording(
-            start_ns,
-            (end_ns - start_ns) / NS_PER_S,
-            speed,
-            force,
-            gradient,
-            command,
-            self._modes.spans(start_ns, end_ns),
-            resistance,
-            speed_model,
-            brake_rate,
-            self._observable.spans(start_ns, end_ns),
+            start_ns, length_s, speed, force, gradient, command, modes, resistance, speed_model, brake_rate, observable
         )
 
     def _extend(self, stamp_ns: int) -> None:
@@ -361,8 +353,3 @@ class Recorder:
         if self._command < 0.0:
             return BRAKING
         return PULLING if self._force > _COASTING_FORCE * self._greatest_force else COASTING
-
-    def _series(self, kind: type, width: int) -> Series:
-        rows = self._inputs[kind].items()
-        values = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, width)
-        return Series(_since(self._start_ns, [int(row[0]) for row in rows]), values)

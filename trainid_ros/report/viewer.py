@@ -17,21 +17,17 @@ from trainid_ros.monitor.view import SHOWN, ShownEstimate
 from trainid_ros.report.recording import Labels, Panel, Recorder, Recording, Track, input_panels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.bag_replay import Pipelines
-    from trainid_ros.report.recording import AnyOutput
+    from trainid_ros.bag.bag_replay import AnyOutput, Pipelines
 
 RRD_START: Final = 'RRF2'
 """How a recording starts."""
 USED: Final = 'used'
 _AXIS: Final = 'time'
 _BAND_STD: Final = 2.0
-_BLUE: Final = (31, 119, 180)
-_PALE: Final = (125, 150, 175)
 SHARES: Final = (6.0, 1.9, 1.7)
 """Heights of inputs beside estimates, of status beside samples, and of the events."""
 _COLOURS: Final = {
@@ -94,16 +90,10 @@ class ViewRecorder(Recorder):
         rejection = output.last_rejection
         is_newest = rejection is not None and rejection.stamp_ns == stamp_ns
         self.rejected[name].add(stamp_ns, rejection.reason.name if rejection is not None and is_newest else USED)
-        self._note_finding(stamp_ns)
-
-    def _note_finding(self, stamp_ns: int) -> None:
-        """Note that inputs contradict each other, or no longer do."""
-        finding = self._stream.finding
-        if finding == self._finding:
-            return
-        text = f'inputs contradict each other: {finding}' if finding else f'inputs agree again: {self._finding}'
-        self.events.append(Event(stamp_ns, bool(finding), text))
-        self._finding = finding
+        if (finding := self._stream.finding) != self._finding:
+            text = f'inputs contradict each other: {finding}' if finding else f'inputs agree again: {self._finding}'
+            self.events.append(Event(stamp_ns, bool(finding), text))
+            self._finding = finding
 
 
 def estimate_panel(shown: ShownEstimate, track: Track) -> Panel:
@@ -124,16 +114,7 @@ def time_range(recording: Recording) -> tuple[int, int]:
 
 
 def write_recording(recorder: ViewRecorder, title: str, path: Path) -> None:
-    """Write a recording.
-
-    Args:
-        recorder: What was collected.
-        title: Name of the recording.
-        path: File to write; its folder is created.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a recording, given what was collected and its title; InputError if the file cannot be written."""
     switch_off_telemetry()
     import rerun as rr  # noqa: PLC0415 - optional, and its telemetry must be off first
 
@@ -179,7 +160,8 @@ class _Writer:
             self._states(f'samples/{_path(name)}', recorder.rejected[name])
         levels = ['ERROR' if event.is_bad else 'INFO' for event in recorder.events]
         columns = self._rr.TextLog.columns(text=[event.text for event in recorder.events], level=levels)
-        self._send('events', self._since_start([event.stamp_ns for event in recorder.events]), columns)
+        times = np.array([event.stamp_ns for event in recorder.events], dtype=np.int64) - self._start_ns
+        self._send('events', times, columns)
 
     def _panel(self, path: str, panel: Panel) -> None:
         if panel.std is None:
@@ -187,13 +169,11 @@ class _Writer:
             return
         for edge, sign in (('upper', 1.0), ('lower', -1.0)):
             limit = panel.value + sign * _BAND_STD * panel.std
-            self._line(f'{path}/{edge}', panel, limit, f'{panel.label} {sign * _BAND_STD:+.0f} std', _PALE)
+            self._line(f'{path}/{edge}', panel, limit, f'{panel.label} {sign * _BAND_STD:+.0f} std', is_edge=True)
         self._line(f'{path}/value', panel, panel.value, panel.label)
 
-    def _line(
-        self, path: str, panel: Panel, values: NDArray[np.float64], name: str, colour: tuple[int, int, int] = _BLUE
-    ) -> None:
-        width = 1.0 if colour == _PALE else 2.0
+    def _line(self, path: str, panel: Panel, values: NDArray[np.float64], name: str, *, is_edge: bool = False) -> None:
+        colour, width = ((125, 150, 175), 1.0) if is_edge else ((31, 119, 180), 2.0)
         self._stream.log(path, self._rr.SeriesLines(names=name, colors=[colour], widths=width), static=True)
         self._send(path, panel.time_ns, self._rr.Scalars.columns(scalars=values))
 
@@ -204,11 +184,8 @@ class _Writer:
             values=[*colours], labels=[*colours], colors=np.array([*colours.values()], dtype=np.uint32)
         )
         self._stream.log(path, configuration, static=True)
-        times = self._since_start([stamp_ns for stamp_ns, _ in labels.changes])
+        times = np.array([stamp_ns for stamp_ns, _ in labels.changes], dtype=np.int64) - self._start_ns
         self._send(path, times, self._rr.StateChange.columns(state=texts))
-
-    def _since_start(self, stamps: Sequence[int]) -> NDArray[np.int64]:
-        return np.array(stamps, dtype=np.int64) - self._start_ns
 
     def _send(self, path: str, time_ns: NDArray[np.int64], columns: Any) -> None:
         if len(time_ns):
@@ -231,14 +208,13 @@ def _layout(panels: dict[str, Panel], length_ns: int) -> Any:
         columns[path.partition('/')[0]].append(view)
     lanes = {'status': 'status', 'samples': 'why the newest sample was not used'}
     states = [rrb.StateTimelineView(origin=origin, name=name, time_view=axis) for origin, name in lanes.items()]
-    events = rrb.TextLogView(origin='events', name='events')
+    rows = (
+        rrb.Horizontal(*(rrb.Vertical(*views) for views in columns.values())),
+        rrb.Horizontal(*states),
+        rrb.TextLogView(origin='events', name='events'),
+    )
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(*(rrb.Vertical(*views) for views in columns.values())),
-            rrb.Horizontal(*states),
-            events,
-            row_shares=SHARES,
-        ),
+        rrb.Vertical(*rows, row_shares=SHARES),
         rrb.TimePanel(timeline=_AXIS, state='collapsed', play_state='paused'),
         collapse_panels=True,
     )

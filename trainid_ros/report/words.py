@@ -20,13 +20,8 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 DASH: Final = '–'
-_DAVIS: Final = quantities(ResistanceEstimate)
-DAVIS_UNITS: Final = tuple(_DAVIS[name].unit.replace('^2', '²') for name in 'abc')
-_CLEAR: Final = 3.0
-_STRONGEST: Final = 3
-_TIMES: Final = {2: 'twice', 3: 'three times'}
-# Axes that only describe the division of the data, not a cause of the gap.
-_NO_CAUSE: Final = ('run',)
+DAVIS_UNITS: Final = tuple(quantities(ResistanceEstimate)[name].unit.replace('^2', '²') for name in 'abc')
+_CLEAR: Final = 3.0  # standard deviations from which missing resistance is significant
 
 
 class Strong(NamedTuple):
@@ -60,8 +55,8 @@ def headline(explanation: Explanation) -> str:
 
 def _counted(names: Sequence[str]) -> str:
     """Return names as an enumeration without repetitions, with counts."""
-    counts = Counter(names)
-    return join([f'{name} {_TIMES.get(n, f"{n} times")}' if n > 1 else name for name, n in counts.items()])
+    times = {1: '', 2: ' twice', 3: ' three times'}
+    return join([f'{name}{times.get(n, f" {n} times")}' for name, n in Counter(names).items()])
 
 
 def _twins(explanation: Explanation) -> str:
@@ -85,19 +80,15 @@ def plus_minus(value: float, std: float) -> str:
 
 def unit_of(effect: str, parameter: str) -> str:
     """Return the unit of a parameter, '' for ratios and for effects not in the library."""
-    kind = EFFECTS.get(effect)
-    known = None if kind is None else kind.parameters.get(parameter)
-    return '' if known is None else known.unit
+    known = EFFECTS[effect].parameters if effect in EFFECTS else {}
+    return known[parameter].unit if parameter in known else ''
 
 
 def parameters_text(effect: FoundEffect) -> str:
     """Return the parameters of an effect with standard deviations and units."""
     std = dict(effect.std)
-    texts = [
-        f'{name} = {plus_minus(value, std.get(name, 0.0))} {unit_of(effect.name, name)}'.rstrip()
-        for name, value in effect.parameters
-    ]
-    return join(texts)
+    values = [(name, plus_minus(value, std.get(name, 0.0))) for name, value in effect.parameters]
+    return join([f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values])
 
 
 def how_sure(effect: FoundEffect) -> str:
@@ -111,13 +102,10 @@ def how_sure(effect: FoundEffect) -> str:
 
 def sigmas_from_neutral(effect: FoundEffect) -> float | None:
     """Return the distance of its amplitude from the neutral value in standard deviations, None if unknown."""
-    kind = EFFECTS.get(effect.name)
-    if kind is None:
+    if (kind := EFFECTS.get(effect.name)) is None:
         return None
     value, std = dict(effect.parameters).get(kind.amplitude), dict(effect.std).get(kind.amplitude, 0.0)
-    if value is None or not std > 0.0:
-        return None
-    return abs(value - kind.neutral) / std
+    return abs(value - kind.neutral) / std if value is not None and std > 0.0 else None
 
 
 def gap_sentence(explanation: Explanation) -> str:
@@ -152,10 +140,10 @@ def strongest(explanation: Explanation) -> list[Strong]:
         (abs(place.before) / place.std, Strong(place_text(location.axis, place.label), place.before, place.std))
         for location in explanation.locations
         for place in location.places
-        if location.axis not in _NO_CAUSE and place.std > 0.0
+        if location.axis != 'run' and place.std > 0.0  # a run is no cause of the gap
     ]
     clear = sorted((entry for entry in places if entry[0] > _CLEAR), key=lambda entry: -entry[0])
-    return [strong for _, strong in clear[:_STRONGEST]]
+    return [strong for _, strong in clear[:3]]
 
 
 def strong_text(strong: Strong) -> str:

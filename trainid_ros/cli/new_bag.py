@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verbs that create a bag: ``trainid import`` from a table, and ``trainid simulate`` with its truth."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.bag.reader import PROGRESS_EVERY
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.output import print_json, progress, show, warn
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping import load_table_mapping
+from trainid_ros.inputs.table_records import TableRecords
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, input_topic
+from trainid_ros.interface.text import pluralise
+from trainid_ros.sim.scenario import Scenario, check_scenario
+from trainid_ros.sim.scenario import simulate as run_scenario
+from trainid_ros.sim.truth import plain_truth, save_truth
+from trainid_ros.sim.worlds import WORLDS, make_case, unknowns_of, world_train
+from trainid_ros.train.effects import parse_effects
+from trainid_ros.train.fields import shown
+from trainid_ros.train.train_file import dump_train_file, load_train_file
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from trainid_ros.sim.scenario import Simulation
+    from trainid_ros.sim.worlds import Case
+
+TRAIN_FILE: Final = 'train.yaml'
+TRUTH_FILE: Final = 'truth.yaml'
+
+
+def import_table(args: argparse.Namespace) -> int:
+    """Read the table and write the bag; after an InputError no bag is left."""
+    train_file = None if args.train is None else load_train_file(args.train)
+    table = TableRecords(args.file, MappedInputs(load_table_mapping(args.map), train_file))
+    counts: Counter[str] = Counter({topic.name: 0 for topic in REQUIRED_TOPICS})
+    first_ns = last_ns = 0
+    with _new_bag(args.out) as writer, progress(f'importing {args.file.name}', 1.0) as advance:
+        for share, records in table.blocks():
+            for log_ns, record in records:
+                writer.write_record(record, log_ns)
+                counts[input_topic(record).name] += 1
+            if records:
+                first_ns, last_ns = first_ns or records[0][0], records[-1][0]
+            advance(share)
+        if not writer.message_count:
+            raise InputError(f'{args.file}: nothing in {pluralise(table.rows, "row")} has a time and a value')
+    _print_imported(args, table, counts, (last_ns - first_ns) / NS_PER_S)
+    return 0
+
+
+@contextmanager
+def _new_bag(path: Path) -> Iterator[BagWriter]:
+    """Write a bag beside its place, and put it there once it is complete."""
+    if path.exists() or path.is_symlink():
+        raise InputError(f'{path}: exists already and is not overwritten')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f'.{path.name}.', dir=path.parent) as folder:
+        with BagWriter(Path(folder) / path.name) as writer:
+            yield writer
+        writer.path.rename(path)
+
+
+def _print_imported(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
+    for line in table.warnings:
+        warn(line)
+    for (name, number), count in table.unlisted.most_common(5):
+        rows = pluralise(count, 'row')
+        warn(f'{args.file}: column {shown(name)}: {number:g} is not in table of the mapping ({rows})')
+    if table.steps_back:
+        warn(f'{args.file}: {pluralise(table.steps_back, "row")} earlier than one before')
+    if table.repeated:
+        warn(f'{args.file}: {pluralise(table.repeated, "row")} with the time of the one before')
+    if missing := [topic for topic, count in counts.items() if not count]:
+        warn(f'{args.out}: no messages on {", ".join(missing)}: the mapping names no column with values')
+    blank = {name: count for name, count in table.blank.items() if count}
+    if args.json:
+        read = {'rows': table.rows, 'blank': blank, 'duration_s': duration_s}
+        print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **read})
+        return
+    show(f'{args.out}: {counts.total()} messages from {pluralise(table.rows, "row")} over {duration_s:.1f} s')
+    show('\n'.join(f'  {topic}: {count}' for topic, count in counts.items()))
+    if blank:
+        show('rows without a value: ' + ', '.join(f'{name} {count}' for name, count in blank.items()))
+
+
+def simulate(args: argparse.Namespace) -> int:
+    """Simulate and write the bag and its truth; with a world also the stated train file."""
+    rng = np.random.default_rng(args.seed)
+    case = _case(args, rng)
+    scenario = case.scenario if case else _scenario(args)
+    # The bag is opened first, so that a path that cannot be written is reported before the simulation.
+    with BagWriter(args.out) as writer:
+        with progress('simulating'):
+            simulation = run_scenario(scenario, rng)
+        with progress('writing', len(simulation.records)) as advance:
+            for i, record in enumerate(simulation.records, 1):
+                writer.write_record(record)
+                if i % PROGRESS_EVERY == 0:
+                    advance(PROGRESS_EVERY)
+    if case:
+        simulation = replace(simulation, truth=replace(simulation.truth, unknowns=case.true_values))
+        (args.out / TRAIN_FILE).write_text(dump_train_file(case.stated), encoding='utf-8')
+    save_truth(simulation.truth, args.out / TRUTH_FILE)
+    _print_simulated(args, simulation)
+    return 0
+
+
+def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:
+    """Return the case of the world asked for, None without a world."""
+    if args.world is None:
+        if args.realism or args.unknown:
+            raise InputError(f'--{"realism" if args.realism else "unknown"} needs --world, one of {", ".join(WORLDS)}')
+        return None
+    world = WORLDS[args.world]
+    stated = load_train_file(args.train) if args.train else world_train(world)
+    names = unknowns_of(args.realism or 'clean', args.unknown, stated)
+    # Drawn from a separate generator, so that driving and noise are the same with and without unknowns.
+    return make_case(world, stated, names, args.runs, rng.spawn(1)[0], parse_effects(args.effect))
+
+
+def _scenario(args: argparse.Namespace) -> Scenario:
+    if args.train is None:
+        raise InputError('no train: give --train T.yaml or --world NAME')
+    file = load_train_file(args.train)
+    scenario = Scenario(replace(file, effects=(*file.effects, *parse_effects(args.effect))), runs=args.runs)
+    check_scenario(scenario)
+    return scenario
+
+
+def _print_simulated(args: argparse.Namespace, simulation: Simulation) -> None:
+    counts = Counter(input_topic(record).name for record in simulation.records)
+    if not args.json:
+        runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
+        show(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+        if args.world:
+            show(f'stated train file: {args.out / TRAIN_FILE}')
+        return
+    run = {'duration_s': simulation.duration_s, 'runs': len(simulation.arrivals), 'seed': args.seed}
+    truth = plain_truth(simulation.truth)
+    print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **run, 'truth': truth})
