@@ -16,27 +16,16 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from test.own_bag import error_of, read_bag, write_bag
 from trainid_ros.bag import bag_files
 from trainid_ros.bag.bag_files import bags_below
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import digest, full_definition, full_type, message_from_record, typestore
-from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import Record, input_topic
-
-
-def read(path: Path) -> tuple[list[Record], list[str]]:
-    with BagReader(path) as reader:
-        return list(reader.records()), reader.warnings
-
-
-def error_of(path: Path) -> str:
-    with pytest.raises(InputError) as caught, BagReader(path):
-        pass
-    return str(caught.value)
 
 
 def change(bag: Path, **values: object) -> None:
@@ -61,53 +50,46 @@ def split(tmp_path: Path, records: list[Record]) -> Path:
     folder = tmp_path / 'split'
     folder.mkdir()
     for number in range(3):
-        with BagWriter(tmp_path / f'part_{number}') as writer:
-            for record in records[number::3]:
-                writer.write_record(record)
-        shutil.copy(tmp_path / f'part_{number}' / f'part_{number}.mcap', folder / f'split_{number}.mcap')
+        part = write_bag(tmp_path / f'part_{number}', records[number::3])
+        shutil.copy(part / f'part_{number}.mcap', folder / f'split_{number}.mcap')
     shutil.copy(tmp_path / 'part_0' / 'metadata.yaml', folder)
-    listed = {'relative_file_paths': ['split_0.mcap', 'split_1.mcap'], 'message_count': 2 * len(records) // 3}
-    change(folder, **listed)
+    names = ['split_0.mcap', 'split_1.mcap']
+    change(folder, relative_file_paths=names, message_count=2 * len(records) // 3)
     return folder
 
 
 def test_a_part_that_the_metadata_do_not_list_is_read_with_a_warning(split: Path, records: list[Record]) -> None:
-    found, warnings = read(split)
-    assert found == records
-    assert warnings == [f'{split / "split_2.mcap"}: not listed in metadata.yaml, read as a part of the bag']
+    warning = f'{split / "split_2.mcap"}: not listed in metadata.yaml, read as a part of the bag'
+    assert read_bag(split) == (records, [warning])
 
 
 @pytest.mark.parametrize('name', ['other_2.mcap', 'split_2.db3', 'split_copy.mcap'])
 def test_a_file_of_another_name_is_no_part_of_the_bag(split: Path, records: list[Record], name: str) -> None:
     (split / 'split_2.mcap').rename(split / name)
-    found, warnings = read(split)
-    assert found == [record for k, record in enumerate(records) if k % 3 != 2]
-    assert warnings == [f'{split / name}: not listed in metadata.yaml, not read']
+    expected = [record for k, record in enumerate(records) if k % 3 != 2]
+    assert read_bag(split) == (expected, [f'{split / name}: not listed in metadata.yaml, not read'])
 
 
 def test_a_missing_part_makes_no_other_file_one(split: Path, records: list[Record]) -> None:
     (split / 'split_2.mcap').rename(split / 'other.mcap')
     (split / 'split_1.mcap').unlink()
-    found, warnings = read(split)
-    assert found == records[::3]
-    assert warnings == [
+    warnings = [
         f'{split / "split_1.mcap"}: file listed in metadata.yaml is missing, the files that are there were read',
         f'{split / "other.mcap"}: not listed in metadata.yaml, not read',
         f'{split}: 67 of 133 messages found',
     ]
+    assert read_bag(split) == (records[::3], warnings)
 
 
 def test_a_bag_of_one_file_has_no_other_parts(bag: Path, records: list[Record]) -> None:
     shutil.copy(bag / 'bag.mcap', bag / 'bag_1.mcap')
-    found, warnings = read(bag)
-    assert found == records
-    assert warnings == [f'{bag / "bag_1.mcap"}: not listed in metadata.yaml, not read']
+    assert read_bag(bag) == (records, [f'{bag / "bag_1.mcap"}: not listed in metadata.yaml, not read'])
 
 
 def test_suffixes_in_capitals_are_those_of_bags(bag: Path, records: list[Record]) -> None:
     (bag / 'metadata.yaml').unlink()
     (bag / 'bag.mcap').rename(bag / 'BAG.MCAP')
-    assert read(bag)[0] == records
+    assert read_bag(bag)[0] == records
     assert bags_below(bag.parent) == [bag / 'BAG.MCAP']
 
 
@@ -120,7 +102,7 @@ def test_compression_by_ros2_bag_is_named(bag: Path, mode: str) -> None:
 
 def test_files_that_were_unpacked_by_hand_are_read(bag: Path, records: list[Record]) -> None:
     change(bag, compression_mode='FILE', relative_file_paths=['bag.mcap.zstd'])
-    found, (warning,) = read(bag)
+    found, (warning,) = read_bag(bag)
     assert found == records
     assert warning.endswith("metadata.yaml: compression mode 'file', but the files are unpacked, and were read")
 
@@ -180,38 +162,29 @@ def make_humble(path: Path) -> None:
         """)
 
 
-def read_twice(path: Path) -> tuple[list[Record], list[str]]:
-    with BagReader(path) as reader:
-        found = list(reader.records())
-        assert list(reader.records()) == found  # a second pass starts over
-        return found, reader.warnings
-
-
 @pytest.mark.parametrize('at_once', [5000, 7])
 def test_records_are_those_written(
     db3: Path, records: list[Record], at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_files, '_MESSAGES_AT_ONCE', at_once)
-    assert read_twice(db3) == (records, [])
+    assert read_bag(db3) == (records, [])
     with BagReader(db3) as reader:
         assert (reader.message_count, reader.input_count) == (len(records), len(records))
         assert reader.time_range() == (records[0].stamp_ns, records[-1].stamp_ns)
         assert {topic.type for topic in reader.topics()} >= {'trainid_msgs/msg/AtoSpeed'}
-        assert len([entry for entry in reader.messages() if entry.topic == 'ato/force']) == len(records) // 4
 
 
 def test_a_bare_file_and_one_without_metadata_are_read(db3: Path, records: list[Record]) -> None:
-    assert read_twice(db3 / 'run.db3') == (records, [])
+    assert read_bag(db3 / 'run.db3') == (records, [])
     (db3 / 'metadata.yaml').unlink()
-    found, (warning,) = read_twice(db3)
+    found, (warning,) = read_bag(db3)
     assert found == records
     assert 'metadata.yaml is missing' in warning
 
 
 def test_older_files_without_definitions_are_read(db3: Path, records: list[Record]) -> None:
-    (db3 / 'metadata.yaml').unlink()
     make_humble(db3 / 'run.db3')
-    assert read_twice(db3 / 'run.db3') == (records, [])
+    assert read_bag(db3 / 'run.db3') == (records, [])
 
 
 def test_messages_of_equal_log_times_stay_together(
@@ -219,14 +192,14 @@ def test_messages_of_equal_log_times_stay_together(
 ) -> None:
     monkeypatch.setattr(bag_files, '_MESSAGES_AT_ONCE', 7)
     execute(db3, 'UPDATE messages SET timestamp = 1700000000000000000 WHERE id BETWEEN 3 AND 30')
-    found, _ = read_twice(db3)
+    found, _ = read_bag(db3)
     assert sorted(found, key=lambda record: record.stamp_ns) == records
 
 
 def test_another_definition_is_an_error(db3: Path) -> None:
     execute(db3, "UPDATE message_definitions SET encoded_message_definition = 'float64 x'")
     with pytest.raises(InputError, match=r'run\.db3: topic ato/\w+: definition of .* differs'):
-        read_twice(db3)
+        read_bag(db3)
 
 
 def test_standard_types_without_definitions_are_mapped(tmp_path: Path) -> None:
@@ -248,13 +221,12 @@ def test_standard_types_without_definitions_are_mapped(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(db3: Path, keep: int) -> None:
     path = db3 / 'run.db3'
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(InputError, match=r'run\.db3: unreadable sqlite3 storage'):
-        read_twice(db3)
+    assert f'{path}: unreadable sqlite3 storage' in error_of(db3)
 
 
 def test_messages_left_in_the_journal_are_a_warning(db3: Path) -> None:
     (db3 / 'run.db3-wal').write_bytes(b'x')
-    _, (warning,) = read_twice(db3)
+    _, (warning,) = read_bag(db3)
     assert 'run.db3-wal: messages of an interrupted recording' in warning
 
 
@@ -274,7 +246,7 @@ def test_the_file_named_is_read_whatever_its_folder_is_called(
 ) -> None:
     (tmp_path / name).mkdir()
     (db3 / 'run.db3').rename(tmp_path / name / 'run.db3')
-    assert read_twice(tmp_path / name / 'run.db3') == (records, [])
+    assert read_bag(tmp_path / name / 'run.db3') == (records, [])
 
 
 @pytest.mark.parametrize(('asked', 'other'), [('run.db3#2', 'run.db3'), ('r%41n.db3', 'rAn.db3')])
@@ -283,7 +255,7 @@ def test_no_other_file_is_read_instead(db3: Path, records: list[Record], asked: 
     (db3 / other).write_bytes((db3 / asked).read_bytes())
     with closing(sqlite3.connect(db3 / other)) as connection, connection:
         connection.execute('DELETE FROM messages')
-    assert read_twice(db3 / asked) == (records, [])
+    assert read_bag(db3 / asked) == (records, [])
 
 
 def other_topic(encoding: str) -> tuple[str, ...]:
@@ -309,7 +281,7 @@ def test_unknown_definitions_profiles_and_large_numbers_lose_nothing(
     db3: Path, records: list[Record], statements: tuple[str, ...]
 ) -> None:
     execute(db3, *statements)
-    assert read_twice(db3 / 'run.db3') == (records, [])
+    assert read_bag(db3 / 'run.db3') == (records, [])
 
 
 @pytest.mark.parametrize(
@@ -325,4 +297,4 @@ def test_a_damaged_message_is_the_only_one_left_out(
 ) -> None:
     execute(db3, f'UPDATE messages SET {change_to} WHERE id = 5')
     path = db3 / 'run.db3'
-    assert read_twice(path) == (records[:4] + records[5:], [f'{path}: {warning}'])
+    assert read_bag(path) == (records[:4] + records[5:], [f'{path}: {warning}'])

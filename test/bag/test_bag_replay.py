@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from test.own_bag import messages_of, write_bag
 from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagRecorder, BagWriter
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
+from trainid_ros.interface.records import NS_PER_S, ForceRecord, Record
 from trainid_ros.interface.results import Reason
 from trainid_ros.setup.pipelines import (
     RESISTANCE,
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import LoggedRecord
 
 TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0)))
-TOPICS = {topic.record: topic for topic in INPUT_TOPICS}
 
 
 class Log:
@@ -60,11 +59,7 @@ def drive() -> tuple[Record, ...]:
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory, drive: tuple[Record, ...]) -> Path:
-    path = tmp_path_factory.mktemp('replay') / 'bag'
-    with BagWriter(path) as writer:
-        for record in drive:
-            writer.write_record(record)
-    return path
+    return write_bag(tmp_path_factory.mktemp('replay') / 'bag', drive)
 
 
 def run(bag: Path, *observers: Any, duration_s: float = float('inf')) -> Replay:
@@ -101,17 +96,15 @@ def test_outputs_are_those_of_the_pipelines_driven_by_hand(
     assert outcome.records == len(drive)
 
 
-def test_the_estimators_use_samples(replayed: tuple[Replay, Log, Path]) -> None:
+def test_the_estimators_use_the_samples_of_the_whole_bag(
+    replayed: tuple[Replay, Log, Path], drive: tuple[Record, ...]
+) -> None:
     outcome = replayed[0]
     assert outcome.resistance.output.used > 50
     assert outcome.brake_rate.output.used > 20
     assert dict(outcome.resistance.rejections)[Reason.BRAKING] > 20
-
-
-def test_duration_is_that_of_the_samples(replayed: tuple[Replay, Log, Path], drive: tuple[Record, ...]) -> None:
-    span_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
     # The first and last samples lie at the first and last speeds, both within a period of 0.2 s.
-    assert replayed[0].duration_s == pytest.approx(span_s, abs=0.5)
+    assert outcome.duration_s == pytest.approx((drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S, abs=0.5)
 
 
 def test_progress_adds_up_to_all_inputs_read(bag: Path, drive: tuple[Record, ...]) -> None:
@@ -130,14 +123,11 @@ def test_a_limited_duration_reads_only_the_start(bag: Path, drive: tuple[Record,
 
 
 def test_stamps_that_start_over_count_twice(tmp_path: Path, drive: tuple[Record, ...]) -> None:
-    path, later_ns = tmp_path / 'twice', 8000 * NS_PER_S
-    with BagWriter(path) as writer:
-        for start_ns in (0, later_ns):
-            for record in drive:
-                # A clock that is set back by less than an hour loses nothing: the first drive is stamped later.
-                moved = record if start_ns else replace(record, stamp_ns=record.stamp_ns + later_ns)
-                topic = TOPICS[type(record)]
-                writer.write_message(topic.name, topic.message, record.stamp_ns + start_ns, message_from_record(moved))
+    later_ns = 8000 * NS_PER_S
+    # A clock that is set back by less than an hour loses nothing: the first drive is stamped later.
+    first = [replace(record, stamp_ns=record.stamp_ns + later_ns) for record in drive]
+    log_ns = [record.stamp_ns + start_ns for start_ns in (0, later_ns) for record in drive]
+    path = write_bag(tmp_path / 'twice', (*first, *drive), log_ns)
     once_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
     outcome = run(path)
     assert outcome.resistance.resets == 1
@@ -146,11 +136,7 @@ def test_stamps_that_start_over_count_twice(tmp_path: Path, drive: tuple[Record,
 
 
 def test_missing_topic_is_named_with_the_bag(tmp_path: Path, drive: tuple[Record, ...]) -> None:
-    path = tmp_path / 'no_force'
-    with BagWriter(path) as writer:
-        for record in drive[:200]:
-            if not isinstance(record, ForceRecord):
-                writer.write_record(record)
+    path = write_bag(tmp_path / 'no_force', (r for r in drive[:200] if not isinstance(r, ForceRecord)))
     with pytest.raises(InputError, match=r'no_force.*ato/force'):
         run(path)
 
@@ -167,11 +153,11 @@ def test_recorded_bag_holds_estimates_and_latched_copies(replayed: tuple[Replay,
     _, log, path = replayed
     with BagReader(path) as reader:
         counts = {topic.name: topic.count for topic in reader.topics()}
-        messages = [entry.message for entry in reader.messages({'trainid/resistance'})]
     outputs: list[Any] = [output for output in log.outputs if type(output.estimate).__name__ == 'ResistanceEstimate']
     assert counts['trainid/resistance'] == counts['trainid/speed_model'] == counts['trainid/brake_rate'] == len(outputs)
     valid = sum(o.status.name == 'VALID' for o in log.outputs if type(o.estimate).__name__ == 'BrakeRateEstimate')
     assert counts.get('trainid/last_valid/brake_rate', 0) == valid
+    messages = messages_of(path, 'trainid/resistance')
     assert [(m.a, m.used) for m in messages] == [(o.estimate.a, o.used) for o in outputs]
 
 

@@ -17,6 +17,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from benchmarks.damage import campaign
+from test.own_bag import START_NS as STAMP
+from test.own_bag import changed, error_of, read_bag
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, ChunkHead, RecordFile
 from trainid_ros.bag.types import full_type, message_from_record, typestore
@@ -26,7 +28,6 @@ from trainid_ros.interface.records import MassRecord
 if TYPE_CHECKING:
     from trainid_ros.interface.records import Record
 
-STAMP = 1_700_000_000_000_000_000
 COUNT = 2000
 
 
@@ -55,37 +56,27 @@ def write_file(
     return records
 
 
-def read(path: Path) -> tuple[list[Record], list[str]]:
-    with BagReader(path) as reader:
-        return list(reader.records()), reader.warnings
-
-
-def error_of(path: Path) -> str:
-    with pytest.raises(InputError) as caught, BagReader(path) as reader:
-        list(reader.records())
-    text = str(caught.value)
-    assert '\n' not in text
-    return text
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / 'x.mcap'
 
 
 @pytest.mark.parametrize('compression', list(CompressionType))
 @pytest.mark.parametrize('chunked', [True, False])
-def test_every_kind_of_intact_file_is_read(tmp_path: Path, compression: CompressionType, *, chunked: bool) -> None:
-    records = write_file(tmp_path / 'x.mcap', compression, chunked=chunked)
-    assert read(tmp_path / 'x.mcap') == (records, [])
+def test_every_kind_of_intact_file_is_read(path: Path, compression: CompressionType, *, chunked: bool) -> None:
+    assert (write_file(path, compression, chunked=chunked), []) == read_bag(path)
 
 
 @pytest.mark.parametrize('compression', list(CompressionType))
 @pytest.mark.parametrize('chunked', [True, False])
 @pytest.mark.parametrize('share', [0.3, 0.6])
 def test_cut_file_is_recovered_up_to_the_cut(
-    tmp_path: Path, compression: CompressionType, share: float, *, chunked: bool
+    path: Path, compression: CompressionType, share: float, *, chunked: bool
 ) -> None:
-    path = tmp_path / 'x.mcap'
     records = write_file(path, compression, chunked=chunked)
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    found, (warning,) = read(path)
+    found, (warning,) = read_bag(path)
     assert found == records[: len(found)]
     # Index and summary are the smaller part of the file, so nearly this share of the messages is left.
     assert 0.5 * share * COUNT < len(found) < COUNT
@@ -96,26 +87,25 @@ def test_cut_file_is_recovered_up_to_the_cut(
 def test_lost_index_loses_no_message(bag: Path) -> None:
     path = bag / 'bag.mcap'
     path.write_bytes(path.read_bytes()[:-20])
-    found, warnings = read(bag)
+    found, warnings = read_bag(bag)
     assert len(found) == 200
     assert [('index' in text) for text in warnings] == [True]
 
 
 def test_lost_messages_are_detected_by_the_metadata(bag: Path) -> None:
-    text = (bag / 'metadata.yaml').read_text().replace('message_count: 200', 'message_count: 201')
-    (bag / 'metadata.yaml').write_text(text)
-    assert read(bag)[1] == [f'{bag}: 200 of 201 messages found']
+    path = bag / 'metadata.yaml'
+    path.write_text(path.read_text().replace('message_count: 200', 'message_count: 201'))
+    assert read_bag(bag)[1] == [f'{bag}: 200 of 201 messages found']
 
 
 @pytest.mark.parametrize('compression', list(CompressionType))
-def test_file_padded_with_zeros_after_a_power_cut(tmp_path: Path, compression: CompressionType) -> None:
-    path = tmp_path / 'x.mcap'
+def test_file_padded_with_zeros_after_a_power_cut(path: Path, compression: CompressionType) -> None:
     records = write_file(path, compression)
     content = path.read_bytes()
     start, length = first_chunk(content)
     kept = start + 3 * length + length // 2
     path.write_bytes(content[:kept] + bytes(len(content) - kept))
-    found, (warning,) = read(path)
+    found, (warning,) = read_bag(path)
     assert found == records[: len(found)]
     assert 0 < len(found) < COUNT
     assert 'cut off' in warning
@@ -132,14 +122,12 @@ def first_chunk(content: bytes | bytearray) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize('compression', list(CompressionType))
-def test_only_the_chunk_with_a_flipped_bit_is_lost(tmp_path: Path, compression: CompressionType) -> None:
-    path = tmp_path / 'x.mcap'
+def test_only_the_chunk_with_a_flipped_bit_is_lost(path: Path, compression: CompressionType) -> None:
     records = write_file(path, compression)
-    content = bytearray(path.read_bytes())
-    start, length = first_chunk(content)
-    content[start + length // 2] ^= 0x10
-    path.write_bytes(content)
-    found, warnings = read(path)
+    with changed(path) as content:
+        start, length = first_chunk(content)
+        content[start + length // 2] ^= 0x10
+    found, warnings = read_bag(path)
     # Its definitions were lost too: they come from the summary.
     assert found == records[-len(found) :]
     assert len(found) > 0.9 * COUNT
@@ -149,8 +137,7 @@ def test_only_the_chunk_with_a_flipped_bit_is_lost(tmp_path: Path, compression: 
 
 @pytest.mark.parametrize('shift', [-1, 5, -300, 300])
 @pytest.mark.parametrize('has_crc', [True, False])
-def test_bytes_lost_or_added_in_the_first_chunk_lose_no_other_one(tmp_path: Path, shift: int, *, has_crc: bool) -> None:
-    path = tmp_path / 'x.mcap'
+def test_bytes_lost_or_added_in_the_first_chunk_lose_no_other_one(path: Path, shift: int, *, has_crc: bool) -> None:
     records = write_file(path)
     content = bytearray(path.read_bytes())
     start, length = first_chunk(content)
@@ -159,20 +146,18 @@ def test_bytes_lost_or_added_in_the_first_chunk_lose_no_other_one(tmp_path: Path
     if not has_crc:
         content[-len(MAGIC) - 4 : -len(MAGIC)] = bytes(4)
     path.write_bytes(content)
-    found, warnings = read(path)
+    found, warnings = read_bag(path)
     assert found == records[-len(found) :]
     assert len(found) > 0.8 * COUNT
     assert warnings[-1] == f'{path}: {len(found)} of {COUNT} messages found'
 
 
-def test_no_summary_is_looked_for_where_there_is_none(tmp_path: Path) -> None:
-    path = tmp_path / 'x.mcap'
+def test_no_summary_is_looked_for_where_there_is_none(path: Path) -> None:
     records = write_file(path)
-    content = bytearray(path.read_bytes())
-    content[-len(MAGIC) - 20 : -len(MAGIC)] = bytes(20)  # as of a writer without a summary
-    path.write_bytes(content)
+    with changed(path) as content:
+        content[-len(MAGIC) - 20 : -len(MAGIC)] = bytes(20)  # as of a writer without a summary
     assert RecordFile(path).summary().statistics is None
-    assert read(path)[0] == records
+    assert read_bag(path)[0] == records
 
 
 def test_every_flipped_byte_of_a_written_chunk_is_found(bag: Path) -> None:
@@ -199,22 +184,18 @@ def test_random_damage_loses_no_intact_chunk(tmp_path: Path, compression: Compre
 @pytest.mark.parametrize(
     ('compression', 'share'), [(CompressionType.NONE, 0.99), (CompressionType.LZ4, 0.7), (CompressionType.ZSTD, 0.7)]
 )
-def test_messages_of_a_chunk_that_was_cut_off_are_used(
-    tmp_path: Path, compression: CompressionType, share: float
-) -> None:
-    path = tmp_path / 'x.mcap'
+def test_messages_of_a_chunk_that_was_cut_off_are_used(path: Path, compression: CompressionType, share: float) -> None:
     records = write_file(path, compression, count=5000, chunk_bytes=1 << 20)  # all in one chunk
     content = path.read_bytes()
     start, length = first_chunk(content)
     path.write_bytes(content[: start + length - 30])
-    found, (warning,) = read(path)
+    found, (warning,) = read_bag(path)
     assert found == records[: len(found)]
     assert len(found) > share * len(records)
     assert warning.endswith(f'{len(found)} messages were recovered, the last {length - 30} bytes are incomplete')
 
 
-def test_chunk_that_unpacks_to_more_than_the_limit_is_left_out(tmp_path: Path) -> None:
-    path = tmp_path / 'x.mcap'
+def test_chunk_that_unpacks_to_more_than_the_limit_is_left_out(path: Path) -> None:
     records = write_file(path, CompressionType.ZSTD)
     with pytest.raises(InputError, match=r'0.00782 MB in one piece, above the limit of .* MB \(--max-chunk\)'):
         BagReader(path, max_chunk=1000).__enter__()
@@ -232,10 +213,9 @@ def bomb(compression: str, stored: bytes, size: int) -> bytes:
 
 @pytest.mark.parametrize('compression', ['zstd', 'lz4'])
 @pytest.mark.parametrize('stated', [1000, 60_000_000, 1_500_000_000])
-def test_bombs_take_little_memory(tmp_path: Path, compression: str, stated: int) -> None:
+def test_bombs_take_little_memory(path: Path, compression: str, stated: int) -> None:
     size = 200_000_000
     packed = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress}[compression](bytes(size))
-    path = tmp_path / 'x.mcap'
     path.write_bytes(bomb(compression, packed, stated) + bomb(compression, packed, stated)[8:] + MAGIC)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert 'nothing of it can be used' in error_of(path)
@@ -243,11 +223,10 @@ def test_bombs_take_little_memory(tmp_path: Path, compression: str, stated: int)
 
 
 def test_many_chunks_that_unpack_to_much_are_left_out_without_unpacking_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     size = 50_000_000
     chunk = bomb('zstd', zstandard.compress(bytes(size)), size)[8 + 17 :]
-    path = tmp_path / 'x.mcap'
     path.write_bytes(MAGIC + struct.pack('<BQII', 1, 8, 0, 0) + 500 * chunk + MAGIC)
     unpacked: list[ChunkHead] = []
 
@@ -261,25 +240,20 @@ def test_many_chunks_that_unpack_to_much_are_left_out_without_unpacking_them(
     assert len(unpacked) == 1
 
 
-def test_record_length_that_runs_past_the_end_of_a_closed_file(tmp_path: Path) -> None:
-    path = tmp_path / 'x.mcap'
+def test_record_length_that_runs_past_the_end_of_a_closed_file(path: Path) -> None:
     records = write_file(path)
-    content = bytearray(path.read_bytes())
-    struct.pack_into('<Q', content, len(MAGIC) + 1, 1 << 60)
-    path.write_bytes(content)
-    found, (warning,) = read(path)
+    with changed(path) as content:
+        struct.pack_into('<Q', content, len(MAGIC) + 1, 1 << 60)
+    found, (warning,) = read_bag(path)
     assert found == records
     assert f'bytes from byte {len(MAGIC)} on are lost: no valid record' in warning
 
 
-def test_wrong_value_without_a_checksum_of_its_own_is_said(tmp_path: Path) -> None:
-    path = tmp_path / 'x.mcap'
+def test_wrong_value_without_a_checksum_of_its_own_is_said(path: Path) -> None:
     write_file(path, chunked=False)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 0x10
-    path.write_bytes(content)
-    _, warnings = read(path)
-    assert warnings
+    with changed(path) as content:
+        content[len(content) // 2] ^= 0x10
+    assert read_bag(path)[1]
 
 
 @pytest.mark.parametrize(
@@ -292,15 +266,14 @@ def test_wrong_value_without_a_checksum_of_its_own_is_said(tmp_path: Path) -> No
         (MAGIC + bytes(100), 'was cut off before the first complete message, nothing can be recovered'),
     ],
 )
-def test_file_without_content_is_named(tmp_path: Path, content: bytes, reason: str) -> None:
-    path = tmp_path / 'x.mcap'
+def test_file_without_content_is_named(path: Path, content: bytes, reason: str) -> None:
     path.write_bytes(content)
     assert error_of(path) == f'{path}: {reason}'
 
 
 def test_missing_metadata_is_reported_and_the_bag_read(bag: Path, records: list[Record]) -> None:
     (bag / 'metadata.yaml').unlink()
-    found, (warning,) = read(bag)
+    found, (warning,) = read_bag(bag)
     assert found == records
     assert 'metadata.yaml is missing' in warning
 
@@ -314,7 +287,7 @@ def test_unreadable_metadata_is_reported_and_the_bag_read(bag: Path, records: li
         'nonf': whole.replace("compression_mode: ''", 'compression_mode: nonf'),
     }
     path.write_bytes(flipped.get(text, text).encode('utf-8', 'surrogateescape'))
-    found, (warning,) = read(bag)
+    found, (warning,) = read_bag(bag)
     assert found == records
     assert 'metadata.yaml: unreadable' in warning
     assert '\n' not in warning
@@ -323,7 +296,7 @@ def test_unreadable_metadata_is_reported_and_the_bag_read(bag: Path, records: li
 
 def test_file_named_in_metadata_but_missing(bag: Path, records: list[Record]) -> None:
     (bag / 'bag.mcap').rename(bag / 'other.mcap')
-    found, (warning,) = read(bag)
+    found, (warning,) = read_bag(bag)
     assert found == records
     assert warning.startswith(f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing, ')
     (bag / 'other.mcap').unlink()
@@ -337,38 +310,33 @@ def test_pipes_and_devices_are_no_bags(tmp_path: Path, bag: Path) -> None:
     (bag / 'metadata.yaml').unlink()
     os.mkfifo(bag / 'metadata.yaml')
     os.mkfifo(bag / 'z.mcap')
-    assert len(read(bag)[0]) == 200
-
-
-def test_a_table_is_no_bag(tmp_path: Path) -> None:
-    (tmp_path / 'x.csv').write_text('t,v\n', encoding='utf-8')
-    assert error_of(tmp_path / 'x.csv').endswith('x.csv: is a table, not a bag; trainid import makes a bag of it')
+    assert len(read_bag(bag)[0]) == 200
 
 
 def test_a_path_without_a_bag_is_named(tmp_path: Path) -> None:
     assert error_of(tmp_path / 'nope') == f'{tmp_path / "nope"}: no such bag'
     assert 'no bag in this directory' in error_of(tmp_path)
+    (tmp_path / 'x.csv').write_text('t,v\n', encoding='utf-8')
+    assert error_of(tmp_path / 'x.csv').endswith('x.csv: is a table, not a bag; trainid import makes a bag of it')
 
 
 def test_parts_of_a_split_bag_are_read_in_order(tmp_path: Path) -> None:
     records = write_file(tmp_path / 'x_9.mcap')
     write_file(tmp_path / 'x_10.mcap')
-    found, _ = read(tmp_path)
+    found, _ = read_bag(tmp_path)
     # Both parts have the same stamps; on a tie the part with the smaller number comes first.
     assert found == [record for record in records for _ in range(2)]
 
 
-def test_record_that_runs_past_the_end_of_its_chunk_is_lost_alone(tmp_path: Path) -> None:
-    path = tmp_path / 'x.mcap'
+def test_record_that_runs_past_the_end_of_its_chunk_is_lost_alone(path: Path) -> None:
     records = write_file(path, chunk_bytes=1 << 20)  # all in one chunk
-    content = bytearray(path.read_bytes())
-    start, length = first_chunk(content)
-    head = 9 + 40  # of a chunk that is not compressed
-    content[start + 9 + 24 : start + 9 + 28] = bytes(4)  # no checksum of the chunk
-    message = last_message(content, start + head, start + length)
-    struct.pack_into('<Q', content, message + 1, 1000)
-    path.write_bytes(content)
-    found, warnings = read(path)
+    with changed(path) as content:
+        start, length = first_chunk(content)
+        head = 9 + 40  # of a chunk that is not compressed
+        content[start + 9 + 24 : start + 9 + 28] = bytes(4)  # no checksum of the chunk
+        message = last_message(content, start + head, start + length)
+        struct.pack_into('<Q', content, message + 1, 1000)
+    found, warnings = read_bag(path)
     assert found == records[:-1]
     size = length - head
     assert warnings[0].endswith(f'are lost: all after {message - start - head} of the {size} bytes that it unpacks to')

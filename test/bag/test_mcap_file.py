@@ -12,6 +12,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from test.own_bag import changed
 from trainid_ros.bag import mcap_file, record_file
 from trainid_ros.bag.reader import BagReader
 
@@ -103,20 +104,17 @@ def test_a_damaged_image_is_no_matter_and_a_damaged_index_is_not_relied_on(tmp_p
     expected = rows(TINY)[0]
     marked = b'image' * 60_000
     path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
-    content = bytearray(path.read_bytes())
-    content[content.index(marked) + 1000] ^= 1
-    path.write_bytes(content)
+    with changed(path) as content:
+        content[content.index(marked) + 1000] ^= 1
     assert rows(path)[:2] == (expected, [])
     # Indexes that claim messages of another channel: the whole chunks are read instead.
     path = write(TINY, tmp_path / 'b.mcap', CompressionType.NONE, image=marked)
-    content = bytearray(path.read_bytes())
-    with path.open('rb') as file:
+    with path.open('rb') as file, changed(path) as content:
         summary = make_reader(file).get_summary()
-    assert summary is not None
-    for chunk in summary.chunk_indexes:
-        for offset in chunk.message_index_offsets.values():
-            content[offset + 9] ^= 3
-    path.write_bytes(content)
+        assert summary is not None
+        for chunk in summary.chunk_indexes:
+            for offset in chunk.message_index_offsets.values():
+                content[offset + 9] ^= 3
     assert rows(path)[0] == expected
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test.own_bag import write_bag
 from trainid_ros.bag import run_reader
 from trainid_ros.bag.run_reader import POOL_FROM, read_runs, survey, worker_count
-from trainid_ros.bag.writer import BagWriter
 from trainid_ros.explain.dataset import Run
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, ForceRecord
@@ -28,9 +28,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp('runs')
     for k, name in enumerate(('first', 'second')):
         start_ns = DEFAULT_START_NS + round(k * APART_S * NS_PER_S)
-        with BagWriter(folder / name) as writer:
-            for record in simulate(Scenario(TRAIN, runs=1, start_ns=start_ns), np.random.default_rng(k)).records:
-                writer.write_record(record)
+        write_bag(folder / name, simulate(Scenario(TRAIN, runs=1, start_ns=start_ns), np.random.default_rng(k)).records)
     return [folder / 'second', folder / 'first']
 
 
@@ -80,15 +78,11 @@ def test_a_bag_given_twice_is_rejected(bags: list[Path]) -> None:
 def test_a_jump_of_the_stamps_starts_a_new_drive(tmp_path: Path, step_s: float) -> None:
     """Braking commands of before the jump are forgotten: they may lie after those that follow."""
     first = simulate(Scenario(TRAIN, runs=1), np.random.default_rng(1)).records
-    origin_ns, end_ns = first[0].stamp_ns, max(record.stamp_ns for record in first)
+    begin_ns = [record.stamp_ns for record in first]
+    later_ns = [stamp_ns - begin_ns[0] + max(begin_ns) + NS_PER_S // 5 for stamp_ns in begin_ns]
     step_ns = round(step_s * NS_PER_S)
-    with BagWriter(tmp_path / 'jump') as writer:
-        for record in first:
-            writer.write_record(record)
-        for record in first:
-            log_ns = record.stamp_ns - origin_ns + end_ns + NS_PER_S // 5
-            writer.write_record(replace(record, stamp_ns=log_ns + step_ns), log_ns)
-    before, after = read_runs([tmp_path / 'jump'], TRAIN)
+    again = [replace(record, stamp_ns=log_ns + step_ns) for record, log_ns in zip(first, later_ns, strict=True)]
+    before, after = read_runs([write_bag(tmp_path / 'jump', (*first, *again), begin_ns + later_ns)], TRAIN)
     np.testing.assert_allclose(after.speed, before.speed)
     np.testing.assert_allclose(after.brake, before.brake, atol=1e-9)
 
@@ -97,12 +91,10 @@ def test_a_jump_of_the_stamps_starts_a_new_drive(tmp_path: Path, step_s: float) 
 def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
     tmp_path: Path, sign: float, said: list[str]
 ) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
-        for record in simulate(Scenario(TRAIN, runs=1), np.random.default_rng(0)).records:
-            signed = replace(record, force=sign * record.force) if isinstance(record, ForceRecord) else record
-            writer.write_record(signed)
+    records = simulate(Scenario(TRAIN, runs=1), np.random.default_rng(0)).records
+    signed = (replace(r, force=sign * r.force) if isinstance(r, ForceRecord) else r for r in records)
     lines: list[str] = []
-    assert len(read_runs([tmp_path / 'bag'], TRAIN, warn=lines.append)) == 1
+    assert len(read_runs([write_bag(tmp_path / 'bag', signed)], TRAIN, warn=lines.append)) == 1
     assert len(lines) == len(said)
     for line, text in zip(lines, said, strict=True):
         assert 'inputs contradict each other' in line
@@ -115,14 +107,12 @@ def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
 )
 def test_a_brake_that_acts_sooner_than_stated_is_a_warning(tmp_path: Path, stated: float, named: bool) -> None:
     true = replace(TRAIN, brake=replace(TRAIN.brake, delay=0.6))
-    with BagWriter(tmp_path / 'drive') as writer:
-        for record in simulate(Scenario(true, runs=3), np.random.default_rng(11)).records:
-            writer.write_record(record)
+    path = write_bag(tmp_path / 'drive', simulate(Scenario(true, runs=3), np.random.default_rng(11)).records)
     warnings: list[str] = []
-    read_runs([tmp_path / 'drive'], replace(true, brake=replace(true.brake, delay=stated)), warn=warnings.append)
+    read_runs([path], replace(true, brake=replace(true.brake, delay=stated)), warn=warnings.append)
     late = [line for line in warnings if 'ato/brake_command is late by about' in line]
     assert bool(late) is named
-    assert all(line.startswith(f'{tmp_path / "drive"}: ') for line in late)
+    assert all(line.startswith(f'{path}: ') for line in late)
 
 
 def test_the_bag_whose_process_is_killed_is_named(bags: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:

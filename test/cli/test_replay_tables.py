@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pyarrow import parquet
 
-from trainid_ros.bag.reader import BagReader
+from test.own_bag import messages_of
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapping import date_time_ns
 from trainid_ros.interface.records import stamp_of
@@ -29,8 +29,7 @@ def outputs(driven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope='module')
 def expected(outputs: Path) -> dict[int, Any]:
     """Return the resistances of the bag by stamp."""
-    with BagReader(outputs / 'bag') as reader:
-        return {stamp_of(entry.message): entry.message for entry in reader.messages({'trainid/resistance'})}
+    return {stamp_of(message): message for message in messages_of(outputs / 'bag', 'trainid/resistance')}
 
 
 def test_parquet_holds_the_estimates_with_units_and_covariance(outputs: Path, expected: dict[int, Any]) -> None:

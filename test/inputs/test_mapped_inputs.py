@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from test.own_bag import START_NS, at
 from trainid_ros.inputs.mapped_inputs import JoinedSeries, MappedInputs
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
@@ -26,7 +27,6 @@ from trainid_ros.interface.records import (
 )
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
-START_NS = 1_700_000_000 * NS_PER_S
 LINE = Line(gradient=((0.0, 0.0), (1000.0, 10.0)), curve=((0.0, 0.0), (1000.0, 400.0)), tunnel=((1500.0, 1600.0),))
 TRAIN = TrainFile(Train(mass=194e3, length=100.0), Davis(1.5, 0.02, 0.001), line=LINE)
 
@@ -40,10 +40,6 @@ def message(data: float, stamp_ns: int | None = None) -> Any:
 
 def inputs(text: str, train_file: TrainFile = TRAIN) -> MappedInputs:
     return MappedInputs(parse_mapping(text, 'map.yaml'), train_file)
-
-
-def at(k: int) -> int:
-    return START_NS + k * NS_PER_S // 5
 
 
 def test_each_quantity_becomes_a_record_of_its_own() -> None:
@@ -75,9 +71,8 @@ def test_a_message_without_a_header_has_the_time_of_its_arrival() -> None:
 
 
 def test_a_reversing_train_has_a_positive_speed() -> None:
-    ((record,),) = [inputs('speed: {topic: v, field: data}').take('v', message(-3.0, START_NS), 0)]
-    assert isinstance(record, SpeedRecord)
-    assert record.speed == 3.0
+    (record,) = inputs('speed: {topic: v, field: data}').take('v', message(-3.0, START_NS), 0)
+    assert record.row()[2] == 3.0
 
 
 def drive(mapped: MappedInputs, fixes: dict[int, float]) -> list[Record]:
@@ -92,10 +87,8 @@ def drive(mapped: MappedInputs, fixes: dict[int, float]) -> list[Record]:
 
 @pytest.mark.parametrize('direction', [1, -1])
 def test_positions_are_integrated_from_the_start(direction: int) -> None:
-    mapped = inputs(f"""
-        speed: {{topic: v, field: data}}
-        position: {{from: speed, start: 1200.0, direction: {direction}}}
-    """)
+    position = f'{{from: speed, start: 1200.0, direction: {direction}}}'
+    mapped = inputs(f'{{speed: {{topic: v, field: data}}, position: {position}}}')
     records = drive(mapped, {})
     assert [record.position for record in records if isinstance(record, SpeedRecord)] == pytest.approx(
         [1200.0 + direction * 2.0 * k for k in range(500)]
@@ -133,15 +126,12 @@ def test_a_position_that_comes_first_after_a_jump_is_kept() -> None:
 
 def test_noise_at_standstill_is_no_change_of_direction() -> None:
     mapped = inputs('{speed: {topic: v, field: data}, position: {topic: x, field: data}, gradient: {from: line}}')
-    for k, position in enumerate((1990.0, 2000.0, 2000.1, 1999.9, 2000.0, 1999.5)):
+    found = []
+    for k, position in enumerate((1990.0, 2000.0, 2000.1, 1999.9, 2000.0, 1999.5, 1985.0)):
         mapped.take('x', message(position, at(k)), 0)
-        _, gradient = mapped.take('v', message(0.0, at(k)), 0)
-        assert isinstance(gradient, GradientRecord)
-        assert gradient.gradient == 10.0
-    mapped.take('x', message(1985.0, at(6)), 0)
-    _, gradient = mapped.take('v', message(1.0, at(6)), 0)
-    assert isinstance(gradient, GradientRecord)
-    assert gradient.gradient == -10.0
+        _, gradient = mapped.take('v', message(float(k > 5), at(k)), 0)
+        found.append(gradient.row()[2])
+    assert found == [10.0] * 6 + [-10.0]
 
 
 def test_the_line_gives_gradient_curve_and_tunnel_by_position() -> None:
@@ -168,12 +158,8 @@ def test_the_line_is_looked_up_for_our_own_speed_topic_too() -> None:
 
 def test_constants_come_with_each_speed() -> None:
     mapped = inputs('{speed: {topic: v, field: data}, gradient: {value: 2.0}, brake_command: {value: 0.0}}')
-    speed, *others = mapped.take('v', message(3.0, START_NS), 0)
-    assert isinstance(speed, SpeedRecord)
-    assert others == [
-        GradientRecord(START_NS, 2.0, 0.0, tunnel=False),
-        BrakeRecord(START_NS, 0.0, emergency=False),
-    ]
+    _, *others = mapped.take('v', message(3.0, START_NS), 0)
+    assert others == [GradientRecord(START_NS, 2.0, 0.0, False), BrakeRecord(START_NS, 0.0, False)]
 
 
 def test_a_function_gets_the_numbers_of_several_topics(tmp_path: Path) -> None:
@@ -213,20 +199,18 @@ def test_others_are_interpolated_to_the_stamps_of_the_first() -> None:
     assert series.add(1, S // 2, 20.0) == [(S // 4, [1.0, 15.0])]
 
 
-def test_a_missing_number_is_unknown_after_a_second() -> None:
+@pytest.mark.parametrize(
+    ('added', 'last', 'at_ns'),
+    [
+        ([(0, 0), (0, S)], (0, 3 * S // 2), 0),  # one is missing for a second
+        ([(1, 0), (0, S // 2)], (1, 3 * S), S // 2),  # a long gap
+    ],
+)
+def test_what_is_not_known_is_nan(added: list[tuple[int, int]], last: tuple[int, int], at_ns: int) -> None:
     series = JoinedSeries(2)
-    assert series.add(0, 0, 1.0) == []
-    assert series.add(0, S, 1.0) == []
-    ((stamp_ns, (_, value)),) = series.add(0, 3 * S // 2, 1.0)
-    assert stamp_ns == 0
-    assert math.isnan(value)
-
-
-def test_nothing_is_interpolated_over_a_long_gap() -> None:
-    series = JoinedSeries(2)
-    series.add(1, 0, 1.0)
-    series.add(0, S // 2, 1.0)
-    ((_, (_, value)),) = series.add(1, 3 * S, 1.0)
+    assert all(series.add(*item, 1.0) == [] for item in added)
+    ((stamp_ns, (_, value)),) = series.add(*last, 1.0)
+    assert stamp_ns == at_ns
     assert math.isnan(value)
 
 
@@ -236,9 +220,7 @@ def test_numbers_go_on_after_stamps_that_begin_anew_or_a_wrong_one() -> None:
     for stamp_ns in (100 * S, 101 * S, 900 * S, 102 * S, 103 * S, 5 * S, 6 * S):
         for index in (0, 1):
             found += series.add(index, stamp_ns, 1.0)
-    assert [(stamp_ns // S, values) for stamp_ns, values in found] == [
-        (k, [1.0, 1.0]) for k in (100, 101, 900, 102, 103, 5, 6)
-    ]  # fmt: skip
+    assert found == [(k * S, [1.0, 1.0]) for k in (100, 101, 900, 102, 103, 5, 6)]
 
 
 @given(st.permutations([0, 1] * 10))

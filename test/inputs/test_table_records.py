@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test.own_bag import at
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import TimeColumn, find_unit, parse_mapping
 from trainid_ros.inputs.table_records import Clock, TableRecords, numbers
@@ -23,12 +24,7 @@ from trainid_ros.interface.records import (
     SpeedRecord,
 )
 
-START_NS = 1_700_000_000 * NS_PER_S
 SPEED = '{time: {field: t, unit: ns}, speed: {field: v}'
-
-
-def at(k: int) -> int:
-    return START_NS + k * NS_PER_S // 5
 
 
 def table(tmp_path: Path, mapping: str, **columns: object) -> TableRecords:

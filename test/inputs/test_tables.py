@@ -29,6 +29,10 @@ def read(source: CsvTable, *names: str) -> dict[str, list[float]]:
     return {name: column.tolist() for name, column in joined(source.blocks(names), names).items()}
 
 
+def near(values: dict[str, list[float]]) -> dict[str, object]:
+    return {name: pytest.approx(column, nan_ok=True) for name, column in values.items()}
+
+
 def test_a_row_with_more_cells_than_names_is_an_error(tmp_path: Path) -> None:
     """A comma as decimal sign between commas: every cell after it would be that of another column."""
     with pytest.raises(InputError, match=r'log.csv: line 3 has 3 cells, 2 columns have names'):
@@ -46,9 +50,7 @@ def test_a_quote_that_is_not_closed_loses_no_rows_in_silence(tmp_path: Path, end
 
 def test_a_text_of_several_lines_is_no_fault(tmp_path: Path) -> None:
     content = 't,v,note\n0,36.5,"one\ntwo, three"\n0.5,,\n1,-1.25,\n'
-    assert read(table(tmp_path, content), 't', 'v') == {
-        name: pytest.approx(x, nan_ok=True) for name, x in NUMBERS.items()
-    }
+    assert read(table(tmp_path, content), 't', 'v') == near(NUMBERS)
 
 
 def test_a_block_without_times_is_blank_among_times(tmp_path: Path) -> None:
@@ -77,9 +79,7 @@ def test_names_and_units_alone_are_an_error(tmp_path: Path) -> None:
     ],
 )
 def test_separator_decimal_sign_header_and_comments_are_found_out(tmp_path: Path, content: str) -> None:
-    assert read(table(tmp_path, content), 't', 'v') == {
-        name: pytest.approx(x, nan_ok=True) for name, x in NUMBERS.items()
-    }
+    assert read(table(tmp_path, content), 't', 'v') == near(NUMBERS)
 
 
 @pytest.mark.parametrize('encoding', ['utf-8', 'utf-8-sig', 'latin-1', 'utf-16'])
@@ -201,19 +201,18 @@ HASHES = 'car;t;v\n#1;0;10\n#2;1;\n'
 
 def test_a_row_that_starts_as_a_comment_is_never_lost_in_silence(tmp_path: Path) -> None:
     error = (
-        r"log\.csv: line 2 starts with '#1' like a comment, but holds numbers; csv: {comments: true} .* {comments: fal"
+        r"log\.csv: line 2 starts with '#1' like a comment, but holds numbers; csv: {comments: true} .* {comments: f"
     )
     with pytest.raises(InputError, match=error):
         read(table(tmp_path, HASHES), 't', 'v')
-    found = read(table(tmp_path, HASHES, comments=False), 't', 'v')
-    assert found == {'t': [0, 1], 'v': pytest.approx([10, NAN], nan_ok=True)}
+    assert read(table(tmp_path, HASHES, comments=False), 't', 'v') == near({'t': [0, 1], 'v': [10, NAN]})
     commented = f'{HASHES}3;2;30\n'
     assert read(table(tmp_path, commented, comments=True), 't', 'v') == {'t': [2], 'v': [30]}
 
 
 def test_a_blank_first_cell_is_no_comment(tmp_path: Path) -> None:
     found = read(table(tmp_path, 'v;t\n#N/A;0\n# a comment; 5\n#12;1\n2;2\n'), 't', 'v')
-    assert found == {'t': [0, 2], 'v': pytest.approx([NAN, 2], nan_ok=True)}
+    assert found == near({'t': [0, 2], 'v': [NAN, 2]})
 
 
 def npz_table(tmp_path: Path, **columns: Any) -> NpzTable:

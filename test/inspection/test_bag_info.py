@@ -14,11 +14,10 @@ import pytest
 
 from benchmarks.measured_car import FOLDER, load_trip
 from benchmarks.measured_car import records as records_of
+from test.own_bag import START_NS, short_drive, write_bag
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.types import message_from_record
-from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.inspection.bag_info import BagInfo, TopicInfo, check_inputs, inspect
+from trainid_ros.inspection.bag_info import BagInfo, Findings, TopicInfo, check_inputs, inspect
 from trainid_ros.interface.records import (
     NS_PER_S,
     BrakeRecord,
@@ -36,35 +35,19 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-START_NS = 1_700_000_000 * NS_PER_S
-PERIOD_NS = NS_PER_S // 5
-
-
-def write(path: Path, records: Iterable[Record]) -> Path:
-    with BagWriter(path) as writer:
-        for record in records:
-            writer.write_record(record)
-    return path
-
 
 @pytest.fixture
 def short() -> list[Record]:
-    """Return the four required topics at 5 Hz over 10 s, each with its own stamps."""
-    found = list[Record]()
-    for i in range(50):
-        stamp_ns = START_NS + i * PERIOD_NS
-        found += [
-            SpeedRecord(stamp_ns, 0.1 * i, 100.0 + i),
-            ForceRecord(stamp_ns + 1, 1e5 - i),
-            GradientRecord(stamp_ns + 2, -3.0 + 0.1 * i, 400.0, tunnel=False),
-            BrakeRecord(stamp_ns + 3, -0.5 if i >= 25 else 0.0, emergency=False),
-        ]
-    return found
+    return short_drive()
 
 
 @pytest.fixture
 def bag(tmp_path: Path, short: list[Record]) -> Path:
-    return write(tmp_path / 'bag', short)
+    return write_bag(tmp_path / 'bag', short)
+
+
+def without(records: Iterable[Record], *kinds: type[Record]) -> list[Record]:
+    return [record for record in records if not isinstance(record, kinds)]
 
 
 def topic(info: BagInfo, name: str) -> TopicInfo:
@@ -101,20 +84,12 @@ def test_progress_is_shown_while_a_bag_is_read(bag: Path) -> None:
 
 def test_faults_of_stamps_and_values_are_counted(tmp_path: Path, short: list[Record]) -> None:
     speeds = [record for record in short if isinstance(record, SpeedRecord)]
-    others = [record for record in short if not isinstance(record, SpeedRecord)]
     kept = [*speeds[:10], *speeds[20:]]  # a gap of 2.2 s
     kept[3] = replace(kept[3], speed=math.nan)
     kept[5] = replace(kept[5], position=math.nan)  # unknown is allowed
-    bad: list[Record] = [*others, *kept, kept[7], replace(kept[0], stamp_ns=0)]
-    with BagWriter(tmp_path / 'bag') as writer:
-        for i, record in enumerate(bad):
-            name = {SpeedRecord: 'AtoSpeed', ForceRecord: 'AtoForce', GradientRecord: 'TrackGradient'}.get(
-                type(record), 'BrakeCommand'
-            )
-            where = {'AtoSpeed': 'speed', 'AtoForce': 'force', 'TrackGradient': 'gradient'}.get(name, 'brake_command')
-            log_ns = short[-1].stamp_ns + i
-            writer.write_message(f'ato/{where}', name, log_ns, message_from_record(record))
-    info = inspect(tmp_path / 'bag')
+    bad = [*without(short, SpeedRecord), *kept, kept[7], replace(kept[0], stamp_ns=0)]
+    last_ns = short[-1].stamp_ns
+    info = inspect(write_bag(tmp_path / 'bag', bad, range(last_ns, last_ns + len(bad))))
     speed = topic(info, 'ato/speed')
     assert speed.stamps is not None
     assert (speed.count, speed.not_finite) == (42, 1)
@@ -127,32 +102,24 @@ def test_faults_of_stamps_and_values_are_counted(tmp_path: Path, short: list[Rec
 
 
 def test_a_log_time_behind_the_stamps_is_reported(tmp_path: Path, short: list[Record]) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
-        for record in short:
-            if isinstance(record, ForceRecord):
-                log_ns = record.stamp_ns + 30_000_000
-                writer.write_message('ato/force', 'AtoForce', log_ns, message_from_record(record))
-    stamps = topic(inspect(tmp_path / 'bag'), 'ato/force').stamps
+    path = write_bag(tmp_path / 'bag', short, [record.stamp_ns + 30_000_000 for record in short])
+    stamps = topic(inspect(path), 'ato/force').stamps
     assert stamps is not None
     assert stamps.log_offset_s == pytest.approx(0.03)
 
 
 def test_missing_topics_make_a_bag_unusable(tmp_path: Path, short: list[Record]) -> None:
-    path = write(tmp_path / 'bag', [record for record in short if not isinstance(record, ForceRecord | BrakeRecord)])
-    info = inspect(path)
+    info = inspect(write_bag(tmp_path / 'bag', without(short, ForceRecord, BrakeRecord)))
     assert not info.usable
     assert info.missing == ('ato/force', 'ato/brake_command')
     assert info.problems == ('no messages on ato/force, ato/brake_command',)
 
 
 def test_topics_in_another_namespace_are_suggested(tmp_path: Path, short: list[Record]) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
-        for record in short:
-            if isinstance(record, SpeedRecord):
-                writer.write_message('/t7/ato/speed', 'AtoSpeed', record.stamp_ns, message_from_record(record))
-    (problem,) = inspect(tmp_path / 'bag').problems
+    path = write_bag(tmp_path / 'bag', short[:1], namespaces=['/t7'])
+    (problem,) = inspect(path).problems
     assert problem.endswith(' (they are in /t7; use --namespace)')
-    assert 'ato/speed' not in inspect(tmp_path / 'bag', '/t7').missing
+    assert 'ato/speed' not in inspect(path, '/t7').missing
 
 
 @pytest.mark.parametrize(
@@ -167,11 +134,11 @@ def test_a_topic_of_no_use_makes_a_bag_unusable(
     tmp_path: Path, short: list[Record], kind: type[Record], change: dict[str, Any], problem: str
 ) -> None:
     changed = [replace(record, **change) if isinstance(record, kind) else record for record in short]
-    assert inspect(write(tmp_path / 'bag', changed)).problems == (problem,)
+    assert inspect(write_bag(tmp_path / 'bag', changed)).problems == (problem,)
 
 
 def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
-    info = inspect(write(tmp_path / 'bag', []))
+    info = inspect(write_bag(tmp_path / 'bag', []))
     assert (info.messages, info.duration_s, info.usable) == (0, 0.0, False)
     assert len(info.missing) == 4
 
@@ -180,13 +147,11 @@ def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
 def test_brake_commands_published_only_on_change_are_noticed(
     tmp_path: Path, short: list[Record], held_s: float
 ) -> None:
-    others = [record for record in short if not isinstance(record, BrakeRecord)]
-    start_ns = short[0].stamp_ns
     commands = [
-        BrakeRecord(start_ns + 1 + round(k * held_s * NS_PER_S), -0.5 * (k % 2), emergency=False)
+        BrakeRecord(START_NS + 1 + round(k * held_s * NS_PER_S), -0.5 * (k % 2), emergency=False)
         for k in range(int(9.0 / held_s) + 2)
     ]
-    info = inspect(write(tmp_path / 'bag', [*others, *commands]))
+    info = inspect(write_bag(tmp_path / 'bag', [*without(short, BrakeRecord), *commands]))
     text = 'ato/brake_command: published only on change: set alignment.command_hold'
     assert any(line.startswith(text) and '5 s or more' in line for line in info.warnings) == (held_s > 2.0)
 
@@ -203,19 +168,16 @@ def test_brake_commands_published_only_on_change_are_noticed(
 def test_a_speed_that_does_not_fit_its_positions_is_noticed(
     tmp_path: Path, short: list[Record], factor: float, warnings: list[str]
 ) -> None:
-    others = [record for record in short if not isinstance(record, SpeedRecord)]
-    start_ns = short[0].stamp_ns
     # At 80 s the position is corrected by 300 m, at 90 s it is not known.
     speeds = [
-        SpeedRecord(start_ns + k * NS_PER_S // 5, 10.0 * factor, 2.0 * k + 300.0 * (k > 400) if k != 450 else math.nan)
+        SpeedRecord(START_NS + k * NS_PER_S // 5, 10.0 * factor, 2.0 * k + 300.0 * (k > 400) if k != 450 else math.nan)
         for k in range(500)
     ]
-    info = inspect(write(tmp_path / 'bag', [*others, *speeds]))
+    info = inspect(write_bag(tmp_path / 'bag', [*without(short, SpeedRecord), *speeds]))
     assert [line for line in info.warnings if 'positions' in line] == warnings
 
 
 METRO = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0, 1900.0)))
-ON_CHANGE = AlignmentConfig(command_hold=3600.0)
 
 
 @pytest.fixture(scope='module')
@@ -223,9 +185,8 @@ def drive() -> list[Record]:
     return list(simulate(Scenario(METRO, runs=1), np.random.default_rng(5003)).records)
 
 
-def problems(records: Iterable[Record], train: TrainFile | None, alignment: AlignmentConfig | None = None) -> str:
-    rows = (record.row() for record in records)
-    return '; '.join(check_inputs(rows, alignment or AlignmentConfig(), train).problems)
+def checked(records: Iterable[Record], train: TrainFile | None, alignment: AlignmentConfig | None = None) -> Findings:
+    return check_inputs((record.row() for record in records), alignment or AlignmentConfig(), train)
 
 
 def against(record: Record) -> Record:
@@ -244,7 +205,7 @@ def pushed(record: Record) -> Record:
 
 @pytest.mark.parametrize('train', [None, METRO])
 def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) -> None:
-    assert check_inputs((record.row() for record in drive), AlignmentConfig(), train) == ((), ())
+    assert checked(drive, train) == ((), ())
 
 
 @pytest.mark.parametrize('train', [None, METRO])
@@ -259,13 +220,13 @@ def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) 
 def test_a_forgotten_sign_is_named(
     drive: list[Record], change: Callable[[Record], Record], found: str, train: TrainFile | None
 ) -> None:
-    assert found in problems(map(change, drive), train)
+    assert found in '; '.join(checked(map(change, drive), train).problems)
 
 
 @pytest.mark.parametrize(('offset', 'named'), [(0.0, False), (50e3, True), (-50e3, True)])
 def test_positions_off_the_line_are_a_warning(drive: list[Record], offset: float, named: bool) -> None:
     moved = (replace(r, position=r.position + offset) if isinstance(r, SpeedRecord) else r for r in drive)
-    found = check_inputs((r.row() for r in moved), AlignmentConfig(), METRO)
+    found = checked(moved, METRO)
     assert found.problems == ()
     text = 'ato/speed has a position off the line of the train file, -118 to 2018 m'
     assert any(warning.startswith(text) for warning in found.warnings) is named
@@ -273,7 +234,7 @@ def test_positions_off_the_line_are_a_warning(drive: list[Record], offset: float
 
 def test_a_unit_is_named_where_the_mass_is_known(drive: list[Record]) -> None:
     in_kn = [replace(r, force=r.force / 1e3) if isinstance(r, ForceRecord) else r for r in drive]
-    assert 'ato/force is in kN' in problems(in_kn, METRO)
+    assert 'ato/force is in kN' in '; '.join(checked(in_kn, METRO).problems)
 
 
 def thinned(records: Iterable[Record], period_s: float) -> list[Record]:
@@ -286,25 +247,19 @@ def thinned(records: Iterable[Record], period_s: float) -> list[Record]:
     return kept
 
 
-def info_of(path: Path, records: Iterable[Record]) -> BagInfo:
-    return inspect(write(path, records))
-
-
 def test_a_bag_below_1_hz_is_not_usable(tmp_path: Path, drive: list[Record]) -> None:
-    found = info_of(tmp_path / 'bag', thinned(drive, 2.0)).problems
+    found = inspect(write_bag(tmp_path / 'bag', thinned(drive, 2.0))).problems
     assert 'ato/speed: comes every 2 s, and slower than 1.25 s is not used' in found
     # Such commands hold for 2 s.
     assert [line.partition(':')[0] for line in found] == ['ato/force', 'ato/gradient', 'ato/speed']
-    slow = info_of(tmp_path / 'slow', thinned(drive, 1.0))
+    slow = inspect(write_bag(tmp_path / 'slow', thinned(drive, 1.0)))
     assert slow.usable
     assert not any('gaps' in line for line in slow.warnings)
 
 
 def test_a_mass_now_and_then_is_no_gap(tmp_path: Path, drive: list[Record]) -> None:
-    others = [record for record in drive if not isinstance(record, MassRecord)]
-    first_ns = others[0].stamp_ns
-    masses = [MassRecord(first_ns + k * NS_PER_S, 194e3) for k in (0, 1, 2, 3, 60, 61)]
-    assert info_of(tmp_path / 'bag', [*others, *masses]).warnings == ()
+    masses = [MassRecord(drive[0].stamp_ns + k * NS_PER_S, 194e3) for k in (0, 1, 2, 3, 60, 61)]
+    assert inspect(write_bag(tmp_path / 'bag', [*without(drive, MassRecord), *masses])).warnings == ()
 
 
 def on_change(records: Iterable[Record]) -> list[Record]:
@@ -323,7 +278,8 @@ def test_commands_on_change_hold_where_the_mapping_says_so(
 ) -> None:
     steps = [replace(r, target_acceleration=round(r.target_acceleration)) if isinstance(r, BrakeRecord) else r
              for r in drive]  # fmt: skip
-    whole, sparse = info_of(tmp_path / 'whole', steps), info_of(tmp_path / 'sparse', on_change(steps))
+    whole = inspect(write_bag(tmp_path / 'whole', steps))
+    sparse = inspect(write_bag(tmp_path / 'sparse', on_change(steps)))
     assert 0.05 < whole.braking_share < 0.95
     assert any('BRAKE_COMMAND_MISSING' in line for line in sparse.problems)
     held = tmp_path / 'map.yaml'
@@ -336,15 +292,14 @@ def test_commands_on_change_hold_where_the_mapping_says_so(
     out = capsys.readouterr().out
     assert 'warning' not in out
     assert f'braking {whole.braking_share:.0%} of the time' in out
-    assert problems(on_change(steps), METRO, ON_CHANGE) == ''
+    assert checked(on_change(steps), METRO, AlignmentConfig(command_hold=3600.0)).problems == ()
 
 
 def test_what_is_out_of_range_is_counted(drive: list[Record]) -> None:
     steep = [replace(r, gradient=300.0) if isinstance(r, GradientRecord) and not k % 100 else r
              for k, r in enumerate(drive)]  # fmt: skip
     count = sum(isinstance(r, GradientRecord) and r.gradient == 300.0 for r in steep)
-    found = check_inputs((record.row() for record in steep), AlignmentConfig(), METRO).warnings
-    assert found == (f'ato/gradient: {count} messages out of range, the first with 300',)
+    assert checked(steep, METRO).warnings == (f'ato/gradient: {count} messages out of range, the first with 300',)
     assert count > 0
     assert SpeedRecord in map(type, steep)
 
@@ -372,8 +327,7 @@ def scaled(inputs: tuple[Record, ...], factor: float) -> list[Record]:
 
 
 def found(inputs: list[Record], train: TrainFile | None = None) -> list[str]:
-    problems = check_inputs((record.row() for record in inputs), AlignmentConfig(), train).problems
-    return [text for text in problems if text.startswith('ato/gradient')]
+    return [text for text in checked(inputs, train).problems if text.startswith('ato/gradient')]
 
 
 @pytest.mark.parametrize('case', DRIVES)

@@ -12,17 +12,15 @@ import numpy as np
 import pytest
 
 from test.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
+from test.own_bag import write_bag
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.types import message_from_record
-from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import Mapping, Signal, Source, parse_mapping
 from trainid_ros.inspection.number_series import read_numbers
 from trainid_ros.inspection.suggest import Suggestion, comment, family, score, suggest, unit_in, words_of
 from trainid_ros.interface.records import (
-    INPUT_TOPICS,
     BrakeRecord,
     ForceRecord,
     GradientRecord,
@@ -171,10 +169,8 @@ def test_a_bag_with_headers_is_mapped_and_gives_the_same_estimates(
     text = suggestion.text()
     assert 'with d(speed)/dt over' in text
     assert 'mass x acceleration is' in text
-    with BagWriter(tmp_path / 'own') as writer:
-        for record in ride:
-            writer.write_record(record)
-    assert estimates(foreign, metro, mapping) == pytest.approx(estimates(tmp_path / 'own', metro), rel=1e-6)
+    own = write_bag(tmp_path / 'own', ride)
+    assert estimates(foreign, metro, mapping) == pytest.approx(estimates(own, metro), rel=1e-6)
 
 
 def test_a_bag_with_other_sensors_is_mapped_to_those_of_the_train(
@@ -202,15 +198,17 @@ def test_a_bag_with_other_sensors_is_mapped_to_those_of_the_train(
     (by_motion,) = sources(mapping_of(suggested(foreign)).brake_command).values()
     assert dict(by_motion.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
     # The reader decides on the notches.
-    with BagWriter(tmp_path / 'own') as writer:
-        for record in ride:
-            if isinstance(record, BrakeRecord):
-                writer.write_record(replace(record, target_acceleration=NOTCHES[notch_of(record.target_acceleration)]))
-            elif not isinstance(record, MassRecord):
-                writer.write_record(record)
+    inputs = [
+        replace(record, target_acceleration=NOTCHES[notch_of(record.target_acceleration)])
+        if isinstance(record, BrakeRecord)
+        else record
+        for record in ride
+        if not isinstance(record, MassRecord)
+    ]
+    own = write_bag(tmp_path / 'own', inputs)
     decided = replace(notches, table=tuple((float(k), value) for k, value in enumerate(NOTCHES)))
     found = estimates(foreign, metro, replace(mapping, brake_command=Signal((decided,))))
-    assert found[:7] == pytest.approx(estimates(tmp_path / 'own', metro)[:7], rel=1e-3)
+    assert found[:7] == pytest.approx(estimates(own, metro)[:7], rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -256,28 +254,24 @@ def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: Trai
 def test_traction_and_brake_effort_with_signs_of_their_own_are_summed(
     ride: list[Record], metro: TrainFile, tmp_path: Path
 ) -> None:
-    def write(bag: ForeignBag, record: Record) -> None:
+    def parts(bag: ForeignBag, record: Record) -> None:
         if isinstance(record, SpeedRecord):
             bag.write('/speed', FLOAT, record.stamp_ns, data=record.speed)
         if isinstance(record, ForceRecord):
             bag.write('/drive/tractive_effort', FLOAT, record.stamp_ns, data=max(record.force, 0.0))
             bag.write('/brakes/effort', FLOAT, record.stamp_ns, data=max(-record.force, 0.0))
+
+    def with_total(bag: ForeignBag, record: Record) -> None:
+        parts(bag, record)
+        if isinstance(record, ForceRecord):
             bag.write('/total/force', FLOAT, record.stamp_ns, data=1e-3 * record.force)
 
-    def without_total(bag: ForeignBag, record: Record) -> None:
-        class Some:
-            def write(self, topic: str, *args: object, **values: object) -> None:
-                if topic != '/total/force':
-                    bag.write(topic, *args, **values)  # type: ignore[arg-type]
-
-        write(Some(), record)  # type: ignore[arg-type]
-
-    both = mapping_of(suggested(written(tmp_path / 'both', ride, without_total), metro))
+    both = mapping_of(suggested(written(tmp_path / 'both', ride, parts), metro))
     assert {(name, item.unit.name, item.sign) for name, item in sources(both.force).items()} == {
         ('/drive/tractive_effort data', 'N', 1.0),
         ('/brakes/effort data', 'N', -1.0),
     }
-    total = mapping_of(suggested(written(tmp_path / 'total', ride, write), metro))
+    total = mapping_of(suggested(written(tmp_path / 'total', ride, with_total), metro))
     assert list(sources(total.force)) == ['/total/force data']
 
 
@@ -343,10 +337,7 @@ def test_a_bag_of_our_own_needs_no_mapping(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_an_own_speed_shows_what_a_foreign_force_is(ride: list[Record], metro: TrainFile, tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'own') as writer:
-        for record in ride:
-            writer.write_record(record)
-    numbers = read_numbers(tmp_path / 'own', '/', 64 << 20)
+    numbers = read_numbers(write_bag(tmp_path / 'own', ride), '/', 64 << 20)
     renamed = tuple(
         replace(item, topic='/car/force') if item.topic == '/ato/force' else item for item in numbers.series
     )
@@ -406,13 +397,7 @@ def test_an_acceleration_without_a_name_is_no_force(tmp_path: Path, ride: list[R
 def test_our_own_topics_in_a_namespace_need_no_mapping(
     tmp_path: Path, ride: list[Record], names: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    topics = {topic.record: topic for topic in INPUT_TOPICS}
-    with BagWriter(tmp_path / 'bag') as writer:
-        for record in ride[:200]:
-            topic = topics[type(record)]
-            for name in names:
-                message = message_from_record(record)
-                writer.write_message(f'/{name}/{topic.name}', topic.message, record.stamp_ns, message)
+    write_bag(tmp_path / 'bag', ride[:200], namespaces=[f'/{name}' for name in names])
     assert main(['info', str(tmp_path / 'bag'), '--suggest-map']) == 2
     where = ', '.join(f'/{name}' for name in names)
     text = f'our own topics are in {where}: no mapping is needed, use --namespace\n'

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 _MESSAGES_AT_ONCE: Final = 5000  # from a sqlite3 file
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
 # SQLite stores any type in any column: texts compare above all numbers as times, and may stand for payloads.
-# As text, whatever is stored: a topic that nobody reads must not make the others unreadable.
-_TOPIC: Final = ', '.join(f'CAST({column} AS TEXT)' for column in ('name', 'type', 'serialization_format'))
 _TIMES: Final = 'SELECT timestamp FROM messages WHERE timestamp >= 0 AND typeof(timestamp) = "integer" ORDER BY 1'
 _COUNTS: Final = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
 _MESSAGES: Final = (
@@ -103,7 +101,9 @@ class Db3File:
     def _topics(self) -> tuple[dict[int, Channel], dict[int, Schema]]:
         """Return channels and definitions, both by the number of the topic."""
         hashes = 'type_description_hash' if self._has('topics', 'type_description_hash') else "''"
-        rows = self._file.execute(f'SELECT id, {_TOPIC}, {hashes} FROM topics ORDER BY id')
+        # As text, whatever is stored: a topic that nobody reads must not make the others unreadable.
+        texts_of = ', '.join(f'CAST({column} AS TEXT)' for column in ('name', 'type', 'serialization_format'))
+        rows = self._file.execute(f'SELECT id, {texts_of}, {hashes} FROM topics ORDER BY id')
         texts: dict[str, tuple[str, str]] = {}
         if self._has('message_definitions', 'encoded_message_definition'):
             query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
@@ -130,10 +130,7 @@ class Db3File:
 BagFile: TypeAlias = McapFile | Db3File  # a file of a bag, by its storage
 
 METADATA: Final = 'metadata.yaml'  # file that names the files of a bag
-_SQLITE: Final = b'SQLite format 3\0'
 SUFFIXES: Final = ('.mcap', '.db3')  # of files that are read as bags
-_COMPRESSED: Final = '.zstd'  # suffix of a file that ros2 bag compressed as a whole
-_TABLES: Final = ('.csv', '.parquet', '.npz')
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,15 +145,9 @@ class BagFiles:
     custom_data: tuple[tuple[str, str], ...] = ()
 
 
-def open_file(
-    path: Path, max_chunk: int, is_needed: Callable[[str], bool], advance: Callable[[int], None] = lambda _: None
-) -> BagFile:
-    """Open one file of a bag: MCAP, or the sqlite3 storage of rosbag2; arguments are those of :class:`McapFile`.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    if _start(path).startswith(_SQLITE):
+def open_file(path: Path, max_chunk: int, is_needed: Callable[[str], bool], advance: Callable[[int], None]) -> BagFile:
+    """Open one file of a bag, MCAP or the sqlite3 storage of rosbag2; arguments and errors as of :class:`McapFile`."""
+    if _start(path).startswith(b'SQLite format 3\0'):
         return Db3File(path, is_needed)
     return McapFile(path, max_chunk, is_needed, advance)
 
@@ -170,16 +161,12 @@ def _start(path: Path) -> bytes:
 
 
 def locate(path: Path) -> BagFiles:
-    """Return the files of the bag at a path.
-
-    Raises:
-        InputError: The path does not exist or is not a bag, a file is missing, or the storage is not known.
-    """
+    """Return the files of the bag at a path; InputError if it is no bag, a file is missing, or its storage unknown."""
     if not path.exists():
         raise InputError(f'{path}: no such bag')
     if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
         raise InputError(f'{path}: is neither a file nor a directory')
-    if path.is_file() and path.suffix.lower() in _TABLES:
+    if path.is_file() and path.suffix.lower() in {'.csv', '.parquet', '.npz'}:
         raise InputError(f'{path}: is a table, not a bag; trainid import makes a bag of it')
     if path.is_file():
         return BagFiles((path,))
@@ -220,7 +207,7 @@ def _from_folder(path: Path, warning: str) -> BagFiles:
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of a bag in a directory in the order of recording."""
+    """Return the files of a bag in a directory, in the order of recording."""
     entries = (entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file())
     return tuple(sorted(entries, key=_part_number))
 
@@ -259,7 +246,7 @@ def _from_metadata(path: Path) -> BagFiles:
         raise InputError(f'{where}: lists no files')
     warnings = []
     if mode != 'none':
-        names = {name.removesuffix(_COMPRESSED): None for name in names}
+        names = {name.removesuffix('.zstd'): None for name in names}  # of files compressed as a whole
         if mode == 'message' or not all((path / name).is_file() for name in names):
             raise InputError(
                 f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '

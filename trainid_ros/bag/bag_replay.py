@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
-from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
+from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineGroup
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Row, record_of
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
     EstimateT,
@@ -24,6 +24,7 @@ from trainid_ros.interface.results import (
 )
 from trainid_ros.setup.pipelines import (
     BrakeRatePipeline,
+    EstimatorSettings,
     ResistancePipeline,
     SpeedModelPipeline,
     brake_findings,
@@ -33,13 +34,10 @@ from trainid_ros.setup.pipelines import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.inputs.mapping import Mapping
-    from trainid_ros.interface.records import Row
-    from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
 
@@ -78,9 +76,9 @@ class Replay:
 
     records: int  # Number of inputs read
     duration_s: float  # Time covered by the samples
-    resistance: Result[ResistanceEstimate]  # Running resistance
-    speed_model: Result[SpeedModelEstimate]  # Speed model
-    brake_rate: Result[BrakeRateEstimate]  # Brake rate
+    resistance: Result[ResistanceEstimate]
+    speed_model: Result[SpeedModelEstimate]
+    brake_rate: Result[BrakeRateEstimate]
     contradiction: Contradiction  # The last contradiction between the inputs, if there was one
     brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
 
@@ -102,9 +100,9 @@ class Replay:
 class Pipelines(NamedTuple):
     """The three estimators, before the first record."""
 
-    resistance: ResistancePipeline  # estimator of the resistance
-    speed_model: SpeedModelPipeline  # estimator of the speed model
-    brake_rate: BrakeRatePipeline  # estimator of the brake rate
+    resistance: ResistancePipeline
+    speed_model: SpeedModelPipeline
+    brake_rate: BrakeRatePipeline
 
 
 def replay(
@@ -116,15 +114,10 @@ def replay(
     *,
     duration_s: float = math.inf,
 ) -> Replay:
-    """Run the three estimators over a bag.
+    """Run the three estimators over an open bag, or the first ``duration_s`` of it by log time [s].
 
-    Args:
-        reader: The bag, open.
-        train_file: Train file.
-        settings: All other settings of the estimators.
-        progress: Called with the number of inputs read since its last call.
-        observers: Receive inputs and outputs; nothing else is kept, so memory does not grow with the bag.
-        duration_s: Part of the bag to replay, from its start, by log time [s].
+    ``progress`` is called with the number of inputs read since its last call. Observers receive inputs and outputs;
+    nothing else is kept, so memory does not grow with the bag.
 
     Raises:
         InputError: A required topic has no messages, or a message cannot be read.
@@ -148,13 +141,26 @@ def replay_through(
     """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
-    group, observed, records = PipelineGroup(pipelines), _ObservedRows(observers), 0
+    group, records, log_ns = PipelineGroup(pipelines), 0, 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
     start_ns, _ = reader.time_range() or (0, 0)
     end_ns = math.inf if math.isinf(duration_s) else start_ns + round(duration_s * NS_PER_S)
-    by_table = chain.from_iterable(table.rows() for table in reader.tables(end_ns))
-    rows = observed.rows(reader.rows(end_ns)) if observers else by_table
-    while count := group.push_rows(islice(rows, PROGRESS_EVERY), observed.publish if observers else None):
+
+    def observed() -> Iterator[Row]:
+        """Yield the rows, each after the observers have received it."""
+        nonlocal log_ns
+        for log_ns, row in reader.rows(end_ns):
+            entry = LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
+            for observer in observers:
+                observer.on_record(entry)
+            yield row
+
+    def publish(output: AnyOutput) -> None:
+        for observer in observers:
+            observer.on_output(output, log_ns)
+
+    rows = observed() if observers else chain.from_iterable(table.rows() for table in reader.tables(end_ns))
+    while count := group.push_rows(islice(rows, PROGRESS_EVERY), publish if observers else None):
         records += count
         if progress is not None:
             progress(count)
@@ -168,27 +174,6 @@ def replay_through(
         group.contradiction,
         tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
     )
-
-
-class _ObservedRows:
-    """Rows on their way to the estimators: observers receive each of them, and the outputs after it."""
-
-    def __init__(self, observers: Sequence[Observer]) -> None:
-        self._observers = observers
-        self._log_ns = 0
-
-    def rows(self, logged: Iterable[tuple[int, Row]]) -> Iterator[Row]:
-        """Yield the rows, each after the observers have received it."""
-        for self._log_ns, row in logged:
-            entry = LoggedRecord(self._log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
-            for observer in self._observers:
-                observer.on_record(entry)
-            yield row
-
-    def publish(self, output: AnyOutput) -> None:
-        """Hand an output to the observers."""
-        for observer in self._observers:
-            observer.on_output(output, self._log_ns)
 
 
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT, mapping: Mapping) -> Result[EstimateT]:

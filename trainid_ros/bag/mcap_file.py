@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from mcap.records import ChunkIndex
     from numpy.typing import NDArray
 
-_MAX_EXPANSION: Final = 50  # bytes unpacked for each byte of a file whose chunks together exceed the largest chunk
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
@@ -54,10 +53,8 @@ _MAX_NAMED: Final = 5  # losses
 _MB: Final = 1 << 20  # also from one report of progress to the next, and of messages outside chunks taken together
 # Channel, sequence, log time and publish time of a message; its length stands before them.
 _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
-_LENGTH: Final = np.dtype('<i8')
 # Share of a chunk that needed messages may have [1]: of one with more, all is read, and its checksum is checked.
 _SPARSE: Final = 0.1
-_MAX_INDEX: Final = 1 << 24  # bytes
 _BLOCK: Final = 1 << 12  # bytes that are read at once
 _INDEX: Final = struct.Struct('<BQHI')  # opcode, length, channel, size of the entries
 _START: Final = struct.Struct('<BQHIQ')  # of a message record: opcode, length, channel, sequence, log time
@@ -84,28 +81,8 @@ class Piece(NamedTuple):
         return Record(Opcode.CHUNK, self.offset + HEAD.size, self.end)
 
 
-class _Entry(NamedTuple):
-    """One message by the index of a chunk: its place in the chunk, log time, channel."""
-
-    place: int
-    log_ns: int
-    channel: int
-
-
 class McapFile:
-    """The messages of one MCAP file, also of a damaged one and of one whose recording was cut off.
-
-    Attributes:
-        path: The file.
-        channels: Channels by number.
-        schemas: Message definitions by number.
-        counts: Number of messages by channel number.
-        segments: Pieces of the file that hold messages of needed topics, in file order.
-        first_ns: First log time [ns], 0 without messages.
-        last_ns: Last log time [ns].
-        promised: Number of messages that the file states, None if it does not.
-        warnings: What is wrong with the file although it can be read.
-    """
+    """The messages of one MCAP file, also of a damaged one and of one whose recording was cut off."""
 
     def __init__(
         self,
@@ -114,25 +91,19 @@ class McapFile:
         is_needed: Callable[[str], bool] = lambda _: True,
         advance: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """Open and scan a file.
+        """Open and scan a file; InputError if it is not MCAP, is empty, or nothing of it can be used.
 
-        Args:
-            path: The file.
-            max_chunk: Largest chunk to unpack, and largest message outside chunks to read [bytes].
-            is_needed: Whether the messages of a topic are needed; others may be left out.
-            advance: Called with the number of bytes scanned since its last call, at most the size of the file.
-
-        Raises:
-            InputError: If it is not MCAP, is empty, or nothing of it can be used.
+        Chunks that unpack to more than ``max_chunk`` [bytes], and larger messages outside chunks, are left out, and
+        messages of topics that are not needed may be. ``advance`` is called with the number of bytes scanned since.
         """
         self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.counts: Counter[int] = Counter()
-        self.segments: list[Segment] = []
-        self.first_ns = self.last_ns = 0
-        self.promised: int | None = None
-        self.warnings: list[str] = []
+        self.channels: dict[int, Channel] = {}  # by number
+        self.schemas: dict[int, Schema] = {}  # message definitions by number
+        self.counts: Counter[int] = Counter()  # messages by number of the channel
+        self.segments: list[Segment] = []  # with messages of needed topics, in file order
+        self.first_ns = self.last_ns = 0  # first and last log time [ns], 0 without messages
+        self.promised: int | None = None  # number of messages that the file states
+        self.warnings: list[str] = []  # what is wrong with the file although it can be read
         # Repeats the definitions, in case that those before the messages are lost.
         self._summary = Summary()
         self._indexes: dict[int, ChunkIndex] = {}
@@ -160,10 +131,8 @@ class McapFile:
     def _read(self, piece: Piece, starts: NDArray[np.uint32], runs: tuple[tuple[int, int], ...] = ()) -> MessageBlock:
         """Return the messages of a segment; InputError if the file has changed since it was opened.
 
-        Args:
-            piece: Where it lies.
-            starts: Where its records start, without opcode and length, in the bytes that are read.
-            runs: Offset in the file and length of what is read, none for all of the piece.
+        ``starts`` is where their records start, without opcode and length, in what is read: all of the piece, or
+        ``runs`` of the file by offset and length.
         """
         try:
             data = b''.join(self._file.read(*run) for run in runs) if runs else self._load(piece)
@@ -226,10 +195,12 @@ class McapFile:
                 self._take(Piece(run, position, is_chunk=False))
                 run = position
             if record is None:
-                self._chunked |= file.read(position, 1) == _CHUNK
+                is_chunk = file.read(position, 1) == _CHUNK
+                self._chunked |= is_chunk
                 found = file.search(position + 1, chunked=self._chunked)
                 if position >= file.end or (found == file.end and not file.is_closed):
-                    self._take_start_of_chunk(position)
+                    if is_chunk and position + HEAD.size < file.end:  # its end is missing
+                        self._take(Piece(position, file.end, is_chunk=True, is_cut=True))
                     return position, None
                 self._lose(position, found, 'no valid record')
                 position = run = found
@@ -257,14 +228,13 @@ class McapFile:
     def _take_indexed(self, chunk: Record, begin: int) -> int:
         """Take in a chunk, whose records begin at an offset, by the index of the file: only needed messages are read.
 
-        Returns:
-            Where its index ends; 0 if it does not fit what it points to, or if all of the chunk should be read.
+        Return where its index ends; 0 if it does not fit what it points to, or if all of the chunk should be read.
         """
         index = self._indexes.get(chunk.offset)
         if index is None or index.chunk_length != chunk.end - chunk.offset or not index.message_index_offsets:
             return 0
         length = index.message_index_length
-        block = self._file.read(chunk.end, length) if length < _MAX_INDEX else b''
+        block = self._file.read(chunk.end, length) if length < 16 * _MB else b''
         counts, needed = {}, []
         for channel, offset in index.message_index_offsets.items():
             entries = _entries(block, offset - chunk.end, channel)
@@ -277,8 +247,8 @@ class McapFile:
         most = 0.0 if index.compression else _SPARSE * (chunk.end - chunk.start) / (HEAD.size + MESSAGE_BYTES)
         if sum(len(entries) for _, entries in needed) > most:
             return 0
-        wanted = [_Entry(place, log_ns, channel) for channel, entries in needed for log_ns, place in entries.tolist()]
-        found = self._locate(chunk, begin, sorted(wanted))
+        wanted = sorted((place, log_ns, channel) for channel, entries in needed for log_ns, place in entries.tolist())
+        found = self._locate(chunk, begin, wanted)
         if found is None or self._file.record(chunk.end + length) is None:
             return 0
         for number in counts:
@@ -295,25 +265,24 @@ class McapFile:
         return chunk.end + length
 
     def _locate(
-        self, chunk: Record, begin: int, entries: list[_Entry]
+        self, chunk: Record, begin: int, entries: list[tuple[int, int, int]]
     ) -> tuple[list[tuple[int, int]], list[int]] | None:
-        """Return where in a chunk messages are; None if they are not there, or are much of the chunk.
+        """Return where the messages of a chunk are by their entries: place in the chunk, log time, channel.
 
-        Returns:
-            Offset in the file and length of each run of needed message records, in the order of the file, and where
-            their contents start if the runs are joined.
+        Return offset in the file and length of each run of their records, in the order of the file, and where their
+        contents start if the runs are joined; None if they are not there, or are much of the chunk.
         """
         total, block, place_of = 0, b'', 0
         runs: list[tuple[int, int]] = []
         starts: list[int] = []
-        for entry in entries:
-            if not place_of <= entry.place <= place_of + len(block) - _START.size:
-                block, place_of = self._file.read(begin + entry.place, _BLOCK), entry.place
+        for place, log_ns, channel in entries:
+            if not place_of <= place <= place_of + len(block) - _START.size:
+                block, place_of = self._file.read(begin + place, _BLOCK), place
             if len(block) < _START.size:
                 return None
-            opcode, size, channel, _, log_ns = _START.unpack_from(block, entry.place - place_of)
-            fits = (opcode, channel, log_ns) == (Opcode.MESSAGE, entry.channel, entry.log_ns) and size >= MESSAGE_BYTES
-            offset, length = begin + entry.place, HEAD.size + size
+            opcode, size, found_channel, _, found_ns = _START.unpack_from(block, place - place_of)
+            fits = (opcode, found_channel, found_ns) == (Opcode.MESSAGE, channel, log_ns) and size >= MESSAGE_BYTES
+            offset, length = begin + place, HEAD.size + size
             starts.append(total + HEAD.size)
             total += length
             if not fits or total > _SPARSE * (chunk.end - chunk.start) or offset + length > chunk.end:
@@ -325,7 +294,6 @@ class McapFile:
         return runs, starts
 
     def _span(self, first_ns: int, last_ns: int) -> None:
-        """Extend the log times."""
         self.first_ns = min(self.first_ns, first_ns) if self.last_ns else first_ns
         self.last_ns = max(self.last_ns, last_ns)
 
@@ -338,11 +306,6 @@ class McapFile:
             return record.end
         self._lose(record.offset, found, 'a record of a wrong length')
         return found
-
-    def _take_start_of_chunk(self, offset: int) -> None:
-        """Take in the start of a chunk whose end is missing, if one starts at an offset."""
-        if offset + HEAD.size < self._file.end and self._file.read(offset, 1) == _CHUNK:
-            self._take(Piece(offset, self._file.end, is_chunk=True, is_cut=True))
 
     def _take(self, piece: Piece) -> None:
         """Note the definitions and the messages of a piece of the file, or why it is lost."""
@@ -378,7 +341,6 @@ class McapFile:
         return np.asarray(starts, dtype=np.intp), position
 
     def _define(self, opcode: int, content: bytes) -> None:
-        """Note a definition."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.SCHEMA:
@@ -403,7 +365,7 @@ class McapFile:
     def _add(self, piece: Piece, data: bytes, starts: NDArray[np.intp]) -> None:
         """Note the messages of a block of bytes that have a channel."""
         starts = starts[_lengths_at(data, starts) >= MESSAGE_BYTES]
-        channel = values_at(data, starts, _MESSAGE)['channel'] if starts.size else starts
+        channel = values_at(data, starts, _MESSAGE)['channel']
         for number in np.flatnonzero(np.bincount(channel)).tolist():
             if number not in self.channels and not self._use_summary(number):
                 starts, channel = starts[channel != number], channel[channel != number]
@@ -418,11 +380,7 @@ class McapFile:
         self.segments.append(Segment(first, last, partial(self._read, piece, starts.astype(np.uint32))))
 
     def _load(self, piece: Piece, *, is_new: bool = False) -> bytes:
-        """Return the records of a piece of the file, unpacked and checked; ``is_new`` the first time.
-
-        Raises:
-            DamageError: They are damaged or too large.
-        """
+        """Return the records of a piece, unpacked and checked, ``is_new`` the first time; DamageError if that fails."""
         file, chunk = self._file, piece.record
         head = file.chunk_head(chunk) if piece.is_chunk else None
         if piece.is_chunk and head is None:
@@ -436,7 +394,8 @@ class McapFile:
             self._all_checked = False
             return file.read(piece.offset, size)
         if is_new:  # before anything is unpacked
-            most = max(self._max_chunk, _MAX_EXPANSION * file.size)
+            # Chunks that together exceed the largest one may unpack to 50 times the size of the file.
+            most = max(self._max_chunk, 50 * file.size)
             if self._unpacked + head.size > most:
                 raise DamageError(f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)')
             self._unpacked += head.size
@@ -480,4 +439,4 @@ def _messages_at(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
 
 def _lengths_at(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
     """Return the lengths of records, which stand before their starts."""
-    return values_at(data, starts - _LENGTH.itemsize, _LENGTH)
+    return values_at(data, starts - 8, np.dtype('<i8'))

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
-from trainid_ros.bag.bag_files import locate, open_file
+from trainid_ros.bag.bag_files import BagFile, locate, open_file
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.types import (
     EMPTY,
+    RecordTable,
+    Segment,
     StoredType,
     concatenated,
     decode,
@@ -30,33 +32,29 @@ from trainid_ros.bag.types import (
     type_name,
     typestore,
 )
-from trainid_ros.inputs.mapping import OWN
+from trainid_ros.inputs.mapping import OWN, Mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     OUTPUT_TOPICS,
     REQUIRED_TOPICS,
     InputTopic,
+    Record,
+    Row,
     record_from_message,
     record_of,
 )
 from trainid_ros.interface.text import pluralise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from collections.abc import Mapping as ReadOnly
-    from types import TracebackType
 
     from mcap.records import Channel
 
-    from trainid_ros.bag.bag_files import BagFile
-    from trainid_ros.bag.types import RecordTable, Segment
     from trainid_ros.inputs.mapped_inputs import MappedInputs
-    from trainid_ros.inputs.mapping import Mapping
-    from trainid_ros.interface.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
-OPENING: Final = 0.3  # share of opening in the work on a bag without an index, which is unpacked then [1]
 NAMESPACE: Final = 'use --namespace'  # advice where topics lie in other namespaces
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
@@ -74,22 +72,6 @@ class LoggedRecord(NamedTuple):
     record: Record  # the record
 
 
-class LoggedMessage(NamedTuple):
-    """A message with its topic and the time at which it was logged."""
-
-    log_ns: int  # log time [ns]
-    topic: str  # name of the topic
-    message: Any  # as rosbags reads it
-
-
-class StoredMessage(NamedTuple):
-    """A message of a topic of the mapping as it is stored, or the record of one of our own."""
-
-    log_ns: int  # log time [ns]
-    topic: str  # name of the topic
-    content: bytes | Record  # serialised message, or the record
-
-
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
     """One topic of a bag."""
@@ -99,19 +81,18 @@ class TopicSummary:
     count: int  # number of messages
 
 
-class ChannelSource(NamedTuple):
+class _Source(NamedTuple):
     """One channel of one file."""
 
-    topic: str  # By our name, or that of the mapping
-    name: str  # Short name of the type
-    mapped: StoredType | None = None  # Type as stored, if it is mapped
+    topic: str  # by our name, or that of the mapping
+    name: str  # short name of the type
+    mapped: StoredType | None = None  # type as stored, if it is mapped
 
 
-class TopicNames:
+class _TopicNames:
     """Names of topics in a namespace, and which of them are read."""
 
     def __init__(self, namespace: str, mapping: Mapping) -> None:
-        """Take the namespace of the topics, and where each input comes from."""
         self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
         self._replaced = mapping.replaced
         # Names in the mapping by full name.
@@ -119,7 +100,7 @@ class TopicNames:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Topics of the mapping that lie outside the namespace: another train's numbers under the name of this one."""
+        """Topics of the mapping outside the namespace: another train's numbers under the name of this one."""
         outside = sorted(name for name in self._mapped if not name.startswith(self._prefix))
         if not outside:
             return ()
@@ -135,39 +116,25 @@ class TopicNames:
         return self._full(name, '/').removeprefix(self._prefix)
 
     def is_needed(self, name: str) -> bool:
-        """Return whether messages of a topic are read."""
         return self.relative(name) in _OURS or self._full(name, '/') in self._mapped
 
-    def sources(self, file: BagFile, hashes: ReadOnly[str, str]) -> dict[int, ChannelSource]:
-        """Return the channels of a file that are read, by number.
+    def sources(self, file: BagFile, hashes: ReadOnly[str, str]) -> dict[int, _Source]:
+        """Return the channels of a file that are read, by number; ``hashes`` of types by full name of the topic.
 
-        Args:
-            file: The file.
-            hashes: Type hashes by full name of the topic, of files that hold no definitions.
-
-        Raises:
-            InputError: A type is not the one of the interface, or messages cannot be decoded.
+        InputError if a type is not the one of the interface, or messages cannot be decoded.
         """
         sources = {}
         for number, channel in file.channels.items():
             if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
                 _check_encoding(channel, f'{file.path}: topic {channel.topic}')
-                sources[number] = ChannelSource(foreign, _schema_name(file, number), _stored_type(file, number))
+                stored = StoredType(file.path, file.schemas[channel.schema_id])
+                sources[number] = _Source(foreign, _schema_name(file, number), stored)
                 continue
             topic = self.relative(channel.topic)
             if topic in _OURS and topic not in self._replaced:
                 _check_type(file, number, f'{file.path}: topic {topic}', _OURS[topic], hashes.get(channel.topic, ''))
-                sources[number] = ChannelSource(topic, _OURS[topic])
+                sources[number] = _Source(topic, _OURS[topic])
         return sources
-
-    def summaries(self, files: Sequence[BagFile]) -> tuple[TopicSummary, ...]:
-        """Return all topics of some files by name; a topic written in several types is listed once for each."""
-        counts: dict[tuple[str, str], int] = {}
-        for file in files:
-            for number, channel in file.channels.items():
-                key = (self.relative(channel.topic), _schema_name(file, number))
-                counts[key] = counts.get(key, 0) + file.counts.get(number, 0)
-        return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
 
     def _full(self, name: str, prefix: str = '') -> str:
         """Return the full name of a topic; relative ones lie in the namespace."""
@@ -179,10 +146,6 @@ class BagReader:
 
     Use as a context manager; a bag can be iterated any number of times. Memory use does not grow with the bag: only
     chunks whose log times overlap are held together. Reading raises InputError if a file has changed since.
-
-    Attributes:
-        path: The bag.
-        mapping: Where each input comes from.
     """
 
     def __init__(
@@ -208,23 +171,22 @@ class BagReader:
         self.path = Path(path)
         self._max_chunk, self._inputs, self._opening = max_chunk, inputs, opening
         self._made = None if inputs is None else inputs()
-        self.mapping = mapping if self._made is None else self._made.mapping
+        self.mapping = mapping if self._made is None else self._made.mapping  # where each input comes from
         self._damage: list[str] = []
         self._unreadable: Counter[str] = Counter()  # messages by topic, the last time
-        self._names = TopicNames(namespace, self.mapping)
+        self._names = _TopicNames(namespace, self.mapping)
         self._files: list[BagFile] = []
-        self._sources: list[dict[int, ChannelSource]] = []
+        self._sources: list[dict[int, _Source]] = []
 
     def __enter__(self) -> Self:
-        """Open and check the bag.
-
-        Raises:
-            InputError: If the bag cannot be read, or one of our topics has another type.
-        """
+        """Open and check the bag; InputError if it cannot be read, or one of our topics has another type."""
         located = locate(self.path)
         self._damage = [*located.warnings, *self._names.warnings]
+        total = max(math.fsum(path.stat().st_size for path in located.files if path.is_file()), 1.0)
         try:
-            self._open(located.files)
+            for path in located.files:
+                file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
+                self._files.append(file)
             hashes = dict(located.hashes)
             self._sources = [self._names.sources(file, hashes) for file in self._files]
         except BaseException:
@@ -236,16 +198,7 @@ class BagReader:
             self._damage.append(f'{self.path}: {self.message_count} of {promised} messages found')
         return self
 
-    def _open(self, paths: Sequence[Path]) -> None:
-        """Open the files, and report the progress of scanning them."""
-        total = max(math.fsum(path.stat().st_size for path in paths if path.is_file()), 1.0)
-        for path in paths:
-            file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
-            self._files.append(file)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the bag."""
         self.close()
 
@@ -272,13 +225,12 @@ class BagReader:
     @property
     def input_count(self) -> int:
         """Number of messages on the input topics: what :meth:`records` will yield, and those it skips as unreadable."""
-        counts = zip(self._files, self._sources, strict=True)
-        return sum(
-            file.counts.get(number, 0)
-            for file, sources in counts
-            for number, source in sources.items()
-            if source.mapped is not None or source.topic in _INPUTS
-        )
+        return sum(count for source, count in self._counts() if source.mapped is not None or source.topic in _INPUTS)
+
+    def _counts(self) -> Iterator[tuple[_Source, int]]:
+        """Yield the channels that are read, with their numbers of messages."""
+        for file, sources in zip(self._files, self._sources, strict=True):
+            yield from ((source, file.counts.get(number, 0)) for number, source in sources.items())
 
     def time_range(self) -> tuple[int, int] | None:
         """Return the first and the last log time [ns], None for a bag without messages."""
@@ -289,16 +241,15 @@ class BagReader:
 
     def topics(self) -> tuple[TopicSummary, ...]:
         """Return all topics by name; a topic written in several types is listed once for each."""
-        return self._names.summaries(self._files)
+        counts: Counter[tuple[str, str]] = Counter()
+        for file in self._files:
+            for number, channel in file.channels.items():
+                counts[self._names.relative(channel.topic), _schema_name(file, number)] += file.counts.get(number, 0)
+        return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
 
     def missing(self, topic: InputTopic) -> tuple[str, ...]:
         """Return the topics without messages that an input needs: its own, or those of the mapping."""
-        present = {
-            source.topic
-            for file, sources in zip(self._files, self._sources, strict=True)
-            for number, source in sources.items()
-            if file.counts.get(number, 0)
-        }
+        present = {source.topic for source, count in self._counts() if count}
         return tuple(name for name in self.mapping.needed(topic.name) if name not in present)
 
     def records(self) -> Iterator[Record]:
@@ -319,10 +270,7 @@ class BagReader:
     ) -> Iterator[tuple[int, StreamEvent]]:
         """Yield the events of a stream of the records, with the log time [ns] of the record that completed each.
 
-        Args:
-            stream: The stream.
-            advance: Called with the number of records read since its last call.
-            last_ns: Log time to end at [ns].
+        It ends at a log time [ns]; ``advance`` is called with the number of records read since its last call.
         """
         for count, (log_ns, row) in enumerate(self.rows(last_ns), 1):
             for event in stream.push_row(*row):
@@ -359,8 +307,7 @@ class BagReader:
         tables, places = [], []
         for number, source in self._sources[index].items():
             if source.topic in _INPUTS and (rows := np.flatnonzero(block.channel == number)).size:
-                topic = _INPUTS[source.topic]
-                table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
+                table, decoded = decode(block, rows, _INPUTS[source.topic])
                 if skipped := rows.size - len(table):
                     self._unreadable[source.topic] += skipped
                 tables.append(table)
@@ -392,25 +339,24 @@ class BagReader:
                 logged = []
         yield table_of(logged)
 
-    def stored(self) -> Iterator[StoredMessage]:
-        """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time."""
+    def stored(self) -> Iterator[tuple[int, str, bytes | Record]]:
+        """Yield log time [ns], topic and content of the messages by log time.
+
+        Those of the mapping are as they are stored; our own ones that it leaves are records.
+        """
         own = self._own_topics()
         for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
             if source.mapped is not None:
-                yield StoredMessage(log_ns, source.topic, payload)
+                yield log_ns, source.topic, payload
             elif (message := self._decoded(source, payload)) is not None:
-                yield StoredMessage(log_ns, source.topic, record_from_message(own[source.topic], message))
+                yield log_ns, source.topic, record_from_message(own[source.topic], message)
 
     def _own_topics(self) -> dict[str, InputTopic]:
         """Return our own topics by name, without those that the mapping replaces."""
         return {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
 
     def mapped_types(self) -> dict[str, StoredType]:
-        """Return the types of the topics of the mapping that are in the bag.
-
-        Raises:
-            InputError: Messages of one topic have several types.
-        """
+        """Return the types of the topics of the mapping in the bag; InputError if a topic has several."""
         found: dict[str, StoredType] = {}
         for source in (source for sources in self._sources for source in sources.values()):
             if source.mapped is not None and found.setdefault(source.topic, source.mapped).name != source.mapped.name:
@@ -419,26 +365,16 @@ class BagReader:
                 )
         return found
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
-        """Yield our messages, inputs and estimates, by log time.
-
-        Args:
-            topics: Names of the topics wanted, all of ours if None; topics of others are left out.
-        """
-        for log_ns, source, payload in self._payloads(topics):
-            if (message := self._decoded(source, payload)) is not None:
-                yield LoggedMessage(log_ns, source.topic, message)
-
-    def _payloads(self, topics: Collection[str] | None) -> Iterator[tuple[int, ChannelSource, bytes]]:
+    def _payloads(self, topics: Collection[str]) -> Iterator[tuple[int, _Source, bytes]]:
         """Yield log times [ns], channels and payloads of the messages of some topics, by log time."""
         self._unreadable.clear()
-        heap: list[tuple[int, int, int, ChannelSource, bytes]] = []
+        heap: list[tuple[int, int, int, _Source, bytes]] = []
         for rank, (first_ns, index, segment) in enumerate(self._segments()):
             while heap and heap[0][0] < first_ns:
                 log_ns, _, _, found, payload = heappop(heap)
                 yield log_ns, found, payload
             block = segment.read()
-            wanted = {n: item for n, item in self._sources[index].items() if topics is None or item.topic in topics}
+            wanted = {number: item for number, item in self._sources[index].items() if item.topic in topics}
             columns = (block.channel, block.log_ns, block.start, block.end)
             for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
                 if (source := wanted.get(channel)) is not None:
@@ -447,7 +383,7 @@ class BagReader:
             (log_ns, source, payload) for log_ns, _, _, source, payload in sorted(heap, key=itemgetter(0, 1, 2))
         )
 
-    def _decoded(self, source: ChannelSource, payload: bytes) -> Any:
+    def _decoded(self, source: _Source, payload: bytes) -> Any:
         """Return a message, None if it cannot be read."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
 
@@ -464,17 +400,15 @@ class BagReader:
 
 def require_topics(reader: BagReader) -> None:
     """Raise InputError, naming them, if required topics have no messages in the bag."""
-    missing = missing_topics(reader)
-    if not missing:
-        return
-    found = [topic.name for topic in reader.topics() if topic.count]
-    where = in_namespaces(found) or f'found: {", ".join(found) or "nothing"}'
-    raise InputError(f'{reader.path}: no messages on {", ".join(missing)} ({where})')
+    if missing := missing_topics(reader):
+        found = [topic.name for topic in reader.topics() if topic.count]
+        where = in_namespaces(found) or f'found: {", ".join(found) or "nothing"}'
+        raise InputError(f'{reader.path}: no messages on {", ".join(missing)} ({where})')
 
 
-def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
-    """Return the names of those topics that have no messages in the bag."""
-    return tuple(name for topic in topics for name in reader.missing(topic))
+def missing_topics(reader: BagReader) -> tuple[str, ...]:
+    """Return the names of the required topics without messages in the bag."""
+    return tuple(name for topic in REQUIRED_TOPICS for name in reader.missing(topic))
 
 
 def in_namespaces(topics: Iterable[str]) -> str:
@@ -486,11 +420,11 @@ def in_namespaces(topics: Iterable[str]) -> str:
 
 
 def in_two(
-    advance: Callable[[float], None], opening_share: float = OPENING
+    advance: Callable[[float], None], opening_share: float = 0.3
 ) -> tuple[Callable[[float], None], Callable[[float], None]]:
-    """Split a report of progress into one for opening and one for reading a bag, each in shares of its own work.
+    """Split a report of progress into one for opening and one for reading a bag, each in shares of its own work [1].
 
-    Opening counts only as far as the bag is scanned then, which one with an index is not.
+    Opening is ``opening_share`` of the work, as far as the bag is scanned then: one with an index is not.
     """
     opened = 0.0
 
@@ -513,20 +447,17 @@ def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str
     if (found := _schema_name(file, number)) != full_type(name):
         raise InputError(f'{where}: type {full_type(name)} expected, {found or "none"} found')
     _check_encoding(channel, where)
-    text = plain_text(file.schemas[channel.schema_id].data)
+    schema = file.schemas[channel.schema_id]
+    text = plain_text(schema.data)
     if is_packaged(text, name):
         return
     recorded = channel.metadata.get('topic_type_hash') or recorded
-    stored = _stored_type(file, number).digest if text.strip() else recorded
+    stored = StoredType(file.path, schema).digest if text.strip() else recorded
     if stored != digest(name):
         raise InputError(
             f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
             f'{stored or "no definition"} found'
         )
-
-
-def _stored_type(file: BagFile, channel: int) -> StoredType:
-    return StoredType(file.path, file.schemas[file.channels[channel].schema_id])
 
 
 def _check_encoding(channel: Channel, where: str) -> None:

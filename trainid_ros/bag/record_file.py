@@ -40,25 +40,13 @@ _FOOTER: Final = struct.Struct('<BQQQI')  # with its head; start of summary, sta
 _CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
 _SIZE: Final = struct.Struct('<Q')
 _INDEX: Final = struct.Struct('<HI')  # channel, size of the entries, which have 16 bytes each
-_PRIVATE: Final = 0x80  # opcodes from here on are for records of others
+# Shortest content of each kind of record [bytes].
 _MIN_BYTES: Final[dict[int, int]] = {
-    Opcode.HEADER: 8,
-    Opcode.FOOTER: 20,
-    Opcode.SCHEMA: 14,
-    Opcode.CHANNEL: 16,
-    Opcode.MESSAGE: MESSAGE_BYTES,
-    Opcode.CHUNK: 40,
-    Opcode.MESSAGE_INDEX: 6,
-    Opcode.CHUNK_INDEX: 64,
-    Opcode.ATTACHMENT: 36,
-    Opcode.ATTACHMENT_INDEX: 48,
-    Opcode.STATISTICS: 46,
-    Opcode.METADATA: 8,
-    Opcode.METADATA_INDEX: 20,
-    Opcode.SUMMARY_OFFSET: 17,
-    Opcode.DATA_END: 4,
-}
-_FIXED_BYTES: Final[dict[int, int]] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4}  # these never grow
+    Opcode.HEADER: 8, Opcode.FOOTER: 20, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: MESSAGE_BYTES,
+    Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6, Opcode.CHUNK_INDEX: 64, Opcode.ATTACHMENT: 36,
+    Opcode.ATTACHMENT_INDEX: 48, Opcode.STATISTICS: 46, Opcode.METADATA: 8, Opcode.METADATA_INDEX: 20,
+    Opcode.SUMMARY_OFFSET: 17, Opcode.DATA_END: 4,
+}  # fmt: skip
 # Records that are looked for after damage: their content shows that they are whole. Others may lie outside chunks.
 _TARGETS: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER})
 _UNCHUNKED_TARGETS: Final = _TARGETS | {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
@@ -67,10 +55,8 @@ _SUMMARY: Final = frozenset(
     | {Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET}
 )
 _FOLLOWING: Final = 2  # records that must follow one whose place or kind is in doubt
-_FIRST_BLOCK: Final = 1 << 12
-_MAX_BLOCK: Final = 1 << 20
-_MAX_SUMMARY: Final = 1 << 26
-_MAX_SHIFT: Final = 4096  # bytes by which a summary is looked for elsewhere
+_BLOCK: Final = 1 << 12  # bytes that are searched first; and by which a summary is looked for elsewhere
+_MAX_BLOCK: Final = 1 << 20  # bytes that are read at once
 
 
 class DamageError(Exception):
@@ -115,28 +101,22 @@ class ChunkHead(NamedTuple):
                 with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
                     return reader.read(self.size + 1)
             if self.compression == 'lz4':
-                unpacked: bytes = LZ4FrameDecompressor().decompress(stored, self.size + 1)
-                return unpacked
+                return bytes(LZ4FrameDecompressor().decompress(stored, self.size + 1))
         except (ZstdError, RuntimeError) as error:  # lz4 raises the latter
             raise DamageError(f'cannot be unpacked ({" ".join(str(error).split())})') from None
         return stored
 
 
 class RecordFile:
-    """An MCAP file.
-
-    Attributes:
-        size: Its size [bytes].
-        is_closed: True if it ends as a finished file does.
-        end: Where its records end.
-    """
+    """An MCAP file."""
 
     def __init__(self, path: Path) -> None:
         """Open a file; OSError if that fails."""
         self._file = path.open('rb')
-        self.size = self._file.seek(0, os.SEEK_END)
+        self.size = self._file.seek(0, os.SEEK_END)  # bytes
+        # Whether it ends as a finished file does.
         self.is_closed = self.size > 2 * len(MAGIC) and self.read(self.size - len(MAGIC), len(MAGIC)) == MAGIC
-        # Where a recording was cut off, the end may be allocated on disk but not written.
+        # Where its records end: that of a recording that was cut off may be allocated on disk but not written.
         self.end = self.size - len(MAGIC) if self.is_closed else self._end_of_zeros()
 
     def close(self) -> None:
@@ -164,8 +144,8 @@ class RecordFile:
             return None
         opcode, length = HEAD.unpack(content)
         found = Record(opcode, offset + HEAD.size, offset + HEAD.size + length)
-        fits = length == _FIXED_BYTES.get(opcode, length) and length >= _MIN_BYTES.get(opcode, 0)
-        if found.end > self.end or not opcode or not fits:
+        most = _MIN_BYTES[opcode] if opcode in {Opcode.FOOTER, Opcode.DATA_END} else length  # these never grow
+        if found.end > self.end or not opcode or not _MIN_BYTES.get(opcode, 0) <= length <= most:
             return None
         if opcode == Opcode.CHUNK and self.chunk_head(found) is None:
             return None
@@ -195,7 +175,7 @@ class RecordFile:
 
         ``chunked`` is True if messages lie in chunks only: those of a damaged chunk are no records of the file.
         """
-        block = _FIRST_BLOCK
+        block = _BLOCK
         while offset + HEAD.size <= self.end:
             content = np.frombuffer(self.read(offset, min(block, self.end - offset)), dtype=np.uint8)
             for place in _candidates(content).tolist():
@@ -229,7 +209,7 @@ class RecordFile:
             return stated
         # Bytes were lost or added before it: it lies elsewhere, and so do the chunks of its index. The end of it fits
         # without a checksum too, so what starts first is the whole.
-        for start in range(max(position - _MAX_SHIFT, len(MAGIC)), min(position + _MAX_SHIFT, offset)):
+        for start in range(max(position - _BLOCK, len(MAGIC)), min(position + _BLOCK, offset)):
             first = self._record(start)
             if first is None or first.opcode not in _SUMMARY:
                 continue
@@ -242,7 +222,7 @@ class RecordFile:
     def _summary_from(self, start: int, crc: int) -> tuple[Summary, bool]:
         """Return the readable part of a summary that starts at an offset, and whether it is whole."""
         found = Summary()
-        if not 0 < start < self.end or self.size - start > _MAX_SUMMARY:
+        if not 0 < start < self.end or self.size - start > MAX_CHUNK:
             return found, False
         content = self.read(start, self.size - start)
         if crc and zlib.crc32(content[: -4 - len(MAGIC)]) != crc:
@@ -281,8 +261,8 @@ class RecordFile:
 
 
 def is_known(opcode: int) -> bool:
-    """Return whether the kind of a record is that of the specification, or private."""
-    return opcode in _MIN_BYTES or opcode >= _PRIVATE
+    """Return whether the kind of a record is one of the specification, or is kept for others."""
+    return opcode in _MIN_BYTES or opcode >= 0x80
 
 
 def _candidates(content: NDArray[np.uint8]) -> NDArray[np.intp]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.reader import BagReader, in_two, require_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
-from trainid_ros.explain.dataset import RunCollector
+from trainid_ros.explain.dataset import Run, RunCollector
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
@@ -24,12 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from trainid_ros.explain.dataset import Run
     from trainid_ros.inputs.mapped_inputs import MappedInputs
     from trainid_ros.train.train_file import TrainFile
 
 POOL_FROM: Final = 100_000  # inputs from which worker processes pay for the second that they take to start
-_MAX_CONTRADICTORY: Final = 0.25  # share of contradictory samples, above which findings are not to be trusted [1]
+_MAX_CONTRADICTORY: Final = 0.25  # share of contradictory samples above which findings are not to be trusted [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +56,7 @@ def survey(
 ) -> Survey:
     """Check that all bags can be used, and summarise them; ``advance`` is called with the number of bags opened since.
 
-    Raises:
-        InputError: One is given twice, cannot be read, or lacks a required topic.
+    InputError if one is given twice, cannot be read, or lacks a required topic.
     """
     places = [path.resolve() for path in paths]
     for i, place in enumerate(places):
@@ -87,20 +84,12 @@ def read_runs(
     advance: Callable[[float], None] = lambda _: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> list[Run]:
-    """Return the runs of all bags, in seconds since the earliest sample of all.
+    """Return the runs of all bags, numbered by their places in ``paths``, in seconds since the earliest sample of all.
 
-    Args:
-        paths: The bags; their numbers are their places in this list.
-        train_file: Train file, for its effects and parameters.
-        namespace: Namespace of their topics.
-        max_chunk: Largest chunk to unpack [bytes].
-        inputs: Factory of the mapped inputs, see :class:`BagReader`.
-        workers: Number of processes; 1 reads them here.
-        advance: Called with the number of inputs read since its last call.
-        warn: Called with each fault that only reading shows, such as messages that cannot be read.
-
-    Raises:
-        InputError: A bag cannot be read, or the process that read it was killed.
+    ``namespace``, ``max_chunk`` and ``inputs`` are those of :class:`BagReader`. One worker reads in this process.
+    ``advance`` is called with the number of inputs read since its last call, ``warn`` with each fault that only reading
+    shows, such as messages that cannot be read. InputError if a bag cannot be read, or the process that read it was
+    killed.
     """
 
     def killed(item: tuple[int, Path]) -> _Reading:
@@ -108,8 +97,9 @@ def read_runs(
 
     work = partial(_read, train_file, (namespace, max_chunk, inputs))
     readings = map_bags(work, list(enumerate(paths)), workers, advance, killed)
-    for line in chain.from_iterable(reading.warnings for reading in readings):
-        warn(line)
+    for reading in readings:
+        for line in reading.warnings:
+            warn(line)
     known = [reading for reading in readings if reading.origin_ns]
     first_ns = min((reading.origin_ns for reading in known), default=0)
     return [
@@ -121,9 +111,7 @@ def read_runs(
 
 def worker_count(inputs: Sequence[int]) -> int:
     """Return the number of processes for reading bags with these numbers of inputs."""
-    if sum(inputs) < POOL_FROM:
-        return 1
-    return min(len(inputs), processors())
+    return 1 if sum(inputs) < POOL_FROM else min(len(inputs), processors())
 
 
 def _read(

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Message types, and messages as records of the core: one by one, or as columns of many input messages at once.
 
-Our own definitions are the packaged ``.msg`` files, the same ones that ROS compiles, so a RIHS01 digest computed here
-equals the type hash that ROS uses; types of others are known by the definitions in a bag. rosbags is imported only to
-write, and to read messages or definitions that are not in the usual form.
+Our own definitions are the packaged ``.msg`` files that ROS compiles, so a RIHS01 digest computed here equals the type
+hash of ROS; types of others are known by the definitions in a bag. rosbags is imported only to write, and to read
+messages or definitions that are not in the usual form.
 
 The payload of every input message is CDR: four bytes that give the byte order, then the header (stamp, frame) and then
 its numbers, each float64 on a multiple of eight bytes, followed by at most one flag.
@@ -27,6 +27,7 @@ from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
     Record,
+    Row,
     input_topic,
     output_topic,
     output_values,
@@ -40,12 +41,10 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
-    from trainid_ros.interface.records import Row
     from trainid_ros.interface.results import Output
 
 PACKAGE: Final = 'trainid_msgs'  # package of the messages
 _FOLDER: Final = Path(__file__).parent / 'msg'
-_INT32_MAX: Final = 2**31 - 1
 # The messages that ours contain.
 _CONTAINED: Final = {
     'builtin_interfaces/Time': 'int32 sec\nuint32 nanosec\n',
@@ -53,8 +52,6 @@ _CONTAINED: Final = {
 }
 _SEPARATOR: Final = '=' * 80 + '\n'
 _TITLE: Final = re.compile(r'(MSG|IDL):[ \t]*(\S*)[ \t]*\n')
-_IDL: Final = ('ros2idl', 'omgidl')
-_MAX_REASON: Final = 200  # characters
 # Strings of wide characters, which rosbags does not know, with two bytes a character in Jazzy or four before.
 _WIDE_NAME: Final = 'wide_text/msg/WideText'
 WIDE_CHARACTERS: Final = 'wide_characters'  # name of the field that holds a wide string
@@ -135,39 +132,25 @@ def digest(message: str) -> str:
     return str(typestore().hash_rihs01(full_type(message)))
 
 
-def split_stamp(stamp_ns: int) -> tuple[int, int]:
-    """Return the seconds and nanoseconds of a stamp [ns].
-
-    Raises:
-        InputError: ``builtin_interfaces/Time`` cannot hold the stamp.
-    """
-    sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
-    if not 0 <= sec <= _INT32_MAX:
-        raise InputError(f'stamp {stamp_ns} ns does not fit a ROS time')
-    return sec, nanosec
-
-
-def header(stamp_ns: int) -> Any:
-    """Return a ``std_msgs/Header`` with a stamp [ns] and an empty frame."""
-    types = typestore().types
-    sec, nanosec = split_stamp(stamp_ns)
-    stamp = types['builtin_interfaces/msg/Time'](sec=sec, nanosec=nanosec)
-    return types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
-
-
 def message_from_record(record: Record) -> Any:
-    """Return the message of a record, as the rosbags class of its type."""
+    """Return the message of a record, of the rosbags class of its type; InputError if ROS cannot hold its stamp."""
     return _build(input_topic(record).message, record.stamp_ns, record_values(record))
 
 
 def estimate_message(output: Output[Any]) -> Any:
-    """Return the message of an estimator output, as the rosbags class of its type."""
+    """Return the message of an estimator output, as :func:`message_from_record`."""
     return _build(output_topic(output.estimate).message, output.stamp_ns, output_values(output))
 
 
 def _build(name: str, stamp_ns: int, values: dict[str, Any]) -> Any:
+    types = typestore().types
+    sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
+    if not 0 <= sec < 2**31:  # int32 of builtin_interfaces/Time
+        raise InputError(f'stamp {stamp_ns} ns does not fit a ROS time')
+    stamp = types['builtin_interfaces/msg/Time'](sec=sec, nanosec=nanosec)
+    header = types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
     arrays = {key: np.array(value, dtype=np.float64) for key, value in values.items() if isinstance(value, list)}
-    return typestore().types[full_type(name)](header=header(stamp_ns), **(values | arrays))
+    return types[full_type(name)](header=header, **(values | arrays))
 
 
 class StoredType:
@@ -196,7 +179,7 @@ class StoredType:
             self._stores[0].get_msgdef(self.name)
         except (TypesysError, KeyError) as error:
             raise InputError(
-                f'{path}: unreadable definition of {self.name} ({" ".join(str(error).split())[:_MAX_REASON]})'
+                f'{path}: unreadable definition of {self.name} ({" ".join(str(error).split())[:200]})'
             ) from None
 
     @property
@@ -233,7 +216,7 @@ def _parse(text: str, name: str, encoding: str) -> Typesdict:
     types: Typesdict = {}
     for part in text.split(_SEPARATOR):
         title = _TITLE.match(part)
-        kind, contained = title.groups() if title else ('IDL' if encoding in _IDL else 'MSG', name)
+        kind, contained = title.groups() if title else ('IDL' if encoding in {'ros2idl', 'omgidl'} else 'MSG', name)
         body = part[title.end() :] if title else part
         if kind == 'IDL':
             for pattern, same in _SAME_IDL:
@@ -247,13 +230,9 @@ def _parse(text: str, name: str, encoding: str) -> Typesdict:
 
 
 def _complete(types: Typesdict, name: str) -> bool:
-    """Add the standard types that a type contains, and cut it at the first field that is not known.
+    """Add the standard types that a type contains, and cut it at the first unknown field.
 
-    Returns:
-        Whether all of it is known.
-
-    Raises:
-        KeyError: Nothing is.
+    Return whether all of it is known; KeyError if nothing is.
     """
     from rosbags.interfaces import Nodetype  # noqa: PLC0415 - rarely needed
 
@@ -284,26 +263,25 @@ def _standard() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-Bytes = NDArray[np.uint8]
-Places = NDArray[np.intp]
-
-_CDR_START: Final = 4  # alignment counts from here
+_CDR_START: Final = 4  # bytes; alignment counts from here
 _STAMP: Final = np.dtype([('sec', '<i4'), ('nanosec', '<u4'), ('frame', '<u4')])
 _NUMBER: Final = np.dtype('<f8')
 _FORMS: Final = ((_STAMP.newbyteorder('>'), _NUMBER.newbyteorder('>')), (_STAMP, _NUMBER))
 """Types of stamps and numbers by the second byte, which gives the byte order."""
-# A serializer may pad to a multiple of four bytes.
-_MAX_PADDING: Final = 3
 _ROWS_AT_ONCE: Final = 10_000
+# Columns of a table of records, with their types.
+_COLUMNS: Final[dict[str, type[np.generic]]] = {
+    'log_ns': np.uint64, 'topic': np.int8, 'stamp_ns': np.int64, 'x': np.float64, 'y': np.float64, 'flag': np.bool_,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class MessageBlock:
     """The messages of one segment, in the order of the file, without a copy of any of them."""
 
-    data: Bytes  # The bytes they lie in, shape (m,)
-    start: Places  # Where their payloads start in ``data``, shape (n,)
-    end: Places  # Where they end, shape (n,)
+    data: NDArray[np.uint8]  # The bytes they lie in, shape (m,)
+    start: NDArray[np.intp]  # Where their payloads start in ``data``, shape (n,)
+    end: NDArray[np.intp]  # Where they end, shape (n,)
     channel: NDArray[np.integer[Any]]  # Numbers of their channels, shape (n,)
     log_ns: NDArray[np.uint64]  # Log times, shape (n,)
 
@@ -334,9 +312,7 @@ class RecordTable:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> RecordTable:
         """Return some of the rows, in the order given."""
-        return RecordTable(
-            self.log_ns[rows], self.topic[rows], self.stamp_ns[rows], self.x[rows], self.y[rows], self.flag[rows]
-        )
+        return RecordTable(*(getattr(self, name)[rows] for name in _COLUMNS))
 
     def rows(self) -> Iterator[Row]:
         """Yield each row as numbers."""
@@ -347,32 +323,21 @@ class RecordTable:
 
 def table_of(rows: Sequence[tuple[int, Row]]) -> RecordTable:
     """Return the table of rows with their log times [ns]."""
-    log_ns, numbers = [log for log, _ in rows], [row for _, row in rows]
-    topic, stamp_ns, x, y, flag = zip(*numbers, strict=True) if numbers else ((),) * 5
-    return RecordTable(
-        np.array(log_ns, np.uint64),
-        np.array(topic, np.int8),
-        np.array(stamp_ns, np.int64),
-        np.array(x, np.float64),
-        np.array(y, np.float64),
-        np.array(flag, np.bool_),
-    )
+    if not rows:
+        return EMPTY
+    columns = zip(*((log_ns, *row) for log_ns, row in rows), strict=True)
+    return RecordTable(*(np.array(column, kind) for column, kind in zip(columns, _COLUMNS.values(), strict=True)))
 
 
 # A table without rows.
-EMPTY: Final = RecordTable(
-    np.empty(0, np.uint64), np.empty(0, np.int8), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.bool_)
-)
+EMPTY: Final = RecordTable(*(np.empty(0, kind) for kind in _COLUMNS.values()))
 
 
 @cache
-def layout(message: str) -> tuple[int, int]:
+def _layout(message: str) -> tuple[int, int]:
     """Return the numbers of floats and flags after the header of an input message, by its packaged definition."""
     kinds = [field.partition(' ')[0] for field in fields_of(definition(message))]
-    floats, flags = kinds.count('float64'), kinds.count('bool')
-    if kinds != ['std_msgs/Header', *['float64'] * floats, *['bool'] * flags] or not 1 <= floats <= 2 or flags > 1:
-        raise ValueError(f'{message}.msg: a header, one or two float64 and at most one bool expected, {kinds} found')
-    return floats, flags
+    return kinds.count('float64'), kinds.count('bool')
 
 
 def values_at(data: bytes | NDArray[np.uint8], at: NDArray[np.intp], kind: np.dtype[Any]) -> NDArray[Any]:
@@ -383,19 +348,13 @@ def values_at(data: bytes | NDArray[np.uint8], at: NDArray[np.intp], kind: np.dt
     return everywhere[at]
 
 
-def decode(
-    data: Bytes, start: Places, end: Places, log_ns: NDArray[np.uint64], topic: int
-) -> tuple[RecordTable, NDArray[np.bool_]]:
+def decode(block: MessageBlock, messages: NDArray[np.intp], topic: int) -> tuple[RecordTable, NDArray[np.bool_]]:
     """Return the table of those messages of one topic that can be read, and which these are, shape (n,).
 
-    Args:
-        data: The bytes that the messages lie in.
-        start: Where their payloads start, shape (n,).
-        end: Where they end, shape (n,).
-        log_ns: Log times, shape (n,).
-        topic: Index of the topic in INPUT_TOPICS.
+    The messages are given by their places in the block, shape (n,), the topic by its place in INPUT_TOPICS.
     """
-    floats, flags = layout(INPUT_TOPICS[topic].message)
+    data, start, end, log_ns = block.data, block.start[messages], block.end[messages], block.log_ns[messages]
+    floats, flags = _layout(INPUT_TOPICS[topic].message)
     count = start.size
     stamp_ns, x, y, flag = np.zeros(count, np.int64), np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
     decoded = np.zeros(count, np.bool_)
@@ -406,7 +365,7 @@ def decode(
         when = values_at(data, start[rows] + _CDR_START, stamp)
         body = -(-(_STAMP.itemsize + when['frame'].astype(np.int64)) // 8) * 8
         excess = end[rows] - start[rows] - (_CDR_START + body + 8 * floats + flags)
-        fits = (excess >= 0) & (excess <= _MAX_PADDING)
+        fits = (excess >= 0) & (excess <= 3)  # a serializer may pad to a multiple of four bytes
         rows, when, body = rows[fits], when[fits], body[fits]
         first = start[rows] + _CDR_START + body
         x[rows] = values_at(data, first, number)
@@ -432,5 +391,4 @@ def concatenated(tables: Sequence[RecordTable]) -> RecordTable:
     """Return the rows of several tables as one, in the order of the tables."""
     if len(tables) == 1:
         return tables[0]
-    names = ('log_ns', 'topic', 'stamp_ns', 'x', 'y', 'flag')
-    return RecordTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in names))
+    return RecordTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in _COLUMNS))

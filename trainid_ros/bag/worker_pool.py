@@ -7,24 +7,24 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterator, Mapping, Sequence
     from concurrent.futures import Future
     from pathlib import Path
 
 ItemT = TypeVar('ItemT')
 ResultT = TypeVar('ResultT')
+Report: TypeAlias = Callable[[float], None]
+"""Called with the amount of work done since its last call."""
+Work: TypeAlias = Callable[[ItemT, Report], ResultT]
+"""Work on an item that reports progress; for processes it can be pickled."""
 
-_POLL_EVERY_S: Final = 0.1
-_WATCH_EVERY_S: Final = 1.0
-# Items under way for each worker: one that it works on, and those that wait for it.
-_QUEUED: Final = 4
 # Shared by the workers with their parent, set at their start: amount of work done on each item, whether it has begun,
-# and whether to stop.
-# Without locks, which a process that is killed would keep: an item is worked on by one process at a time.
+# and whether to stop. Without locks, which a killed process would keep: one process at a time works on an item.
 _shared: Final[list[Any]] = []
 
 
@@ -43,10 +43,10 @@ def killed_message(bag: Path) -> str:
 
 
 def map_bags(
-    work: Callable[[ItemT, Callable[[float], None]], ResultT],
+    work: Work[ItemT, ResultT],
     items: Sequence[ItemT],
     workers: int,
-    advance: Callable[[float], None],
+    advance: Report,
     killed: Callable[[ItemT], ResultT],
 ) -> list[ResultT]:
     """Return the result of work on each item, in their order; see :func:`each_bag` for the arguments."""
@@ -55,22 +55,16 @@ def map_bags(
 
 
 def each_bag(
-    work: Callable[[ItemT, Callable[[float], None]], ResultT],
+    work: Work[ItemT, ResultT],
     items: Sequence[ItemT],
     workers: int,
-    advance: Callable[[float], None],
+    advance: Report,
     killed: Callable[[ItemT], ResultT],
 ) -> Generator[tuple[int, ResultT], None, None]:
-    """Yield number and result of each item as they come.
+    """Yield number and result of each item as they come; one worker works in this process.
 
     If a process is killed, the items that were being worked on are worked on again, one by one, then the others.
-
-    Args:
-        work: Gets an item and a function to call with the amount done since; for processes it can be pickled.
-        items: What to work on.
-        workers: Number of processes; 1 works here.
-        advance: Called with the sum of the amounts done since its last call.
-        killed: Gets an item whose own process was killed; returns its result or raises.
+    ``killed`` gives the result of an item whose own process was killed, or raises. ``advance`` reports the sum.
     """
     if min(workers, len(items)) <= 1:
         yield from ((number, work(item, advance)) for number, item in enumerate(items))
@@ -90,9 +84,8 @@ def each_bag(
 class _Progress:
     """Reports the sum of the amounts done on all items, which processes share, and which of them have begun."""
 
-    def __init__(self, count: int, advance: Callable[[float], None]) -> None:
-        # Imported here because one bag needs no processes.
-        from multiprocessing.sharedctypes import RawArray  # noqa: PLC0415
+    def __init__(self, count: int, advance: Report) -> None:
+        from multiprocessing.sharedctypes import RawArray  # noqa: PLC0415 - one bag needs no processes
 
         self.amounts: Any = RawArray('d', count)
         self.begun: Any = RawArray('b', count)
@@ -108,10 +101,7 @@ class _Progress:
 
 
 def _finished(
-    work: Callable[[ItemT, Callable[[float], None]], ResultT],
-    items: Mapping[int, ItemT],
-    workers: int,
-    progress: _Progress,
+    work: Work[ItemT, ResultT], items: Mapping[int, ItemT], workers: int, progress: _Progress
 ) -> Iterator[tuple[int, ResultT]]:
     """Yield the results by number until all are done or a process was killed; all others are then stopped too."""
     import multiprocessing  # noqa: PLC0415
@@ -125,7 +115,8 @@ def _finished(
     with ProcessPoolExecutor(min(workers, len(items)), context, _start_worker, shared) as pool:
         try:
             submitted = ((pool.submit(_work, work, number, item), number) for number, item in items.items())
-            for future, number in _ended(submitted, _QUEUED * workers, progress):
+            # For each worker one item that it works on, and three that wait for it.
+            for future, number in _ended(submitted, 4 * workers, progress):
                 yield number, future.result()
         except BrokenProcessPool:
             pass
@@ -142,15 +133,11 @@ def _ended(
 
     pending = dict(islice(submitted, most))
     while pending:
-        ended = wait(pending, _POLL_EVERY_S, FIRST_COMPLETED).done
+        ended = wait(pending, 0.1, FIRST_COMPLETED).done  # at least ten reports of progress a second
         progress.report()
-        for future in sorted(ended, key=_has_failed):
+        for future in sorted(ended, key=lambda future: future.exception() is not None):
             yield future, pending.pop(future)
         pending.update(islice(submitted, most - len(pending)))
-
-
-def _has_failed(future: Future[Any]) -> bool:
-    return future.exception() is not None
 
 
 def _start_worker(parent: int, amounts: Any, begun: Any, stop: Any) -> None:
@@ -161,13 +148,13 @@ def _start_worker(parent: int, amounts: Any, begun: Any, stop: Any) -> None:
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this process soon after its parent was killed."""
+    """End this process within a second after its parent was killed."""
     while os.getppid() == parent:
-        time.sleep(_WATCH_EVERY_S)
+        time.sleep(1.0)
     os._exit(1)
 
 
-def _work(work: Callable[[ItemT, Callable[[float], None]], ResultT], number: int, item: ItemT) -> ResultT:
+def _work(work: Work[ItemT, ResultT], number: int, item: ItemT) -> ResultT:
     amounts, begun, stop = _shared
     begun[number] = 1
 

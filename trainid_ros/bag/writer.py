@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import struct
 import sys
 import zlib
 from pathlib import Path
@@ -26,8 +25,8 @@ from trainid_ros.bag.types import (
     typestore,
 )
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import OUTPUT_TOPICS, input_topic, output_topic
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.records import OUTPUT_TOPICS, Record, input_topic, output_topic
+from trainid_ros.interface.results import Output, Status
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -35,20 +34,11 @@ else:
     from backports import zstd
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rosbags.interfaces import Connection
 
     from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.bag.reader import LoggedRecord
-    from trainid_ros.interface.records import Record
-    from trainid_ros.interface.results import Output
 
-_CRC: Final = struct.Struct('<I')
-_IN_CHUNK: Final = HEAD.size + 24  # after two log times and the size
-_SUMMARY_START: Final = struct.Struct('<Q')
-# zstd can check its own data, which also serves files that were never finished.
-_OPTIONS: Final = {int(zstd.CompressionParameter.checksum_flag): 1}
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 _LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
@@ -76,15 +66,16 @@ class _Checksums:
     """Notes the checksum of each chunk as it is written, and stores all at the end; rosbags leaves them at 0."""
 
     def __init__(self, storage: McapWriter) -> None:
-        """Follow the chunks that a storage writes."""
         self._storage = storage
         self._chunks: list[tuple[int, int]] = []
         storage.compressor = self._compress
 
     def _compress(self, records: bytes) -> bytes:
-        # The chunk starts where the file ends now.
-        self._chunks.append((self._storage.bio.tell() + _IN_CHUNK, zlib.crc32(records)))
-        return zstd.compress(records, options=_OPTIONS) if self._storage.compression else records
+        # The chunk starts where the file ends now; its checksum follows two log times and the size.
+        self._chunks.append((self._storage.bio.tell() + HEAD.size + 24, zlib.crc32(records)))
+        # zstd can check its own data, which also serves files that were never finished.
+        options = {int(zstd.CompressionParameter.checksum_flag): 1}
+        return zstd.compress(records, options=options)
 
     def store(self) -> None:
         """Write the checksums into the finished file."""
@@ -93,7 +84,7 @@ class _Checksums:
 
             def put(offset: int, value: int) -> None:
                 file.seek(offset)
-                file.write(_CRC.pack(value))
+                file.write(value.to_bytes(4, 'little'))
                 file.flush()
 
             for offset, crc in self._chunks:
@@ -103,9 +94,8 @@ class _Checksums:
             while (record := written.record(position)) is not None and record.opcode != Opcode.DATA_END:
                 position = record.end
             put(position + HEAD.size, written.crc(0, position))
-            end = written.end - _CRC.size
-            (summary,) = _SUMMARY_START.unpack(written.read(end - 2 * _SUMMARY_START.size, _SUMMARY_START.size))
-            put(end, written.crc(summary, end))
+            end = written.end - 4  # the footer ends with start of the summary, start of its offsets, checksum
+            put(end, written.crc(int.from_bytes(written.read(end - 16, 8), 'little'), end))
             written.close()
 
 
@@ -115,32 +105,21 @@ class BagWriter:
     Chunks, data section and summary carry checksums. If the ``with`` block ends in an exception, the bag is removed.
     """
 
-    def __init__(self, path: str | Path, *, compress: bool = True) -> None:
-        """Set the path of the bag; it is created on entering the context.
-
-        Args:
-            path: Directory to create.
-            compress: False stores uncompressed chunks.
-        """
+    def __init__(self, path: str | Path) -> None:
+        """Set the directory of the bag, which is created on entering the context."""
         self.path = Path(path)
         self.message_count = 0
-        self._compress = compress
         self._writer: Writer | None = None
         self._checksums: _Checksums | None = None
         self._connections: dict[str, Connection] = {}
         self._types = typestore()
 
     def __enter__(self) -> Self:
-        """Create the directory.
-
-        Raises:
-            InputError: The path exists or cannot be created.
-        """
+        """Create the directory; InputError if the path exists or cannot be created."""
         if self.path.exists() or self.path.is_symlink():
             raise InputError(f'{self.path}: exists already and is not overwritten')
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-        if self._compress:
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
             self._writer.open()
         except OSError as error:
@@ -150,9 +129,7 @@ class BagWriter:
             self._checksums = _Checksums(storage)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Finish the bag, or remove it if the block failed."""
         writer, self._writer = self._writer, None
         if writer is None:
@@ -184,16 +161,10 @@ class BagWriter:
             self.write_message(topic.last_valid, topic.message, logged_ns, message)
 
     def write_message(self, topic: str, msgtype: str, stamp_ns: int, message: Any) -> None:
-        """Write a message.
+        """Write a message of the rosbags class of its type; InputError if its log time [ns] cannot be stored.
 
-        Args:
-            topic: Topic name, with or without leading slash.
-            msgtype: Type: short name of one of our messages, or full name of any in :func:`typestore`.
-            stamp_ns: Log time [ns].
-            message: Message, of the rosbags class of the type.
-
-        Raises:
-            InputError: The log time cannot be stored.
+        The name of the topic may lack the leading slash. The type is the short name of one of our messages, or the full
+        name of any in :func:`typestore`.
         """
         if self._writer is None:
             raise InputError(f'{self.path}: the bag is not open')

@@ -12,25 +12,18 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, output_topic, output_values
-from trainid_ros.interface.results import Reason, Status, deviations, parameters, quantities
+from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, OutputTopic, output_topic, output_values
+from trainid_ros.interface.results import Output, Reason, Status, deviations, parameters, quantities
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.interface.results import Output
-
 
 TABLE_SUFFIXES: Final = ('.parquet', '.csv')
 Row: TypeAlias = 'list[Any]'
 """Stamp [ns], then the cells of the other columns; None where an estimator has no estimate at this stamp."""
-_ROWS_AT_ONCE: Final = 5000
-# Estimators whose settings differ may give their estimates of one sample some messages apart.
-_MAX_OPEN: Final = 200
 _COVARIANCE: Final = 'covariance'
-_COUNTERS: Final = ('status', 'used', 'rejected', 'last_reject_reason')
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +48,7 @@ def _columns(topic: OutputTopic) -> Iterator[TableColumn]:
             for parameter in parameters(topic.estimate):
                 yield TableColumn(topic.name, f'{parameter}_std', known[parameter].unit)
         yield TableColumn(topic.name, name, quantity.unit)
-    for name in _COUNTERS:
+    for name in ('status', 'used', 'rejected', 'last_reject_reason'):
         yield TableColumn(topic.name, name, '')
 
 
@@ -63,20 +56,16 @@ COLUMNS: Final = tuple(column for topic in OUTPUT_TOPICS for column in _columns(
 """All columns but the time."""
 
 
-class Sink(Protocol):
-    """Where rows go."""
+class _Sink(Protocol):
+    def write(self, rows: Sequence[Row]) -> None: ...
 
-    def write(self, rows: Sequence[Row]) -> None:
-        """Write rows."""
-
-    def close(self) -> None:
-        """Finish the file."""
+    def close(self) -> None: ...
 
 
 class EstimateTable:
     """Observer of a replay that writes a row for each stamp."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: _Sink) -> None:
         self._sink = sink
         self._open: dict[int, dict[str, dict[str, Any]]] = {}
         self._rows: list[Row] = []
@@ -90,7 +79,8 @@ class EstimateTable:
         self._open.setdefault(output.stamp_ns, {})[topic] = _values(output)
         while self._open:
             stamp_ns, estimates = next(iter(self._open.items()))
-            if len(estimates) < len(OUTPUT_TOPICS) and len(self._open) <= _MAX_OPEN:
+            # Estimators whose settings differ may give their estimates of one sample some messages apart.
+            if len(estimates) < len(OUTPUT_TOPICS) and len(self._open) <= 200:
                 return
             self._close_row(stamp_ns)
 
@@ -103,7 +93,7 @@ class EstimateTable:
     def _close_row(self, stamp_ns: int) -> None:
         estimates = self._open.pop(stamp_ns)
         self._rows.append([stamp_ns, *(estimates.get(column.topic, {}).get(column.field) for column in COLUMNS)])
-        if len(self._rows) >= _ROWS_AT_ONCE:
+        if len(self._rows) >= 5000:
             self._sink.write(self._rows)
             self._rows = []
 
@@ -113,18 +103,16 @@ def _values(output: Output[Any]) -> dict[str, Any]:
     values: dict[str, Any] = output_values(output)
     values['status'] = Status(values['status']).name
     values['last_reject_reason'] = Reason(values['last_reject_reason']).name
-    names = parameters(type(output.estimate))
-    if names:
+    if names := parameters(type(output.estimate)):
         stds = deviations(values[_COVARIANCE])
         values |= {f'{name}_std': std for name, std in zip(names, stds, strict=True)}
     return values
 
 
-class CsvSink:
+class _CsvSink:
     """A CSV file: dates and times in ISO 8601, units in the names; covariances are left out."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         self._file = path.open('w', encoding='utf-8', newline='')
         self._writer = csv.writer(self._file, lineterminator='\n')
         self._places = [place for place, column in enumerate(COLUMNS, 1) if column.field != _COVARIANCE]
@@ -132,29 +120,23 @@ class CsvSink:
         self._writer.writerow(['time', *(f'{item.name} [{item.unit}]' if item.unit else item.name for item in named)])
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write rows."""
         for row in rows:
-            self._writer.writerow([_date_time(row[0]), *(_cell(row[place]) for place in self._places)])
+            seconds, rest = divmod(row[0], NS_PER_S)
+            time = f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z'
+            self._writer.writerow([time, *(_cell(row[place]) for place in self._places)])
 
     def close(self) -> None:
-        """Finish the file."""
         self._file.close()
-
-
-def _date_time(stamp_ns: int) -> str:
-    seconds, rest = divmod(stamp_ns, NS_PER_S)
-    return f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z'
 
 
 def _cell(value: Any) -> Any:
     return '' if value is None or (isinstance(value, float) and math.isnan(value)) else value
 
 
-class ParquetSink:
-    """A Parquet file, with units in the metadata of the fields."""
+class _ParquetSink:
+    """A Parquet file, with units in the metadata of the fields and a group of rows for each call."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         import pyarrow as pa  # noqa: PLC0415 - an optional package
         from pyarrow import parquet  # noqa: PLC0415
 
@@ -171,7 +153,6 @@ class ParquetSink:
         self._writer = parquet.ParquetWriter(path, self._schema)
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write rows as one row group."""
         if rows:
             import pyarrow as pa  # noqa: PLC0415
 
@@ -180,23 +161,21 @@ class ParquetSink:
             self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def close(self) -> None:
-        """Finish the file."""
         self._writer.close()
 
 
 @contextmanager
 def estimate_table(path: Path) -> Iterator[EstimateTable]:
-    """Write a table, Parquet or CSV by the suffix of its path; it is there once the block ends without an error.
+    """Write a table, Parquet or CSV by the suffix of its path, which is there once the block ends without an error.
 
-    Raises:
-        InputError: The file exists already.
+    InputError if the file exists already.
     """
     if path.exists() or path.is_symlink():
         raise InputError(f'{path}: exists already and is not overwritten')
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f'.{path.name}.{os.getpid()}')
     try:
-        sink = _sink(part, path.suffix)
+        sink: _Sink = _CsvSink(part) if path.suffix == '.csv' else _ParquetSink(part)
         try:
             table = EstimateTable(sink)
             yield table
@@ -206,7 +185,3 @@ def estimate_table(path: Path) -> Iterator[EstimateTable]:
         part.rename(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def _sink(path: Path, suffix: str) -> Sink:
-    return CsvSink(path) if suffix == '.csv' else ParquetSink(path)

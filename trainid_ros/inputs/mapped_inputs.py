@@ -14,7 +14,9 @@ from trainid_ros.inputs.mapping import (
     UNKNOWN_EFFORT,
     Constant,
     LineLookup,
+    Mapping,
     Signal,
+    Source,
     SpeedIntegral,
     StampSource,
     load_mapping,
@@ -33,38 +35,25 @@ from trainid_ros.interface.records import (
 )
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.line import LineProfile
-from trainid_ros.train.train_file import Line
+from trainid_ros.train.train_file import Line, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.inputs.mapping import Mapping, Source
-    from trainid_ros.train.train_file import TrainFile
 
-
-# Over a longer time without a speed the distance is unknown, and numbers farther apart are not interpolated [s].
-_MAX_GAP_S: Final = 1.0
-_MAX_GAP_NS: Final = round(_MAX_GAP_S * NS_PER_S)
-# Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
-_MIN_TRAVEL_M: Final = 10.0
-_UNKNOWN_EFFORT: Final = -0.1  # command where a brake acts and nothing says how much [m/s^2]
-_MAX_LISTED: Final = 5  # numbers that are not in a table
+# Over a longer time without a speed the distance is unknown, and numbers farther apart are not interpolated [ns].
+_MAX_GAP_NS: Final = NS_PER_S
 
 
 class MappedInputs:
-    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources.
-
-    Attributes:
-        mapping: Where each input comes from.
-        key: What the records depend on: inputs of equal keys give equal records.
-    """
+    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources."""
 
     def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
-        """Prepare; InputError if the gradient is to come from the line, but no train file or no line is given."""
+        """Take mapping and train; InputError if the gradient is to come from the line, but there is none."""
         self.mapping = mapping
         line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
-        self.key = (mapping, line, length)
+        self.key = (mapping, line, length)  # inputs of equal keys give equal records
         self._line = LineProfile(line, length)
         if isinstance(mapping.gradient, LineLookup) and not line.gradient:
             missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
@@ -79,7 +68,7 @@ class MappedInputs:
                     signal.function.load()  # what cannot be used is said now
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
-        self._position = DeadReckoning(mapping.position)
+        self._position = _DeadReckoning(mapping.position)
         # Messages by topic and number that is not in the table, and that of the last message of a topic.
         self._unlisted: Counter[tuple[str, float]] = Counter()
         self._last_unlisted: dict[str, float] = {}
@@ -94,7 +83,7 @@ class MappedInputs:
         """Faults of the messages so far."""
         return [
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
-            for (topic, raw), count in sorted(self._unlisted.most_common(_MAX_LISTED))
+            for (topic, raw), count in sorted(self._unlisted.most_common(5))
         ]
 
     def problem(self, topic: str) -> str:
@@ -111,15 +100,9 @@ class MappedInputs:
         return _stamp(self._readers[topic][0][2], message, received_ns)
 
     def take(self, topic: str, message: Any, received_ns: int) -> list[Record]:
-        """Return the records that a message of one of the topics completes.
+        """Return the records that a message completes, of any class with the fields of its type.
 
-        Args:
-            topic: Its topic, as named in the mapping.
-            message: The message, of any class with the fields of its type.
-            received_ns: When it was received [ns].
-
-        Raises:
-            InputError: The message lacks a field; the error names topic and field.
+        The topic is named as in the mapping. InputError, naming topic and field, if the message lacks a field.
         """
         records: list[Record] = []
         self._last_unlisted.pop(topic, None)
@@ -161,7 +144,8 @@ class MappedInputs:
                 return [self._gradient(stamp_ns, value)]
             case 'brake_command':
                 is_known = value != UNKNOWN_EFFORT
-                return [BrakeRecord(stamp_ns, value if is_known else _UNKNOWN_EFFORT, emergency=not is_known)]
+                # A brake of unknown effort is taken for one of 0.1 m/s^2.
+                return [BrakeRecord(stamp_ns, value if is_known else -0.1, emergency=not is_known)]
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
@@ -199,16 +183,13 @@ def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[
     return make
 
 
-class DeadReckoning:
-    """Position by integrating the speed, corrected by measured positions.
+class _DeadReckoning:
+    """Position ``at`` the last speed [m], NaN while it is not known, and direction: +1 while positions rise, or -1.
 
-    Attributes:
-        at: Position at the last speed [m], NaN while it is not known.
-        direction: +1 while positions rise, -1 while they fall.
+    The integral of the speed is corrected by measured positions.
     """
 
     def __init__(self, how: Signal | SpeedIntegral | None) -> None:
-        """Prepare; ``how`` says where positions come from."""
         self._how = how
         self._start_over()
 
@@ -228,28 +209,28 @@ class DeadReckoning:
             return
         if math.isnan(self._passed):
             self._passed = position
-        elif abs(position - self._passed) >= _MIN_TRAVEL_M:
+        elif abs(position - self._passed) >= 10.0:  # m; a smaller difference may be noise, above all at standstill
             self.direction = 1 if position > self._passed else -1
             self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
-        since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
-        moves = math.isfinite(self._speed) and abs(since_s) <= _MAX_GAP_S
-        travelled = self._speed * since_s if moves else 0.0
+        since_ns = self._stamp_ns - stamp_ns
+        moves = math.isfinite(self._speed) and abs(since_ns) <= _MAX_GAP_NS
+        travelled = self._speed * (since_ns / NS_PER_S) if moves else 0.0
         self.at = position + self.direction * travelled
 
     def move(self, stamp_ns: int, speed: float) -> float:
         """Follow a speed [m/s]; return the position at it [m]."""
         dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
-        if dt < -_MAX_GAP_S:
+        if self._stamp_ns and stamp_ns - self._stamp_ns < -_MAX_GAP_NS:
             # The stamps begin anew, as in a loop; or the last one was wrong, and the one before it was not.
-            if not 0 <= stamp_ns - self._earlier_ns <= _MAX_GAP_S * NS_PER_S:
+            if not 0 <= stamp_ns - self._earlier_ns <= _MAX_GAP_NS:
                 fix, fix_ns = self._fix, self._fix_ns
                 self._start_over()
-                if abs(stamp_ns - fix_ns) <= _MAX_GAP_S * NS_PER_S:
+                if abs(stamp_ns - fix_ns) <= _MAX_GAP_NS:
                     self.correct(fix_ns, fix)
             self._stamp_ns, dt = stamp_ns, math.nan
-        if 0.0 < dt <= _MAX_GAP_S and math.isfinite(speed + self._speed):
+        if 0.0 < dt <= _MAX_GAP_NS / NS_PER_S and math.isfinite(speed + self._speed):
             self.at += self.direction * 0.5 * (speed + self._speed) * dt
         if stamp_ns == self._fix_ns:
             self.at = self._fix
@@ -275,7 +256,7 @@ class JoinedSeries:
     """
 
     def __init__(self, count: int) -> None:
-        """Prepare for a number of series."""
+        """Take the number of series."""
         # Stamps [ns] and numbers of each series, by stamp, over the last second.
         self._series: list[list[tuple[int, float]]] = [[] for _ in range(count)]
         self._open: list[tuple[int, float]] = []

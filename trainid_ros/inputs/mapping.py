@@ -58,8 +58,7 @@ class Unit:
 def find_unit(text: str, quantity: str) -> Unit:
     """Return a unit of a quantity ('speed', 'length', ...) by its name, or ``percent_of NUMBER UNIT``.
 
-    Raises:
-        ValueError: The unit is not known for this quantity; the message says which are.
+    ValueError if it is not known for this quantity; the message says which are.
     """
     factors, angles = _FACTORS[quantity], _FACTORS['angle'] if quantity == 'gradient' else {}
     if text in factors:
@@ -92,7 +91,6 @@ _FRACTION: Final = re.compile(
 )
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
 _TIME_OF_DAY: Final = re.compile(r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?')
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def date_time_ns(text: str) -> int | None:
@@ -105,7 +103,7 @@ def date_time_ns(text: str) -> int | None:
         when = datetime.fromisoformat(_FRACTION.sub('', text, count=1))
     except ValueError:
         return None
-    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
+    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
     if since.microseconds:  # of something else than a fraction, such as a second one
         return None
     return (since.days * 86400 + since.seconds) * NS_PER_S + _part_ns(fraction.groups() if fraction else ())
@@ -134,7 +132,7 @@ def type_of(message: Any) -> str:
     return f'{package}/msg/{kind.__name__}' if rest.startswith('msg.') else kind.__name__
 
 
-def names_of(value: Any) -> tuple[str, ...]:
+def _field_names(value: Any) -> tuple[str, ...]:
     """Return the names of the fields of a message or of a part of it, none of a number."""
     if hasattr(value, 'get_fields_and_field_types'):  # of rclpy
         return tuple(value.get_fields_and_field_types())
@@ -162,11 +160,7 @@ class UserFunction:
         return function
 
     def of_columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the values of columns, each of shape (n,), in the unit of the interface.
-
-        Raises:
-            InputError: The function fails, or returns something else.
-        """
+        """Return the values of columns in the unit of the interface, all of shape (n,); InputError if that fails."""
         function = self.load()
         try:
             result = np.asarray(function(*columns), dtype=np.float64)
@@ -184,8 +178,7 @@ class UserFunction:
 def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
     """Return the function that a mapping in a folder names, such as ``force.py:wheel_force``, which returns a unit.
 
-    Raises:
-        ValueError: The text is not of this form, or the file does not lie in the folder itself.
+    ValueError if the text is not of this form, or the file does not lie in the folder itself.
     """
     file, _, name = text.partition(':')
     if not (file.endswith('.py') and name.isidentifier()):
@@ -245,10 +238,6 @@ class Source:
         """The path as in the file, such as ``twist.linear.x`` or ``data.0``."""
         return '.'.join(map(str, self.path))
 
-    def read(self, message: Any) -> float:
-        """Return the value in a message, as :meth:`value`; raises as :meth:`raw`."""
-        return self.value(self.raw(message))
-
     def value(self, raw: float) -> float:
         """Return a number in the unit of the interface; NaN for one that is not in the table."""
         if self.table:
@@ -266,7 +255,7 @@ class Source:
                 steps += 1
             return float(value)
         except (AttributeError, IndexError, TypeError, ValueError):
-            names, reached = ', '.join(names_of(value)), '.'.join(map(str, self.path[:steps]))
+            names, reached = ', '.join(_field_names(value)), '.'.join(map(str, self.path[:steps]))
             hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
             raise InputError(
                 f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
@@ -322,10 +311,6 @@ class CsvFormat:
     comments: bool | None = None  # Whether rows that start with ``#`` are comments
 
 
-# How long a brake command published only on change holds, unless a parameter says otherwise [s].
-_HOLD_S: Final = 3600.0
-
-
 class Quantity(NamedTuple):
     """A key of a mapping: quantity of its unit, unit unless another is stated, and our own topic."""
 
@@ -363,9 +348,8 @@ class Mapping:
 
     def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
         """Return settings of the alignment that fit the mapping."""
-        if self.on_change and config.command_hold == 0.0:
-            return replace(config, command_hold=_HOLD_S)
-        return config
+        # A brake command published only on change holds for an hour, unless a parameter says otherwise.
+        return replace(config, command_hold=3600.0) if self.on_change and config.command_hold == 0.0 else config
 
     @property
     def replaced(self) -> frozenset[str]:
@@ -400,20 +384,16 @@ class Mapping:
 
 OWN: Final = Mapping()
 """All inputs come from their own topics."""
-
-
-_COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
-# Unit of the arguments of a function: as they are.
-_RAW: Final = Unit('', 1.0)
+RAW: Final = Unit('', 1.0)
+"""Unit of numbers that stay as they are, such as the arguments of a function."""
 
 
 def load_mapping(path: str | Path) -> Mapping:
     """Read a mapping file of messages; InputError, naming file and field, if it says something impossible."""
     mapping = parse_mapping(read_text(path), str(path))
     if mapping.time is not None:
-        raise InputError(
-            f'{path}: time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
-        )
+        problem = 'time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
+        raise InputError(f'{path}: {problem}')
     return mapping
 
 
@@ -450,7 +430,7 @@ def _top(text: str, source: str) -> Section:
     return parse_yaml(text, source).only((*QUANTITIES, 'time', 'csv'))
 
 
-def _position(top: Section) -> Signal | SpeedIntegral | None:
+def _position(top: Section) -> Position | None:
     section = top.section('position')
     if 'from' not in section.data:
         return _signal(top, 'position')
@@ -461,7 +441,7 @@ def _position(top: Section) -> Signal | SpeedIntegral | None:
     return SpeedIntegral(section.number('start', 'm', 0.0), direction)
 
 
-def _gradient(top: Section) -> Signal | LineLookup | Constant | None:
+def _gradient(top: Section) -> Gradient | None:
     section = top.section('gradient')
     if 'from' not in section.data:
         return _constant(section) or _signal(top, 'gradient')
@@ -525,9 +505,9 @@ def _unit(section: Section, key: str) -> Unit:
 def _raw(section: Section, *, is_table: bool) -> Source:
     """Return a source of an argument of a function: the number as it is."""
     if is_table:
-        return Source('', (section.only(('field',)).text('field'),), _RAW)
+        return Source('', (section.only(('field',)).text('field'),), RAW)
     section.only(('topic', 'field', 'stamp'))
-    return Source(_topic(section), _path(section), _RAW, stamp=_stamp(section))
+    return Source(_topic(section), _path(section), RAW, stamp=_stamp(section))
 
 
 def _topic(section: Section) -> str:
@@ -541,7 +521,8 @@ def _stamp(section: Section) -> StampSource:
 
 
 def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
-    section.only((*_COLUMN_KEYS, *(() if is_table else ('topic', 'stamp')), *more))
+    places = () if is_table else ('topic', 'stamp')
+    section.only(('field', 'unit', 'sign', 'gain', 'offset', 'table', *places, *more))
     unit = _unit(section, key)
     sign = section.number('sign', '', 1.0)
     if abs(sign) != 1.0:
@@ -610,7 +591,7 @@ def _time(top: Section) -> TimeColumn | None:
 
 
 def _csv(section: Section) -> CsvFormat:
-    section.only(('separator', 'decimal', 'header_rows', 'encoding', 'comments'))
+    section.only(item.name for item in fields(CsvFormat))
     for key in ('separator', 'decimal'):
         if key in section.data and len(section.text(key)) != 1:
             section.fail(key, f'= {shown(section.data[key])} must be one character')

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Signal, find_unit, unit_names
-from trainid_ros.inputs.tables import ROWS_AT_ONCE, Block, joined, open_table
+from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Signal, TimeColumn, find_unit, unit_names
+from trainid_ros.inputs.tables import ROWS_AT_ONCE, Block, Column, joined, open_table
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:
@@ -24,34 +24,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.inputs.mapped_inputs import MappedInputs
-    from trainid_ros.inputs.mapping import TimeColumn
-    from trainid_ros.inputs.tables import Column
-    from trainid_ros.interface.records import Record
 
 
 _UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
-# Share of the speeds that may have the time of the one before [1].
-_MAX_REPEATED: Final = 0.3
 # A position at the stamp of a speed must be known before that.
 _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command', 'mass')
-_DATE_TIMES: Final = np.dtype('datetime64[ns]')
 _DAY_NS: Final = 86400 * NS_PER_S
-_YEAR_NS: Final = 366 * 86400 * NS_PER_S
-# 2000-01-01, where times that count from the start of a recording are put unless the mapping says when that was.
-_RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
-_MAX_STAMP_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
-_MAX_SINCE_NS: Final = 2**61
 
 
 class Clock:
-    """Turns the times of a table into stamps.
-
-    Attributes:
-        start_ns: What numbers count from [ns]; None before the first one.
-    """
+    """Turns the times of a table into stamps."""
 
     def __init__(self, time: TimeColumn) -> None:
-        self.start_ns = time.start_ns
+        self._start_ns = time.start_ns  # what numbers count from [ns], None if that is not known yet
         self._time = time
         self._midnights = 0
         self._time_of_day_ns = 0
@@ -69,11 +54,12 @@ class Clock:
             values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
         known = np.isfinite(values)
         since_ns = self._since_ns(values, known)
-        if values.dtype.kind != 'M' and self.start_ns is None and known.any():
-            relative = abs(int(since_ns[known][0])) < _YEAR_NS
-            self.start_ns = _RELATIVE_START_NS if relative else 0
-        stamps = since_ns + (0 if values.dtype.kind == 'M' else self.start_ns or 0)
-        wrong = known & ((stamps <= 0) | (stamps >= _MAX_STAMP_NS))
+        if values.dtype.kind != 'M' and self._start_ns is None and known.any():
+            # Times below a year count from the start of a recording, which is put at 2000-01-01 unless it is stated.
+            is_relative = abs(int(since_ns[known][0])) < 366 * _DAY_NS
+            self._start_ns = 946_684_800 * NS_PER_S if is_relative else 0
+        stamps = since_ns + (0 if values.dtype.kind == 'M' else self._start_ns or 0)
+        wrong = known & ((stamps <= 0) | (stamps >= 2**31 * NS_PER_S))  # a ROS time holds no later one
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
@@ -84,12 +70,12 @@ class Clock:
 
     def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
         if values.dtype.kind == 'M':
-            return np.where(known, values.astype(_DATE_TIMES).astype(np.int64), 0)
+            return np.where(known, values.astype('datetime64[ns]').astype(np.int64), 0)
         if values.dtype.kind == 'm':
             return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
-        limit = _MAX_SINCE_NS // round(ns)
+        limit = 2**61 // round(ns)  # which is no stamp either, and leaves room for a start
         if values.dtype.kind == 'i':
             return np.asarray(np.clip(values, -limit, limit) * round(ns))
         return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
@@ -122,24 +108,16 @@ class _Feed(NamedTuple):
 
 
 class TableRecords:
-    """The records of a table, in the order of its rows.
-
-    Attributes:
-        rows: Number of rows read.
-        blank: Number of rows without a value, by quantity, and without a ``time``; those are left out.
-        steps_back: Number of rows that are earlier than one before.
-        repeated: Number of speeds at the time of the one before.
-        warnings: Where the file states another unit than the mapping.
-        unlisted: Number of cells by column and number, where that is not in ``table`` of the mapping.
-    """
+    """The records of a table, in the order of its rows."""
 
     def __init__(self, path: Path, inputs: MappedInputs) -> None:
         """Prepare a file for inputs whose mapping is one of a table; InputError if it cannot be used."""
-        self.rows = self.steps_back = 0
-        self.blank: Counter[str] = Counter()
-        self.warnings: tuple[str, ...] = ()
-        self.unlisted: Counter[tuple[str, float]] = Counter()
-        self.repeated = 0
+        self.rows = 0  # read so far
+        self.steps_back = 0  # rows that are earlier than one before
+        self.repeated = 0  # speeds at the time of the one before
+        self.blank: Counter[str] = Counter()  # rows without a value by quantity; those without a time are left out
+        self.warnings: tuple[str, ...] = ()  # where the file states another unit than the mapping
+        self.unlisted: Counter[tuple[str, float]] = Counter()  # cells by column and number, not in ``table``
         self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
         self._table = open_table(path, inputs.mapping)
         if self._mapping.time is None:
@@ -158,8 +136,7 @@ class TableRecords:
     def blocks(self) -> Iterator[tuple[float, list[tuple[int, Record]]]]:
         """Yield blocks of records: the share of the file read for it, and each with the newest stamp of its row [ns].
 
-        Raises:
-            InputError: The file cannot be read, or does not fit the mapping.
+        InputError if the file cannot be read, or does not fit the mapping.
         """
         functions = (self._time.function, *(signal.function for signal in self._signals.values()))
         sources = chain.from_iterable(signal.sources for signal in self._signals.values())
@@ -198,11 +175,7 @@ class TableRecords:
                     yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 
     def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
-        """Count speeds at the time of the one before.
-
-        Raises:
-            InputError: That is the rule, so the times do not say when a speed was measured.
-        """
+        """Count speeds at the time of the one before; InputError if they are many: the times are too coarse."""
         speeds = [feed.values for feed in feeds if feed.quantity == 'speed' and feed.place <= 0]
         known = rows[np.isfinite(speeds[0][rows])] if speeds else rows
         repeats = known[np.diff(stamps[known], prepend=self._speed_ns) == 0]
@@ -213,7 +186,7 @@ class TableRecords:
         self.repeated += repeats.size
         if repeats.size and not self._first_repeated:
             self._first_repeated = f'row {self._rows_before + int(repeats[0]) + 1}'
-        if self.repeated > _MAX_REPEATED * self._speeds:
+        if self.repeated > 0.3 * self._speeds:
             raise InputError(
                 f'{self._path}: {self._first_repeated}: column {shown(", ".join(self._time.columns))} has the time of '
                 f'the row before, as {self.repeated} of {self._speeds} rows have: its resolution is too coarse for '

@@ -12,13 +12,13 @@ from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import date_time_ns, time_of_day_ns
+from trainid_ros.inputs.mapping import CsvFormat, Mapping, date_time_ns, time_of_day_ns
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.fields import did_you_mean, shown
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from trainid_ros.inputs.mapping import CsvFormat, Mapping
 
 Column: TypeAlias = NDArray[Any]
 """Numbers as float64, whole numbers as int64, times as datetime64[ns], times of day and durations as timedelta64[ns];
@@ -47,33 +46,20 @@ class Block:
 
 
 class Table(ABC):
-    """A file with columns.
-
-    Attributes:
-        path: The file.
-        units: Units that the file states, by column; known once a block is read.
-    """
+    """A file with columns."""
 
     def __init__(self, path: Path) -> None:
         """Name the file."""
         self.path = path
-        self.units: dict[str, str] = {}
+        self.units: dict[str, str] = {}  # that the file states, by column; known once a block is read
 
     @abstractmethod
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
-        """Yield the columns of these names, rows in their order.
-
-        Raises:
-            InputError: The file cannot be read or a column is missing; the error names file, column and row.
-        """
+        """Yield the columns of these names; InputError, naming file, column and row, if they cannot be read."""
 
 
 def open_table(path: Path, mapping: Mapping) -> Table:
-    """Return the table in a file, by its suffix.
-
-    Raises:
-        InputError: There is no such file, or its suffix is not known.
-    """
+    """Return the table in a file, by its suffix; InputError if there is no such file, or the suffix is not known."""
     if not path.is_file():
         raise InputError(f'{path}: is not a file' if path.exists() else f'{path}: no such file')
     suffix = path.suffix.lower()
@@ -88,8 +74,8 @@ def open_table(path: Path, mapping: Mapping) -> Table:
 
 def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
     """Return the columns of all blocks."""
-    found = [block.columns for block in blocks]
-    return {name: _concatenated([columns[name] for columns in found]) for name in names}
+    found = list(blocks)
+    return {name: _concatenated([block.columns[name] for block in found]) for name in names}
 
 
 def _concatenated(parts: list[Column]) -> Column:
@@ -104,7 +90,7 @@ def _concatenated(parts: list[Column]) -> Column:
 
 
 def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Raise InputError for the first wanted column that is not among the known ones, or is there twice."""
+    """Raise InputError for the first column that is not known, or is there twice."""
     for name in wanted:
         if known.count(name) > 1:
             raise InputError(f'{path}: column {shown(name)} is there {known.count(name)} times')
@@ -115,13 +101,12 @@ def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> N
             raise InputError(f'{path}: no column {shown(name)}{hint} (columns: {columns or "none"})')
 
 
-# Blank cells, words and numbers.
 _BLANK: Final = frozenset({'', '-', '--', 'na', 'n/a', '#n/a', 'nan', 'null', 'none'})
-_WORDS: Final = {'true': 1.0, 'false': 0.0}
-# Thousands marks by decimal sign: a point, a comma, an apostrophe or a space before each three digits.
-_MARKS: Final = "'\u2019\u00a0\u202f "
+# Numbers with thousands marks by decimal sign: point, comma, apostrophe or space before each three digits.
 _GROUPED: Final = {
-    decimal: re.compile(rf'[+-]?[1-9]\d{{0,2}}([{other}{_MARKS}])\d{{3}}(\1\d{{3}})*({re.escape(decimal)}\d*)?')
+    decimal: re.compile(
+        rf"[+-]?[1-9]\d{{0,2}}([{other}'\u2019\u00a0\u202f ])\d{{3}}(\1\d{{3}})*({re.escape(decimal)}\d*)?"
+    )
     for decimal, other in (('.', ','), (',', '.'))
 }
 _LIKE: Final = '2024-03-08T12:00:00, 08.03.2024 12:00:00 or 12:00:00'
@@ -145,22 +130,19 @@ def _number(cell: str, decimal: str) -> float | None:
     try:
         return float(text.replace(decimal, '.'))
     except ValueError:
-        return _WORDS.get(text.lower())
+        return {'true': 1.0, 'false': 0.0}.get(text.lower())
 
 
 def _is_value(cell: str) -> bool:
     text = cell.strip()
-    if _is_blank(text):
-        return False
-    return any(of_text(text) is not None for of_text in (date_time_ns, time_of_day_ns)) or any(
-        _number(text, decimal) is not None for decimal in _GROUPED
-    )
+    found = (date_time_ns(text), time_of_day_ns(text), *(_number(text, decimal) for decimal in _GROUPED))
+    return not _is_blank(text) and any(value is not None for value in found)
 
 
-def _times(cells: Sequence[str], fail: Callable[[int, str], NoReturn]) -> Column | None:
-    """Return the times in texts, by the kind of the first; None if that is no time.
+def _times(cells: Sequence[str], where: Callable[[int], str], hint: str = '') -> Column | None:
+    """Return the times in texts, by the kind of the first, None if that is no time.
 
-    ``fail`` raises the error of a later cell that is no such time, by its index and the problem.
+    InputError, naming ``where`` by index, for a later cell that is no such time.
     """
     first = next((cell.strip() for cell in cells if not _is_blank(cell)), '')
     for of_text, kind, what in (
@@ -172,18 +154,12 @@ def _times(cells: Sequence[str], fail: Callable[[int, str], NoReturn]) -> Column
         stamps = [None if _is_blank(cell) else of_text(cell.strip()) for cell in cells]
         for index, (cell, stamp) in enumerate(zip(cells, stamps, strict=True)):
             if stamp is None and not _is_blank(cell):
-                fail(index, f'is not a {what}')
+                raise InputError(f'{where(index)} = {shown(cell)} is not a {what}{hint}')
         return np.array(['NaT' if stamp is None else stamp for stamp in stamps], dtype=kind)
     return None
 
 
-_SEPARATORS: Final = (';', '\t', ',', '|')
-_HEAD_BYTES: Final = 1 << 18
-_HEAD_ROWS: Final = 200
-# Rows between the names and the first numbers, such as units, unless the mapping says how many.
-_MAX_UNIT_ROWS: Final = 5
 _COMMENT: Final = '#'
-_FOOTER: Final = 'lines of text below the numbers must go, or start with #'
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,9 +256,9 @@ class CsvTable(Table):
     def _layout(self, names: Sequence[str]) -> _Layout:
         """Find out how the file is written, by the names of its columns."""
         with self.path.open('rb') as file:
-            head = file.read(_HEAD_BYTES)
+            head = file.read(1 << 18)
         encoding = self._form.encoding or _encoding(head)
-        separators = (self._form.separator,) if self._form.separator else _SEPARATORS
+        separators = (self._form.separator,) if self._form.separator else (';', '\t', ',', '|')
         separator, rows, place = _find_names(head.decode(encoding, errors='replace'), separators, names)
         known = _names(rows[place]) if rows else []
         _check_columns(self.path, names, known)
@@ -299,7 +275,7 @@ class CsvTable(Table):
         return _Layout(encoding, separator, tuple(known), above + skipped)
 
     def _decimal(self, layout: _Layout, names: Sequence[str]) -> str:
-        """Return the decimal sign of a file; raise InputError where a comma may also mark thousands."""
+        """Return the decimal sign of a file; InputError where a comma may also mark thousands."""
         unclear = ''
         for _, rows, _ in self._rows(layout, names):
             for cell in (cell.strip() for row in rows for cell in row if ',' in cell or '.' in cell):
@@ -323,18 +299,18 @@ class CsvTable(Table):
             with suppress(ValueError):
                 return np.array([float(cell.replace(decimal, '.')) for cell in cells], dtype=np.float64)
 
-        def fail(index: int, problem: str) -> NoReturn:
-            where = f'{self.path}: line {lines[index]}: column {shown(name)}'
-            raise InputError(f'{where} = {shown(cells[index])} {problem}')
+        def where(index: int) -> str:
+            return f'{self.path}: line {lines[index]}: column {shown(name)}'
 
-        if (times := _times(cells, lambda index, problem: fail(index, f'{problem}; {_FOOTER}'))) is not None:
+        footer = '; lines of text below the numbers must go, or start with #'
+        if (times := _times(cells, where, footer)) is not None:
             return times
         values = [_number(cell, decimal) for cell in cells]
         if None in values:
-            if ':' in cells[index := values.index(None)]:
-                fail(index, f'is no time like {_LIKE}')
-            hint = 'csv: {separator, decimal, header_rows} in the mapping says how the file is written'
-            fail(index, f'is not a number with the decimal sign {decimal!r}; {hint}; {_FOOTER}')
+            cell = cells[index := values.index(None)]
+            problem = f'is not a number with the decimal sign {decimal!r}; csv: {{separator, decimal, header_rows}} in '
+            problem += f'the mapping says how the file is written{footer}'
+            raise InputError(f'{where(index)} = {shown(cell)} {f"is no time like {_LIKE}" if ":" in cell else problem}')
         return np.array(values, dtype=np.float64)
 
 
@@ -355,7 +331,7 @@ def _find_names(text: str, separators: Sequence[str], names: Sequence[str]) -> t
         rows: list[list[str]] = []
         with suppress(csv.Error):  # where the text is cut off
             reader = csv.reader(io.StringIO(text, newline=''), delimiter=separator)
-            rows.extend(islice((row for row in reader if any(map(str.strip, row))), _HEAD_ROWS))
+            rows.extend(islice((row for row in reader if any(map(str.strip, row))), 200))
         for place, row in enumerate(rows):
             found = sum(name in _names(row) for name in names)
             if (found, len(row)) > best[:2]:
@@ -375,8 +351,8 @@ def _in_brackets(name: str) -> str:
 
 
 def _unit_rows(rows: list[list[str]]) -> int:
-    """Return the number of rows, from the first on, that hold words where numbers are wanted."""
-    head = rows[: _MAX_UNIT_ROWS + 1]
+    """Return the number of rows, up to five, between the names and the first numbers, such as units."""
+    head = rows[:6]
     for count, row in enumerate(head):
         if any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row):
             return count
@@ -432,13 +408,8 @@ class ParquetTable(Table):
 
 def _text_times(path: Path, name: str, cells: Sequence[str], kind: object, rows_before: int = 0) -> Column:
     """Return the times in a column of texts; other texts are an error."""
-
-    def fail(index: int, problem: str) -> NoReturn:
-        raise InputError(
-            f'{path}: row {rows_before + index + 1}: column {shown(name)} = {shown(cells[index])} {problem}'
-        )
-
-    if (times := _times(cells, fail)) is not None:
+    times = _times(cells, lambda index: f'{path}: row {rows_before + index + 1}: column {shown(name)}')
+    if times is not None:
         return times
     if all(map(_is_blank, cells)):
         return np.full(len(cells), np.nan)
@@ -455,9 +426,11 @@ class NpzTable(Table):
         try:
             with np.load(self.path, allow_pickle=False) as file:
                 _check_columns(self.path, names, file.files)
-                columns = {name: _flat(file[name]) for name in names}
+                columns = {name: file[name] for name in names}
         except (OSError, ValueError, BadZipFile, EOFError) as error:
             raise InputError(f'{self.path}: cannot be read ({" ".join(str(error).split())})') from None
+        # Other programs save a vector as a matrix of one column or one row.
+        columns = {name: x.ravel() if x.ndim == 2 and 1 in x.shape else x for name, x in columns.items()}
         first = columns[names[0]]
         columns = {name: self._column(name, column, names[0], first.shape) for name, column in columns.items()}
         for start in range(0, len(first), ROWS_AT_ONCE):
@@ -475,8 +448,3 @@ class NpzTable(Table):
         if kind == 'u' and column.size and column.max() > np.iinfo(np.int64).max:
             raise InputError(f'{self.path}: column {shown(name)}: {column.max()} is no number of 64 bits with a sign')
         return _text_times(self.path, name, column.tolist(), column.dtype) if kind == 'U' else column.astype(to[kind])
-
-
-def _flat(column: Column) -> Column:
-    """Return a matrix of one column or one row, as other programs save a vector, as a vector."""
-    return column.ravel() if column.ndim == 2 and 1 in column.shape else column

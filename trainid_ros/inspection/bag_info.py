@@ -2,10 +2,8 @@
 """Contents of a bag, and whether the estimators can use it: topics, stamps, ranges, units and signs.
 
 Whether the inputs fit together shows in the samples that a replay makes of them. With a train file the checks are those
-of a replay. Without one the mass is not known, so that units of forces cannot be checked, but forces must still go with
-the acceleration, and gradients slow the train as such in per mille do.
-
-Unit and sign of the gradient show in how it slows the train. While no brake acts, the mean acceleration over some
+of a replay. Without one the mass, and so the unit of a force, is not known, but forces must still go with the
+acceleration, and gradients slow the train as such in per mille do: while no brake acts, the mean acceleration over some
 seconds is
 
     (1 + gamma) dv/dt = p F - g k i / 1000 - (a + b v + c v^2)
@@ -20,13 +18,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.record_file import MAX_CHUNK
-from trainid_ros.bag.types import EMPTY, joined
+from trainid_ros.bag.types import EMPTY, RecordTable, joined
 from trainid_ros.inspection.number_series import (
     PER_MILLE,
     USUAL_ROTARY,
@@ -47,6 +45,8 @@ from trainid_ros.interface.records import (
     NS_PER_S,
     REQUIRED_TOPICS,
     SPEED_TOPIC,
+    InputTopic,
+    Row,
 )
 from trainid_ros.interface.results import Reason
 from trainid_ros.interface.scalars import find_fault
@@ -65,20 +65,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.bag.types import RecordTable
     from trainid_ros.inputs.mapped_inputs import MappedInputs
-    from trainid_ros.inputs.mapping import Mapping
-    from trainid_ros.interface.records import InputTopic, Row
 
-GAP_S: Final = 1.0
-MOVING_SPEED: Final = 0.1  # m/s
-_INT64_MAX: Final = 2**63 - 1  # log times are unsigned
-_MIN_COMMANDS: Final = 3  # that show whether they are published on change
-# Distances by speed and by position are compared from this distance on [m], and may differ by this share [1]. A larger
-# step of the position is a correction [m].
-_MIN_DISTANCE_M: Final = 500.0
-_MAX_DISTANCE_ERROR: Final = 0.05
-_CORRECTION_M: Final = 100.0
+_GAP_S: Final = 1.0  # time that a value holds, unless it is known
+_MAX_DISTANCE_ERROR: Final = 0.05  # share by which distances by speed and by position may differ [1]
 _MAX_INTERVAL_S: Final = AlignmentConfig().max_interval
 # Topic, field and unit of the ranges that are reported.
 _QUANTITIES: Final = (
@@ -158,8 +148,13 @@ class _Column:
         self.end_ns = end_ns
         numbers = [item.name for item in fields(topic.record) if item.type in {'float', float}]
         self.stamps = table.stamp_ns
-        self.logs = np.minimum(table.log_ns, _INT64_MAX).astype(np.int64)
+        self.logs = np.minimum(table.log_ns, 2**63 - 1).astype(np.int64)  # log times are unsigned
         self.values = dict(zip(numbers, (table.x, table.y), strict=False))
+
+    def ordered(self, *names: str) -> tuple[NDArray[Any], ...]:
+        """Return the stamps [ns] in their order and the values of some fields at them, each of shape (n,)."""
+        order = np.argsort(self.stamps, kind='stable')
+        return self.stamps[order], *(self.values[name][order] for name in names)
 
     def not_finite(self) -> int:
         """Return the number of messages with a value that is not finite; by the interface a position may be NaN."""
@@ -175,18 +170,11 @@ def inspect(
     train_file: TrainFile | None = None,
     advance: Callable[[float], None] = lambda _: None,
 ) -> BagInfo:
-    """Read a bag once and summarise its contents.
+    """Read a bag once and summarise its contents; InputError if it cannot be read.
 
-    Args:
-        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
-        namespace: Namespace of the topics.
-        max_chunk: Largest chunk to unpack [bytes].
-        inputs: Factory of the mapped inputs, which are then summarised as our own topics.
-        train_file: The train, if it is known: units, signs and gradients are then checked as in a replay.
-        advance: Called with the share that was read since its last call [1].
-
-    Raises:
-        InputError: If the bag cannot be read.
+    ``path``, ``namespace``, ``max_chunk`` and ``inputs`` are those of :class:`BagReader`; mapped inputs are summarised
+    as our own topics. With a ``train_file`` units, signs and gradients are checked as in a replay. ``advance`` is
+    called with the share that was read since its last call [1].
     """
     opening, reading = in_two(advance)
     with BagReader(path, namespace, max_chunk, inputs, opening=opening) as reader:
@@ -194,7 +182,7 @@ def inspect(
         alignment = reader.mapping.alignment(AlignmentConfig())
         columns = _columns(table, alignment)
         missing = missing_topics(reader)
-        topics = (*_topics(reader, columns), *_mapped(reader.mapping, columns))
+        topics = tuple(_topics(reader, columns))
         first, last = reader.time_range() or (0, 0)
         moving = _share(columns, SPEED_TOPIC.name, 'speed')
         problems = _problems(topics, missing, moving)
@@ -233,34 +221,26 @@ def _read(reader: BagReader, advance: Callable[[float], None]) -> Iterator[Recor
 def _columns(table: RecordTable, alignment: AlignmentConfig) -> dict[str, _Column]:
     rows = {topic: np.flatnonzero(table.topic == number) for number, topic in enumerate(INPUT_TOPICS)}
     # A mass holds until the next one, whenever that comes.
-    holds = {BRAKE_TOPIC: alignment.command_hold or GAP_S, MASS_TOPIC: math.inf}
+    holds = {BRAKE_TOPIC: alignment.command_hold or _GAP_S, MASS_TOPIC: math.inf}
     end_ns = int(table.stamp_ns.max(initial=0))
     return {
-        topic.name: _Column(topic, table[mine], holds.get(topic, GAP_S), end_ns)
+        topic.name: _Column(topic, table[mine], holds.get(topic, _GAP_S), end_ns)
         for topic, mine in rows.items()
         if mine.size
     }
 
 
 def _topics(reader: BagReader, columns: dict[str, _Column]) -> Iterator[TopicInfo]:
-    """Yield the topics of a bag; those that a mapping replaces are not read."""
+    """Yield the topics of a bag, and the inputs that a mapping makes of others."""
+    details = {name: (column.not_finite(), _stamp_info(column)) for name, column in columns.items()}
+    mapping, unknown = reader.mapping, (0, None)
     for topic in reader.topics():
-        details = (0, None) if topic.name in reader.mapping.replaced else _details(topic.name, columns)
-        yield TopicInfo(topic.name, topic.type, topic.count, *details)
-
-
-def _mapped(mapping: Mapping, columns: dict[str, _Column]) -> Iterator[TopicInfo]:
-    """Yield the inputs that come from other topics."""
-    for topic in INPUT_TOPICS:
-        if topic.name in mapping.replaced:
-            count = columns[topic.name].stamps.size if topic.name in columns else 0
-            origin = ' + '.join(mapping.needed(topic.name)) or 'the line'
-            yield TopicInfo(topic.name, f'from {origin}', count, *_details(topic.name, columns))
-
-
-def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:
-    column = columns.get(name)
-    return (0, None) if column is None else (column.not_finite(), _stamp_info(column))
+        known = unknown if topic.name in mapping.replaced else details.get(topic.name, unknown)
+        yield TopicInfo(topic.name, topic.type, topic.count, *known)
+    for name in (topic.name for topic in INPUT_TOPICS if topic.name in mapping.replaced):
+        count = columns[name].stamps.size if name in columns else 0
+        origin = f'from {" + ".join(mapping.needed(name)) or "the line"}'
+        yield TopicInfo(name, origin, count, *details.get(name, unknown))
 
 
 def _stamp_info(column: _Column) -> StampInfo:
@@ -302,12 +282,11 @@ def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
     if topic not in columns:
         return math.nan
     column = columns[topic]
-    order = np.argsort(column.stamps, kind='stable')
-    stamps, values = column.stamps[order], np.abs(column.values[name][order])
-    if column.hold_s > GAP_S:  # declared, so it is known of the last message too
+    stamps, values = column.ordered(name)
+    if column.hold_s > _GAP_S:  # declared, so it is known of the last message too
         stamps = np.append(stamps, column.end_ns)
     held = np.clip(np.diff(stamps) / NS_PER_S, 0.0, column.hold_s)
-    active = values[: held.size] > (MOVING_SPEED if name == 'speed' else 0.0)
+    active = np.abs(values[: held.size]) > (0.1 if name == 'speed' else 0.0)  # m/s, so that noise is no motion
     total = float(held.sum())
     return float(held[active].sum()) / total if total > 0.0 else math.nan
 
@@ -338,11 +317,11 @@ def _has_usable(topic: TopicInfo) -> bool:
 
 def _command_warnings(column: _Column | None) -> list[str]:
     """Say so where brake commands come only when they change."""
-    if column is None or column.hold_s > GAP_S or column.stamps.size < _MIN_COMMANDS:
+    if column is None or column.hold_s > _GAP_S or column.stamps.size < 3:
         return []
-    order = np.argsort(column.stamps, kind='stable')
-    time = (column.stamps[order] - column.stamps[order[0]]) / NS_PER_S
-    if not comes_on_change(time, column.values['target_acceleration'][order]):
+    stamps, command = column.ordered('target_acceleration')
+    time = (stamps - stamps[0]) / NS_PER_S
+    if not comes_on_change(time, command):
         return []
     longest_s = float(np.diff(time).max())
     return [
@@ -355,14 +334,13 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     """Say so where distances by the speed are not those of the positions: another unit, or another wheel diameter."""
     if column is None:
         return []
-    order = np.argsort(column.stamps, kind='stable')
-    speed, position = column.values['speed'][order], column.values['position'][order]
-    elapsed = np.diff(column.stamps[order]) / NS_PER_S
+    stamps, speed, position = column.ordered('speed', 'position')
+    elapsed = np.diff(stamps) / NS_PER_S
     by_speed, by_position = 0.5 * (speed[:-1] + speed[1:]) * elapsed, np.abs(np.diff(position))
-    # Positions are unknown, or corrected at a balise.
-    known = (elapsed > 0.0) & (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
+    # Positions are unknown, or corrected at a balise by 100 m or more.
+    known = (elapsed > 0.0) & (elapsed < _GAP_S) & np.isfinite(by_speed + by_position) & (by_position < 100.0)
     distance = float(by_position[known].sum())
-    if distance < _MIN_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
+    if distance < 500.0 or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
         return []
     unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < _MAX_DISTANCE_ERROR * KM_H else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
@@ -381,31 +359,7 @@ def _topic_warnings(topic: TopicInfo) -> list[str]:
     return [f'{topic.name}: {count} {what}' for count, what in found if count]
 
 
-# Slower trains may stand or shunt [m/s].
-_MIN_SPEED: Final = 1.0
-# A share of the samples in motion [1]: beyond it what goes wrong is the rule.
-_MAJORITY: Final = 0.5
-# Correlation of a force whose sign is wrong [1], from so many samples on.
-_MAX_OPPOSITE: Final = -0.5
-_MIN_PAIRS: Final = 50
-# Accelerations are means over at least this time [s], so that noise of the speed matters little.
-_BLOCK_S: Final = 2.0
-_MIN_BLOCKS: Final = 15
-# Time after which a brake that was released does not act [s].
-_RELEASED_S: Final = 4.0
-# A slope shows a unit from so many of its standard deviations on, where the gradient explains this share of the
-# variance [1] and has, in its right unit, this standard deviation [per mille].
-_MIN_SIGMAS: Final = 8.0
-_MIN_SHARE: Final = 0.2
-_MIN_STD: Final = 1.0
-# Slope beyond which a gradient is certainly too small [1]: a speed in km/h gives 3.6. It exceeds that by so many
-# standard deviations.
-_TOO_SMALL: Final = 5.0
-_MIN_SIGMAS_BEYOND: Final = 3.0
-# Slope of a gradient that is ten times too large [1]. Noise makes slopes small too, but no noise has this standard
-# deviation [per mille].
-_TOO_LARGE: Final = 0.1
-_LARGE_STD: Final = 30.0
+_MAX_OPPOSITE: Final = -0.5  # correlation of a force whose sign is wrong [1]
 # Units that a gradient may have instead of per mille, as people call them.
 _OTHER_UNITS: Final = {'percent': 'per cent', 'deg': 'degrees', 'rad': 'a ratio or radians'}
 # Any train: then only checks that do not depend on the train file apply.
@@ -420,13 +374,7 @@ class Findings(NamedTuple):
 
 
 def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: TrainFile | None) -> Findings:
-    """Return the faults of inputs as rows of numbers; names of topics are our own.
-
-    Args:
-        rows: The inputs, by log time.
-        alignment: Settings of the alignment.
-        train_file: The train, None if it is not known.
-    """
+    """Return the faults of inputs, rows of numbers by log time; names of topics are our own."""
     check = _Check(alignment, train_file)
     for row in rows:
         check.take(row)
@@ -468,11 +416,11 @@ class _GradientCheck:
         dt, speed = sample.dt, 0.5 * (before + sample.speed)
         self._released_s = 0.0 if sample.brake_command < 0.0 else self._released_s + dt
         values = (1.0, (sample.speed - before) / dt, sample.gradient_mean, traction, speed, speed * speed)
-        if self._released_s < _RELEASED_S or not math.isfinite(sum(values)):
+        if self._released_s < 4.0 or not math.isfinite(sum(values)):  # s; a brake acts for a while after its release
             self._sums = [0.0] * 6
             return
         self._sums = [total + dt * value for total, value in zip(self._sums, values, strict=True)]
-        if (seconds := self._sums[0]) >= _BLOCK_S:
+        if (seconds := self._sums[0]) >= 2.0:  # s, so that noise of the speed matters little
             self._blocks.append([seconds, *(total / seconds for total in self._sums[1:])])
             self._sums = [0.0] * 6
 
@@ -482,18 +430,19 @@ class _GradientCheck:
 
     def finding(self) -> str:
         """Return the fault of the gradient, '' if there is none, or if it does not show."""
-        if len(self._blocks) < _MIN_BLOCKS or (slope := _slope(np.array(self._blocks))) is None:
+        if len(self._blocks) < 15 or (slope := _slope(np.array(self._blocks))) is None:
             return ''
         size = abs(slope.value)
-        if size < _MIN_SIGMAS * slope.std or slope.share < _MIN_SHARE or size * slope.spread < _MIN_STD:
+        # The gradient must explain a good part of the variance, and vary by 1 per mille in its right unit.
+        if size < 8.0 * slope.std or slope.share < 0.2 or size * slope.spread < 1.0:
             return ''
         how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
         sign = ', with the wrong sign' if slope.value < 0.0 else ''
-        if size - _MIN_SIGMAS_BEYOND * slope.std > _TOO_SMALL:
+        if size - 3.0 * slope.std > 5.0:  # a speed in km/h gives 3.6
             unit = nearest_unit(size, {name: PER_MILLE[name] for name in _OTHER_UNITS})
             what = f'like {_OTHER_UNITS[unit]}' if unit else 'too small'
             return f'{GRADIENT_TOPIC.name} looks {what}{sign}: {how}'
-        if is_near(size, _TOO_LARGE) and slope.spread > _LARGE_STD:
+        if is_near(size, 0.1) and slope.spread > 30.0:  # per mille; noise makes slopes small too, but is smaller
             return f'{GRADIENT_TOPIC.name} looks ten times too large{sign}: {how}'
         if sign and is_near(size, 1.0):
             return f'{GRADIENT_TOPIC.name} looks as if it had the wrong sign: the train gains speed uphill'
@@ -545,7 +494,7 @@ class _Check:
         self._first_ns = self._first_ns or sample.stamp_ns
         self.contradiction.follow(self._stream.finding, (sample.stamp_ns - self._first_ns) / NS_PER_S)
         before, self._speed = self._speed, sample.speed
-        if sample.speed < _MIN_SPEED:
+        if sample.speed < 1.0:  # m/s; slower trains may stand or shunt
             self.gradient.interrupt()
             return
         self._moving += 1
@@ -574,7 +523,7 @@ class _Check:
 
     def is_most(self, reason: Reason) -> bool:
         """Return whether most samples in motion are rejected for a reason."""
-        return self._reasons[reason] > _MAJORITY * self._moving
+        return self._reasons[reason] > 0.5 * self._moving
 
     def signs(self) -> list[str]:
         """Return which inputs have the wrong sign, by all that was seen."""
@@ -591,9 +540,10 @@ class _Check:
 
     def unusable(self) -> list[str]:
         """Say so if most samples in motion cannot be used."""
-        left_out = Counter({reason: count for reason, count in self._reasons.items() if reason is not Reason.NONE})
-        del left_out[Reason.CONTRADICTION]  # named as a contradiction
-        if not left_out or self._reasons[Reason.NONE] >= (1.0 - _MAJORITY) * self._moving:
+        # What is named as a contradiction is not named here.
+        used = {Reason.NONE, Reason.CONTRADICTION}
+        left_out = Counter({reason: count for reason, count in self._reasons.items() if reason not in used})
+        if not left_out or self._reasons[Reason.NONE] >= 0.5 * self._moving:
             return []
         reason, count = left_out.most_common(1)[0]
         return [f'{count} of {self._moving} samples in motion cannot be used: {reason.name}']
@@ -607,7 +557,7 @@ class _Check:
 
     def off_the_line(self) -> list[str]:
         """Say so if most positions are not on the line of the train file."""
-        if self._line is None or self._off_line <= _MAJORITY * self._moving:
+        if self._line is None or self._off_line <= 0.5 * self._moving:
             return []
         return [
             f'{SPEED_TOPIC.name} has a position off the line of the train file, {self._line.first:.0f} to '
@@ -617,7 +567,7 @@ class _Check:
 
 def _correlation(pairs: list[tuple[float, float]], *, about_zero: bool = False) -> float:
     """Return the correlation of pairs about their means or 0 [1]; 0 where there are few, or one does not change."""
-    if len(pairs) < _MIN_PAIRS:
+    if len(pairs) < 50:
         return 0.0
     x, y = (column if about_zero else column - column.mean() for column in np.array(pairs).T)
     scale = math.sqrt(float(x @ x) * float(y @ y))

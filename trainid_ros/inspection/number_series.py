@@ -12,14 +12,17 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.bag.reader import BagReader, in_two
-from trainid_ros.bag.types import WIDE_CHARACTERS, full_type
-from trainid_ros.inputs.mapping import Mapping, Signal, Source, Unit
+from trainid_ros.bag.types import PACKAGE, WIDE_CHARACTERS, StoredType, full_type
+from trainid_ros.inputs.mapping import RAW, Mapping, Signal, Source
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -28,24 +31,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
 
-    from trainid_ros.bag.types import StoredType
-
-    Array = NDArray[np.float64]
-
+Array: TypeAlias = NDArray[np.float64]
 MAX_S: Final = 3600.0  # part of a bag that is read [s]
 _MAX_SAMPLES: Final = 20_000  # of a topic with more messages, each k-th is read
 _MAX_BYTES: Final = 4096  # larger messages are images and the like
-_MAX_ARRAY: Final = 8  # numbers of an array that are read
-_MAX_FIELDS: Final = 64  # of a message
-_PACKAGE: Final = 'trainid_msgs/'
-_TYPE: Final = re.compile(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+')
 _IMAGES: Final = ('Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo')
-_RAW: Final = Unit('', 1.0)
-# Our own topics are not read, and their types not checked.
-_NONE: Final = Signal(())
-_NOTHING: Final = Mapping(speed=_NONE, force=_NONE, gradient=_NONE, brake_command=_NONE, mass=_NONE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,19 +78,13 @@ class BagNumbers:
 def read_numbers(
     path: Path, namespace: str, max_chunk: int, advance: Callable[[float], None] = lambda _: None
 ) -> BagNumbers:
-    """Read the first hour of a bag.
+    """Read the first hour of a bag; InputError if it cannot be read.
 
-    Args:
-        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
-        namespace: Namespace of the topics; without one all are read.
-        max_chunk: Largest chunk to unpack [bytes].
-        advance: Called with the share that was read since its last call [1].
-
-    Raises:
-        InputError: The bag cannot be read.
+    Arguments are those of :class:`BagReader`; without a namespace all topics are read. ``advance`` is called with the
+    share that was read since its last call [1].
     """
     opening, reading = in_two(advance)
-    with BagReader(path, namespace, max_chunk, mapping=_NOTHING, opening=opening) as reader:
+    with BagReader(path, namespace, max_chunk, mapping=_naming(()), opening=opening) as reader:
         topics, span = reader.topics(), reader.time_range() or (0, 0)
     ours = {topic.name: full_type(topic.message) for topic in INPUT_TOPICS}
     is_root = not namespace.strip('/')
@@ -108,11 +93,12 @@ def read_numbers(
     for topic in topics:
         is_own, name = topic.type == ours.get(topic.name), f'/{topic.name}' if is_root else topic.name
         is_elsewhere = topic.name[0] == '/' and not is_root
-        if not topic.count or is_elsewhere or (topic.type.startswith(_PACKAGE) and not is_own):
+        if not topic.count or is_elsewhere or (topic.type.startswith(f'{PACKAGE}/') and not is_own):
             continue
         if is_own:
             own.add(name)
-        if not _TYPE.fullmatch(topic.type) or topic.type.rpartition('/')[2] in _IMAGES:
+        is_message = re.fullmatch(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+', topic.type)
+        if not is_message or topic.type.rpartition('/')[2] in _IMAGES:
             left_out.append((name, topic.type or 'no type'))
         else:
             wanted[name] = topic.count
@@ -136,9 +122,9 @@ def _train_of(name: str, kind: str) -> str:
 
 
 def _naming(topics: Iterable[str]) -> Mapping:
-    """Return a mapping that names topics, and none of our own."""
-    sources = tuple(Source(name, ('data',), _RAW) for name in topics)
-    return replace(_NOTHING, speed=Signal(sources))
+    """Return a mapping that names topics; our own are not read, and their types not checked."""
+    none, named = Signal(()), Signal(tuple(Source(name, ('data',), RAW) for name in topics))
+    return Mapping(speed=named, force=none, gradient=none, brake_command=none, mass=none)
 
 
 def _readable(path: Path, namespace: str, max_chunk: int, topics: Iterable[str]) -> list[str]:
@@ -179,8 +165,7 @@ class _Collector:
         self._every = every
         self._count = 0
         self._type = ''
-        self._sources: list[Source] = []
-        self._whole: list[bool] = []
+        self._sources: list[tuple[Source, bool]] = []  # each with whether its numbers are whole
         self._rows: list[tuple[int, int, list[float]]] = []
 
     def add(self, log_ns: int, payload: bytes, kind: StoredType) -> None:
@@ -199,14 +184,11 @@ class _Collector:
             return
         if not self._rows:
             self._type = kind.name
-            leaves = list(_leaves(message))[:_MAX_FIELDS]
-            self._sources = [Source(self.topic, path, _RAW) for path, _ in leaves]
-            self._whole = [whole for _, whole in leaves]
+            leaves = islice(_leaves(message), 64)
+            self._sources = [(Source(self.topic, path, RAW), is_whole) for path, is_whole in leaves]
         stamp_ns = stamp_of(message) if hasattr(message, 'header') else 0
-        try:
-            self._rows.append((stamp_ns, log_ns, [source.raw(message) for source in self._sources]))
-        except InputError:  # an array that has become shorter
-            return
+        with suppress(InputError):  # of an array that has become shorter
+            self._rows.append((stamp_ns, log_ns, [source.raw(message) for source, _ in self._sources]))
 
     def series(self, first_ns: int) -> Iterator[NumberSeries]:
         """Yield the numbers, with times since a log time [ns]."""
@@ -217,25 +199,18 @@ class _Collector:
         time = (stamps[:, 0 if has_stamps else 1] - first_ns) / NS_PER_S
         order = np.argsort(time, kind='stable')
         values = np.array([row[2] for row in self._rows], dtype=np.float64).reshape(len(self._rows), -1)
-        for place, source in enumerate(self._sources):
+        for place, (source, is_whole) in enumerate(self._sources):
             column = values[order, place]
             known = np.isfinite(column)
             if np.any(column[known] != 0.0):
-                yield NumberSeries(
-                    self.topic,
-                    self._type,
-                    source.field,
-                    time[order][known],
-                    column[known],
-                    has_stamps,
-                    self._whole[place],
-                )
+                times, numbers = time[order][known], column[known]
+                yield NumberSeries(self.topic, self._type, source.field, times, numbers, has_stamps, is_whole)
 
 
 def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], bool]]:
     """Yield the paths to the numbers of a message, each with whether it is a whole one."""
     if isinstance(part, np.ndarray):
-        if part.size <= _MAX_ARRAY and part.dtype.kind in 'iuf':
+        if part.size <= 8 and part.dtype.kind in 'iuf':
             yield from (((*path, k), part.dtype.kind != 'f') for k in range(part.size))
     elif is_dataclass(part):
         for item in fields(part):
@@ -249,17 +224,10 @@ USUAL_ROTARY: Final = 0.08
 """Share by which rotating masses raise the inertia of a usual train [1]."""
 PER_MILLE: Final = {'per_mille': 1.0, 'percent': 10.0, 'deg': 1000.0 * math.pi / 180.0, 'rad': 1000.0}
 """Per mille in each unit of a gradient."""
-_MIN_CHANGING: Final = 0.9  # share of commands that differ from the one before, if published on change [1]
-# Slopes of regressions are exact to this factor [1].
-_SLOPE_FACTOR: Final = 1.6
-# Residuals over this time may be alike, as in a gust [s].
-_CORRELATED_S: Final = 20.0
 STEP_S: Final = 0.2
 """Interval of the common times [s]."""
-# Half of the time over which a derivative is taken [steps].
-_HALF: Final = 5
-# Values farther apart are not interpolated [s]; slower series are always.
-_MAX_GAP_S: Final = 1.5
+_HALF: Final = 5  # half of the time over which a derivative is taken [steps]
+_MAX_GAP_S: Final = 1.5  # values farther apart are not interpolated [s], and slower series are held
 MIN_NUMBERS: Final = 50
 """Fewest numbers that show anything."""
 # Changes of a position are compared with the distance over so much time, at least [s], and at most.
@@ -300,7 +268,7 @@ def correlation(x: Array, y: Array) -> float:
 
 def comes_on_change(time: Array, command: Array) -> bool:
     """Return whether commands at times [s] are published on change: most differ from the one before, after pauses."""
-    changes = np.mean(np.diff(command) != 0.0) >= _MIN_CHANGING
+    changes = np.mean(np.diff(command) != 0.0) >= 0.9
     return bool(changes and np.diff(time).max() > AlignmentConfig().command_timeout)
 
 
@@ -348,10 +316,7 @@ class Fit(NamedTuple):
 def regress(y: Array, columns: Sequence[Array], moving: NDArray[np.bool_]) -> Fit | None:
     """Return the regression of y on columns and a constant, where all are known and the train moves; None if nowhere.
 
-    Args:
-        y: Shape (n,).
-        columns: Each of shape (n,).
-        moving: Shape (n,).
+    All are of shape (n,).
     """
     known = np.isfinite(y) & moving
     for column in columns:
@@ -378,11 +343,7 @@ class Slope(NamedTuple):
 def partial_slope(y: Array, x: Array, others: Sequence[Array], time: Array) -> Slope | None:
     """Return the slope of y over x beside others and a constant; None where x does not change apart from them.
 
-    Args:
-        y: Shape (n,).
-        x: Shape (n,).
-        others: Each of shape (n,).
-        time: Times that do not fall [s], shape (n,); residuals that are near in time are not independent.
+    All are of shape (n,). Residuals that are near in ``time`` [s], which does not fall, are not independent.
     """
     design = np.column_stack([*others, np.ones(y.size)])
     design /= np.maximum(np.abs(design).max(axis=0), 1e-300)
@@ -393,7 +354,8 @@ def partial_slope(y: Array, x: Array, others: Sequence[Array], time: Array) -> S
         return None
     slope = float(rest_x @ rest_y) / square
     rest = rest_y - slope * rest_x
-    sums = np.bincount(np.floor(time / _CORRELATED_S).astype(np.intp), weights=rest_x * rest)
+    # Residuals over 20 s may be alike, as in a gust.
+    sums = np.bincount(np.floor(time / 20.0).astype(np.intp), weights=rest_x * rest)
     std = math.sqrt(float(sums @ sums) * sums.size / max(sums.size - 1, 1)) / square
     explained = slope * slope * square
     share = explained / total if (total := explained + float(rest @ rest)) > 0.0 else 0.0
@@ -401,8 +363,8 @@ def partial_slope(y: Array, x: Array, others: Sequence[Array], time: Array) -> S
 
 
 def is_near(size: float, expected: float) -> bool:
-    """Return whether a slope may be another one, as slopes of regressions are exact."""
-    return abs(math.log(size / expected)) < math.log(_SLOPE_FACTOR)
+    """Return whether a slope may be another one, as slopes of regressions are exact: to a factor of 1.6."""
+    return abs(math.log(size / expected)) < math.log(1.6)
 
 
 def nearest_unit(size: float, units: dict[str, float]) -> str:

@@ -21,6 +21,9 @@ from trainid_ros.inspection.number_series import (
     PER_MILLE,
     STEP_S,
     USUAL_ROTARY,
+    Array,
+    BagNumbers,
+    NumberSeries,
     Travel,
     at_times,
     comes_on_change,
@@ -40,10 +43,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.inspection.number_series import Array, BagNumbers, NumberSeries
     from trainid_ros.train.train_file import TrainFile
-
-_PLAIN: Final = re.compile(r'[A-Za-z/][A-Za-z0-9_/.]*')
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +84,8 @@ class Choice:
         """Return its lines in the file."""
         heads = [f'{self.quantity}: {described(part.series)}' for part in self.parts]
         said = [*(heads or [f'{self.quantity}: not on a topic']), *(f'  {reason}' for reason in self.reasons)]
-        return [
-            *(comment(line) for line in said),
-            *(comment(f'  decide: {decision}') for decision in self.decisions),
-            *self._body(),
-        ]
+        said += [f'  decide: {decision}' for decision in self.decisions]
+        return [*map(comment, said), *self._body()]
 
     def _body(self) -> list[str]:
         more = ', on_change: true' if self.on_change else ''
@@ -110,8 +107,7 @@ class Suggestion:
 
     def text(self) -> str:
         """Return the mapping file, with reasons as comments."""
-        blocks = [[comment(line) for line in self.head], *(choice.lines() for choice in self.choices)]
-        blocks.append([comment(line) for line in self.notes])
+        blocks = [[*map(comment, self.head)], *(choice.lines() for choice in self.choices), [*map(comment, self.notes)]]
         if not any(choice.parts or choice.text for choice in self.choices):
             blocks.append(['{}'])
         return '\n\n'.join('\n'.join(block) for block in blocks if block)
@@ -135,9 +131,10 @@ def described(series: NumberSeries) -> str:
 
 
 def _quoted(text: str) -> str:
-    return text if _PLAIN.fullmatch(text) else json.dumps(text)
+    return text if re.fullmatch(r'[A-Za-z/][A-Za-z0-9_/.]*', text) else json.dumps(text)
 
 
+# Words in names that speak for a quantity.
 _WORDS: Final = {
     'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v',
     'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg',
@@ -148,27 +145,23 @@ _WORDS: Final = {
     'acceleration': 'acceleration accel acc',
 }
 _KNOWN: Final = {quantity: frozenset(words.split()) for quantity, words in _WORDS.items()}
-# Words of other measurements, and of components across the train.
+# Words of other measurements.
 _OTHER: Final = frozenset(
     {'temperature', 'temp', 'voltage', 'volt', 'current', 'ampere', 'pressure', 'humidity', 'battery', 'fuel'}
     | {'angular', 'orientation', 'latitude', 'longitude', 'altitude', 'heading', 'yaw', 'roll', 'rpm', 'torque'}
 )
-_ACROSS: Final = frozenset({'y', 'z', 'w', 'lateral', 'vertical'})
 _UNITS: Final = {
     'kmh': 'km/h', 'kph': 'km/h', 'mph': 'mph', 'mps': 'm/s', 'ms': 'm/s', 'km': 'km', 'm': 'm', 'ft': 'ft', 'mi': 'mi',
     'kn': 'kN', 'n': 'N', 'newton': 'N', 'lbf': 'lbf', 'permille': 'per_mille', 'percent': 'percent', 'pct': 'percent',
     'deg': 'deg', 'rad': 'rad', 'kg': 'kg', 't': 't', 'ton': 't', 'tons': 't', 'tonnes': 't', 'lb': 'lb',
 }  # fmt: skip
-_CAMEL: Final = re.compile(r'(?<=[a-z0-9])(?=[A-Z])')
-_JOINED: Final = ((re.compile(r'km_?(?:per_?)?h(?![a-z])'), 'kmh'), (re.compile(r'per_mille'), 'permille'))
 _NUMBERS: Final = re.compile(r'\d+|(?<![a-z])(?:front|rear|left|right|leading|trailing|[a-f])(?![a-z])')
 
 
 def words_of(name: str) -> tuple[str, ...]:
     """Return the words of a name in lower case: ``/car1/tractionForce_kN`` has car, 1, traction, force and kn."""
-    text = _CAMEL.sub('_', name.replace('kN', 'kn').replace('km/h', 'kmh')).lower()
-    for pattern, word in _JOINED:
-        text = pattern.sub(word, text)
+    text = re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', name.replace('kN', 'kn').replace('km/h', 'kmh')).lower()
+    text = re.sub(r'km_?(?:per_?)?h(?![a-z])', 'kmh', text).replace('per_mille', 'permille')
     return tuple(re.findall(r'[a-z]+|\d+', text))
 
 
@@ -176,13 +169,14 @@ def score(quantity: str, topic: str, field: str) -> float:
     """Return how much a name says for a quantity [1]: up to 1 for the topic and for the field, less for other words."""
     known, topic_words, field_words = _KNOWN[quantity], words_of(topic), words_of(field)
     points = float(not known.isdisjoint(topic_words)) + float(not known.isdisjoint(field_words))
-    words = (*topic_words, *field_words)
-    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * (not _ACROSS.isdisjoint(words))
+    words = {*topic_words, *field_words}
+    is_across = not words.isdisjoint({'y', 'z', 'w', 'lateral', 'vertical'})  # a component across the train
+    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * is_across
 
 
-def is_nameless(topic: str, field: str) -> bool:
+def is_nameless(series: NumberSeries) -> bool:
     """Return whether a name speaks for no quantity."""
-    return all(score(quantity, topic, field) == 0.0 for quantity in _KNOWN)
+    return all(score(quantity, series.topic, series.field) == 0.0 for quantity in _KNOWN)
 
 
 def unit_in(name: str, units: tuple[str, ...]) -> str:
@@ -196,12 +190,9 @@ def family(topic: str) -> str:
 
 
 def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None) -> Suggestion:
-    """Return a mapping for the numbers of a bag.
+    """Return a mapping for the numbers of a bag with a name.
 
-    Args:
-        numbers: The numbers.
-        name: Name of the bag.
-        train_file: Its train, if known: the mass shows the unit of the force, the line may have the gradients.
+    The mass of the train file, if it is known, shows the unit of the force, and its line may have the gradients.
     """
     head = (
         f'Suggested by trainid info --suggest-map for {name}: {numbers.duration_s / 60.0:.0f} min were read.',
@@ -209,8 +200,8 @@ def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None)
     )
     own = frozenset(topic.lstrip('/') for topic in numbers.own)
     choices = tuple(choice for choice in _choices(numbers, train_file) if QUANTITIES[choice.quantity].topic not in own)
-    missing = tuple(name for name in _ADVICE if not any(choice.quantity == name for choice in choices))
-    missing = tuple(name for name in missing if QUANTITIES[name].topic not in own)
+    chosen = {choice.quantity for choice in choices}
+    missing = tuple(name for name in _ADVICE if name not in chosen and QUANTITIES[name].topic not in own)
     notes = [_ADVICE[name] for name in missing]
     if numbers.own:
         notes.append(f'from our own topics: {listed(sorted(own))}')
@@ -256,7 +247,6 @@ def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[
     return [item for item in series if id(item) not in chosen]
 
 
-_NAMED: Final = re.compile(r'(?:.*/)?train_?\d+', re.IGNORECASE)
 # Correlation of two speeds of one train, and of a position with the integral of its speed [1].
 _MIN_ALIKE: Final = 0.9
 # Correlation of a force or a brake with the acceleration [1], and without a name that says so.
@@ -272,7 +262,8 @@ def trains_in(series: Sequence[NumberSeries]) -> tuple[str, ...]:
             namespace, name = item.topic[: at.start()], item.topic[at.end() :]
             groups[namespace.rpartition('/')[0], name, item.field][namespace] = item
     for speeds in groups.values():
-        if len(speeds) > 1 and (all(map(_NAMED.fullmatch, speeds)) or _drive_apart(speeds, series)):
+        are_named = all(re.fullmatch(r'(?:.*/)?train_?\d+', name, re.IGNORECASE) for name in speeds)
+        if len(speeds) > 1 and (are_named or _drive_apart(speeds, series)):
             return tuple(sorted(speeds))
     return ()
 
@@ -286,16 +277,6 @@ def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeri
     times = common_times(first)
     speed = abs(at_times(first, times))
     return any(correlation(speed, abs(at_times(other, times))) < _MIN_ALIKE for other in others)
-
-
-# Ratios of two units are told apart to this share [1].
-_MAX_RATIO_ERROR: Final = 0.04
-# A speed in m/s has a smaller maximum [m/s], and 99th percentile of its changes [m/s^2].
-_MAX_MPS: Final = 60.0
-_MAX_MPS2: Final = 1.6
-# Of a speed without a name: the largest negative value, and change in a second, as shares of the largest value [1].
-_MAX_NEGATIVE: Final = 0.02
-_MAX_STEP: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,13 +313,14 @@ def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
     """Return nameless candidates for a speed: never negative, slow, and with an integral or a force among the rest."""
     found = []
     for item in series:
-        if not is_nameless(item.topic, item.field) or item.is_whole or not item.rate >= 1.0:
+        if not is_nameless(item) or item.is_whole or not item.rate >= 1.0:
             continue
         top = float(np.max(item.value))
-        if not top > 0.0 or float(np.min(item.value)) < -_MAX_NEGATIVE * top:
+        if not top > 0.0 or float(np.min(item.value)) < -0.02 * top:
             continue
         steps = derivative(at_times(item, common_times(item)))
-        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > _MAX_STEP * top:
+        # A speed changes by a quarter of its largest value in a second at most.
+        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > 0.25 * top:
             continue
         rank = _rank(item, series)
         if rank.position is not None or abs(rank.push[0]) > _MIN_NAMELESS:
@@ -368,10 +350,9 @@ def _choose_speed(
     speed_si = factor * np.abs(at_times(best.speed, times))
     motion = _Motion(best.speed, times, speed_si, derivative(speed_si))
     choice = Choice('speed', (Part(best.speed, unit),), decisions=decisions)
-    if is_nameless(best.speed.topic, best.speed.field):
-        choice.reasons.append(
-            f'no name says speed; by its numbers: never negative, up to {np.max(best.speed.value):.3g}'
-        )
+    if is_nameless(best.speed):
+        top = np.max(best.speed.value)
+        choice.reasons.append(f'no name says speed; by its numbers: never negative, up to {top:.3g}')
         choice.decisions.append('whether this is the speed')
     if abs(best.push[0]) > _MIN_CORRELATION:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
@@ -394,14 +375,14 @@ def _choose_speed(
 
 def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
     """Return the evidence for a speed: its name, a position that is its integral, a force or acceleration."""
-    times, by_numbers = common_times(speed), is_nameless(speed.topic, speed.field)
+    times, by_numbers = common_times(speed), is_nameless(speed)
     slope = derivative(np.abs(at_times(speed, times)))
     position, travel, push = None, Travel(0.0, math.nan), (0.0, '')
     for item in series:
         if item is speed or np.ptp(item.value) == 0.0:
             continue
         where = item.topic, item.field
-        unnamed = by_numbers and is_nameless(*where)
+        unnamed = by_numbers and is_nameless(item)
         if unnamed or (score('position', *where) > 0.0 and score('speed', item.field, item.field) <= 0.0):
             found = compare_travel(speed, item)
             if found.correlation > travel.correlation:
@@ -422,10 +403,9 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
     named = unit_in(speed.name, unit_names('speed'))
     pairs = [
         (unit, length)
-        for length in (unit_names('length') if position is not None else ())
-        for unit in unit_names('speed')
-        if abs(best.travel.ratio * find_unit(length, 'length').factor / find_unit(unit, 'speed').factor - 1.0)
-        < _MAX_RATIO_ERROR
+        for length, meters in (_factors('length').items() if position is not None else ())
+        for unit, meters_per_s in _factors('speed').items()
+        if abs(best.travel.ratio * meters / meters_per_s - 1.0) < 0.04
     ]
     if position is not None and pairs:
         also = unit_in(position.name, unit_names('length'))
@@ -440,16 +420,11 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
         return named, '', [f'unit {named}: by its name'], []
     top = float(np.max(np.abs(speed.value)))
     steep = float(np.nanpercentile(np.abs(derivative(at_times(speed, common_times(speed)))), 99.0))
-    unit = 'km/h' if top > _MAX_MPS or steep > _MAX_MPS2 else 'm/s'
+    unit = 'km/h' if top > 60.0 or steep > 1.6 else 'm/s'  # no train reaches 60 m/s, or changes by 1.6 m/s^2 for long
     text = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
     return unit, '', [text], ['nothing but its range shows the unit of the speed']
 
 
-# Factor within which a slope is 1 or g [1].
-_UNIT_FACTOR: Final = 1.25
-# Another force explains at least so much more of the variance of the acceleration [1], a gradient so much.
-_MIN_FORCE_GAIN: Final = 0.02
-_MIN_GRADIENT_GAIN: Final = 1e-3
 # Largest number in each unit, where only the range shows it.
 _MAX_IN: Final = {
     'force': {'kN': 2000.0, 'N': math.inf},
@@ -458,16 +433,18 @@ _MAX_IN: Final = {
 }
 
 
+def _factors(quantity: str) -> dict[str, float]:
+    """Return the factors of the units of a quantity."""
+    return {name: find_unit(name, quantity).factor for name in unit_names(quantity)}
+
+
 def _unit_by_range(quantity: str, top: float) -> str:
     """Return the unit of the largest number of a quantity."""
     return next(unit for unit, limit in _MAX_IN[quantity].items() if top <= limit)
 
 
 def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
-    """Return the sources whose sum goes with the acceleration best; empty if nothing does.
-
-    The mass of the train file, if it is known, shows the unit.
-    """
+    """Return the sources whose sum goes with the acceleration best; empty if nothing does."""
     groups: dict[tuple[str, str, str], list[NumberSeries]] = {}
     for item in series:
         if score('force', item.topic, item.field) <= 0.0 or item.is_whole:
@@ -484,7 +461,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: T
         shares = {key: 0.0 if fit is None else fit.share for key, fit in fits.items()}
         best = max(rest, key=lambda key: shares[key])
         # Another measurement of the same force explains no more.
-        if shares[best] < share + _MIN_FORCE_GAIN:
+        if shares[best] < share + 0.02:
             break
         chosen, share = [*chosen, best], shares[best]
     return _as_force([groups[key] for key in chosen], motion, train_file)
@@ -494,12 +471,12 @@ def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberS
     """Return the number without a name that goes with the acceleration best and is not the acceleration; or none."""
     best: tuple[float, list[NumberSeries]] = (_MIN_NAMELESS, [])
     for item in series:
-        if item.is_whole or not is_nameless(item.topic, item.field):
+        if item.is_whole or not is_nameless(item):
             continue
         values = at_times(item, motion.times)
         fit = regress(motion.acceleration, [values], motion.moving)
         with_it = abs(correlation(values, motion.acceleration))
-        if fit is None or any(1.0 / _UNIT_FACTOR < abs(fit.slopes[0]) / unit < _UNIT_FACTOR for unit in (1.0, G)):
+        if fit is None or any(0.8 < abs(fit.slopes[0]) / unit < 1.25 for unit in (1.0, G)):  # an acceleration
             continue
         if with_it > best[0]:
             best = with_it, [item]
@@ -508,8 +485,7 @@ def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberS
 
 def _sum_at(items: Iterable[NumberSeries], motion: _Motion) -> Array:
     """Return the sum of series at the common times, shape (n,)."""
-    total: Array = np.sum([at_times(item, motion.times) for item in items], axis=0)
-    return total
+    return np.asarray(np.sum([at_times(item, motion.times) for item in items], axis=0))
 
 
 def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
@@ -520,13 +496,11 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: Tra
         return []
     signs = [math.copysign(1.0, slope) for slope in fit.slopes[: len(totals)]]
     total: Array = np.sum([sign * item for sign, item in zip(signs, totals, strict=True)], axis=0)
-    choice = Choice('force')
-    choice.reasons.append(
-        f'correlation {correlation(total, motion.acceleration):.2f} with d(speed)/dt {motion.minutes}'
-    )
+    with_it = correlation(total, motion.acceleration)
+    choice = Choice('force', reasons=[f'correlation {with_it:.2f} with d(speed)/dt {motion.minutes}'])
     unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), train_file)
     choice.parts = tuple(Part(item, unit, sign) for sign, items in zip(signs, groups, strict=True) for item in items)
-    if is_nameless(choice.parts[0].series.topic, choice.parts[0].series.field):
+    if is_nameless(choice.parts[0].series):
         choice.decisions.append('whether this is the force: no name says so')
     if len(choice.parts) > 1:
         choice.decisions.append('they are summed as forces of several cars or systems; leave out what counts twice')
@@ -541,7 +515,7 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
         choice.decisions.append('the unit; with --train the mass shows it')
         return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    fitting = nearest_unit(newtons, {name: find_unit(name, 'force').factor for name in unit_names('force')})
+    fitting = nearest_unit(newtons, _factors('force'))
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -553,11 +527,8 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
 
 def _total_force(force: Choice, motion: _Motion) -> Array:
     """Return the force [N] at the common times, shape (n,)."""
-    parts = [
-        find_unit(part.unit, 'force').factor * part.sign * at_times(part.series, motion.times) for part in force.parts
-    ]
-    total: Array = np.sum(parts, axis=0)
-    return total
+    parts = ((find_unit(part.unit, 'force').factor * part.sign, part.series) for part in force.parts)
+    return np.asarray(np.sum([factor * at_times(series, motion.times) for factor, series in parts], axis=0))
 
 
 def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: TrainFile | None) -> Array | None:
@@ -592,8 +563,8 @@ def _choose_gradient(
     if has_position:
         return [choice]
     where = Choice('position', text='{from: speed, start: 0.0, direction: 1}')
-    where.reasons.append('the line is looked up by position')
-    where.decisions.append('where the bag starts on the line [m], and whether positions rise (1) or fall (-1)')
+    where.reasons = ['the line is looked up by position']
+    where.decisions = ['where the bag starts on the line [m], and whether positions rise (1) or fall (-1)']
     return [where, choice]
 
 
@@ -605,7 +576,7 @@ def _gradient(
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
     unit, sign = named or _unit_by_range('gradient', top), 1.0
     permille, gain = _slowing(series, motion, total, train_file)
-    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _MIN_GRADIENT_GAIN else ''
+    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > 1e-3 else ''
     if by_slope:
         choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
         unit, sign = named or by_slope, math.copysign(1.0, permille)
@@ -636,7 +607,7 @@ def _slowing(
 
 def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -> list[Choice]:
     """Return a mass that fits the train file, or whose name and range say so; empty if there is none."""
-    units = {name: find_unit(name, 'mass').factor for name in unit_names('mass')}
+    units = _factors('mass')
     for item in series:
         value = float(np.median(item.value))
         if score('mass', item.topic, item.field) <= 0.0 or value <= 0.0:
@@ -657,14 +628,7 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
     return []
 
 
-# A brake acts up to so much later [s], and then takes so long to come to its value [s].
-_MAX_LAG_S: Final = 2.0
-_SETTLED_S: Final = 1.4
-_MAX_NOTCHES: Final = 16
-# Decelerations of a brake [m/s^2].
-_MIN_BRAKING: Final = 0.1
-_MAX_BRAKING: Final = 3.0
-_MIN_COMMANDS: Final = 10  # fewer are published on change
+_MIN_BRAKING: Final = 0.1  # deceleration of a brake that acts [m/s^2]
 
 
 def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array | None) -> list[Choice]:
@@ -680,12 +644,11 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
     target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
     target = _earlier(target, _precedes(item, motion, target)[0])
-    choice = Choice(
-        'brake_command', on_change=item.value.size < _MIN_COMMANDS or comes_on_change(item.time, item.value)
-    )
+    on_change = item.value.size < 10 or comes_on_change(item.time, item.value)
+    choice = Choice('brake_command', on_change=on_change)
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
-    if item.is_whole and np.unique(item.value).size <= _MAX_NOTCHES:
+    if item.is_whole and np.unique(item.value).size <= 16:
         choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
         choice.reasons.append(f'value of each notch: {by_force} while it holds')
         choice.decisions.append('the nominal deceleration of each notch')
@@ -724,7 +687,7 @@ def _precedes(item: NumberSeries, motion: _Motion, acceleration: Array) -> tuple
     """Return by how much a number precedes decelerations [s], and its correlation with them [1]."""
     values = at_times(item, motion.times)
     braking = np.where(motion.moving, np.minimum(acceleration, 0.0), np.nan)
-    lags = np.arange(0.0, _MAX_LAG_S, STEP_S).tolist()
+    lags = np.arange(0.0, 2.0, STEP_S).tolist()  # a brake acts at most 2 s later
     return max(((lag, correlation(values, _earlier(braking, lag))) for lag in lags), key=lambda entry: abs(entry[1]))
 
 
@@ -736,7 +699,7 @@ def _earlier(values: Array, by_s: float) -> Array:
 
 def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
     """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
-    wait = round(_SETTLED_S / STEP_S)
+    wait = round(1.4 / STEP_S)  # a brake takes 1.4 s to come to its value
     table = []
     for notch in np.unique(item.value):
         holds = values == notch
@@ -760,7 +723,7 @@ def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_
     ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
     sign = 1.0 if ratio > 0.0 else -1.0
     named = unit_in(item.name, ('percent',))
-    if not named and top <= _MAX_BRAKING and 0.5 < abs(ratio) < 2.0:
+    if not named and top <= 3.0 and 0.5 < abs(ratio) < 2.0:  # m/s^2, more than a brake gives
         choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
         choice.parts = (Part(item, 'm/s^2', sign),)
         return
