@@ -23,7 +23,7 @@ from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.records import BRAKE, NS_PER_S, SPEED, Row
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
-from trainid_ros.resistance.speed_states import A, C
+from trainid_ros.resistance.hypotheses import A, C
 from trainid_ros.setup.pipelines import (
     BRAKE_RATE,
     RESISTANCE,

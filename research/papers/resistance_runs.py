@@ -21,8 +21,8 @@ from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mil
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.resistance.davis_posterior import ForceErrors
-from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
+from trainid_ros.resistance.davis_posterior import MIN_FORCE_STD
+from trainid_ros.resistance.vmils import VMils, tracker_of
 from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 from trainid_ros.train.train_file import Davis
 
@@ -222,8 +222,8 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     """Return the result of one scenario, including ticks under braking, since here the brake force is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    tracker = tracker_of(_METRO_PRIOR, ForceErrors(0.0, 0.0, 0.0), config)
-    learner = WindowLearner(tracker, window_plan(config, metro.INERTIA, GRADIENT_STD))
+    tracker = tracker_of(_METRO_PRIOR, (MIN_FORCE_STD**2,) * 3, config)
+    learner = WindowLearner(tracker, config, metro.INERTIA, GRADIENT_STD)
     raw = data.raw
     columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
     for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, robust_fit
-from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent, robust_fit
 
 if TYPE_CHECKING:
-    from trainid_ros.resistance.normal import Normal
+    from trainid_ros.resistance.change_points import Normal
 
 # Prior standard deviation of the term of each parameter in w at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)

@@ -14,10 +14,9 @@ from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mil
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.davis_posterior import ForceErrors
-from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.vmils import tracker_of, window_plan
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent
+from trainid_ros.resistance.davis_posterior import MIN_FORCE_STD
+from trainid_ros.resistance.vmils import tracker_of
 from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 
 if TYPE_CHECKING:
@@ -97,8 +96,8 @@ class VMilsRaw(RowPeer):
 
     def __init__(self) -> None:
         config = VMilsConfig()
-        self._tracker = tracker_of(START, ForceErrors(0.0, 0.0, 0.0), config)
-        self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA, GRADIENT_STD))
+        self._tracker = tracker_of(START, (MIN_FORCE_STD**2,) * 3, config)
+        self._learner = WindowLearner(self._tracker, config, INERTIA, GRADIENT_STD)
 
     def items(self, stream: MetroStream) -> list[Item]:
         raw = stream.raw

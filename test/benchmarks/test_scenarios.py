@@ -31,7 +31,7 @@ from benchmarks.scenarios import (
 from benchmarks.tables import spread
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
 from trainid_ros.interface.results import Status
-from trainid_ros.resistance.speed_states import A, B, C
+from trainid_ros.resistance.hypotheses import A, B, C
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from test.brake_rate.reference_gsma import Array, Cloud, Model, correct, follow, predict, update
 from trainid_ros.brake_rate.gsma import Covariance
-from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm
+from trainid_ros.brake_rate.m_algorithm import GroupCloud
 from trainid_ros.brake_rate.motion_model import STATES, Start, Transition
 from trainid_ros.interface.vectors import vec
 
@@ -27,7 +27,6 @@ class Particles:
 
     def __init__(self, sizes: list[int], f: list[float], weight: list[float]) -> None:
         self.cloud, self.covariance = GroupCloud(sizes), Covariance()
-        self.algorithm = MAlgorithm(self.cloud)
         self.cloud.start(f, weight)
         self.covariance.reset(STDS)
         self.cloud.reinit_motion(START)
@@ -45,7 +44,7 @@ class Particles:
         self, y: float, q: Iterable[float], draws: list[float], f_max: float = 3.0, T: Iterable[float] = (1.0,)
     ) -> float:
         K, S = self.covariance.K, self.covariance.correct(R)
-        return self.algorithm.update(INTERVAL, vec[float](list(q)), y, K, S, f_max, vec[float](list(T)), draws)
+        return self.cloud.update(INTERVAL, vec[float](list(q)), y, K, S, f_max, vec[float](list(T)), draws)
 
 
 def model() -> Model:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion model over one sample compared with the equations of the module, and the variances of an estimate."""
+"""Response of the brake, gains by its timing, and the motion over one sample: as the equations of the module say."""
 
 from __future__ import annotations
 
@@ -10,12 +10,177 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from test.estimators.makers import stepped
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, BrakeStep, MotionModel, TimingStep, Transition
+from trainid_ros.brake_rate.motion_model import (
+    BLEND_SHAPE,
+    BrakeStep,
+    MotionModel,
+    Timing,
+    TimingStep,
+    Transition,
+    brake_step,
+)
 from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.forces import BrakeCommandChange, CommandHistory, lag_integral, lag_response
+from trainid_ros.train.train_file import Brake, TrainFile
+
+START = 1_700_000_000 * NS_PER_S
+
+
+def history(rng: np.random.Generator) -> CommandHistory:
+    stamps = np.cumsum(rng.integers(20_000_000, 400_000_000, 30))
+    changes = [BrakeCommandChange(START + int(s), -float(rng.uniform(0.0, 1.0))) for s in stamps]
+    commands = CommandHistory()
+    for change in changes:
+        commands.push(change)
+    return commands
+
+
+def integrate(
+    commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, *, initial: float, rate: float
+) -> tuple[float, float]:
+    """Return (a at the end, gain of v) by the midpoint rule in steps of 0.1 ms."""
+    step = 100_000
+    a, v = initial, 0.0
+    h = step / NS_PER_S
+    for t in range(start_ns, end_ns, step):
+        u = rate * commands.value(t + step // 2 - round(brake.delay * NS_PER_S))
+        middle = a + 0.5 * h * (u - a) / brake.time_constant
+        v += h * middle
+        a += h * (u - middle) / brake.time_constant
+    return a, v
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_response_equals_fine_integration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    commands, brake = history(rng), Brake(1.0, 0.4, 0.63)
+    start = START + 1_000_000_000 + int(rng.integers(0, 10**6)) * 1000
+    initial, rate = -0.35, 0.8
+    step = brake_step(commands, brake.delay, brake.time_constant, start, start + 700_000_000, initial)
+    a, v = integrate(commands, brake, start, start + 700_000_000, initial=initial, rate=rate)
+    # A change of command within a step of 0.1 ms changes a by about 1e-4 / 0.4 of its size at most.
+    assert step.decay * initial + rate * step.gain_a == pytest.approx(a, abs=5e-4)
+    assert step.reach * initial + rate * step.gain_v == pytest.approx(v, abs=5e-4)
+
+
+def test_two_intervals_compose_to_one() -> None:
+    commands, brake = history(np.random.default_rng(9)), Brake(1.0, 0.4, 0.6)
+    edges = [START + 1_000_000_000, START + 1_313_131_313, START + 2_000_000_001]
+    first, second, total = (
+        brake_step(commands, brake.delay, brake.time_constant, edges[i], edges[k], 0.0)
+        for i, k in ((0, 1), (1, 2), (0, 2))
+    )
+    a0, f = -0.2, 0.9
+    a1 = first.decay * a0 + f * first.gain_a
+    a2 = second.decay * a1 + f * second.gain_a
+    v = first.reach * a0 + f * first.gain_v + second.reach * a1 + f * second.gain_v
+    assert total.decay * a0 + f * total.gain_a == pytest.approx(a2, rel=1e-12)
+    assert total.reach * a0 + f * total.gain_v == pytest.approx(v, rel=1e-12)
+
+
+def test_the_dead_time_is_exact() -> None:
+    commands = CommandHistory((BrakeCommandChange(START, -1.0),))
+    brake = Brake(1.0, 0.4, 0.6)
+    before = brake_step(commands, brake.delay, brake.time_constant, START, START + 600_000_000, 0.0)
+    assert (before.gain_a, before.gain_v) == (0.0, 0.0)
+    after = brake_step(commands, brake.delay, brake.time_constant, START, START + 1_000_000_000, -0.5)
+    assert after.gain_a == pytest.approx(np.exp(-1.0) - 1.0, rel=1e-12)
+    assert after.end_target == pytest.approx(-0.5 * np.exp(-2.5) + after.gain_a, rel=1e-12)
+    assert after.gain_v == pytest.approx(-(0.4 - 0.4 * (1.0 - np.exp(-1.0))), rel=1e-12)
+
+
+def test_a_brake_without_lag_follows_at_once() -> None:
+    commands = CommandHistory((BrakeCommandChange(START, -1.0),))
+    step = brake_step(commands, 0.0, 0.0, START, START + NS_PER_S // 2, -0.7)
+    assert (step.decay, step.reach, step.gain_a, step.gain_v) == (0.0, 0.0, -1.0, -0.5)
+
+
+COMMANDS = CommandHistory((BrakeCommandChange(NS_PER_S, -0.8),))
+STEP_NS = NS_PER_S // 5
+
+
+def integral(delay: float, lag: float, until_s: float) -> float:
+    """Return the integral of the lagged target [m/s]."""
+    return lag_integral(0.0, -0.8, lag, until_s - 1.0 - delay)
+
+
+def followed(timing: Timing, seconds: float) -> list[TimingStep]:
+    steps = []
+    for k in range(round(5.0 * seconds)):
+        end_s = 0.2 * (k + 1)
+        nominal = integral(timing.delay, timing.lag, end_s) - integral(timing.delay, timing.lag, end_s - 0.2)
+        steps.append(timing.step(COMMANDS, k * STEP_NS, (k + 1) * STEP_NS, nominal))
+    return steps
+
+
+def targets(timing: Timing) -> tuple[float, float, float, float]:
+    return timing.later, timing.sooner, timing.slower, timing.faster
+
+
+def test_the_gains_are_the_derivatives_of_the_response() -> None:
+    timing = Timing(0.6, 0.4, 0.02, 0.02)
+    steps = followed(timing, 3.0)
+    h = 1e-3
+    delay = (integral(0.6 + h, 0.4, 3.0) - integral(0.6 - h, 0.4, 3.0)) / (2.0 * h)
+    lag = (integral(0.6, 0.4 + h, 3.0) - integral(0.6, 0.4 - h, 3.0)) / (2.0 * h)
+    assert sum(step.delay_gain for step in steps) == pytest.approx(delay, rel=0.01)
+    assert sum(step.lag_gain for step in steps) == pytest.approx(lag, rel=0.01)
+    # The gain is the full brake acceleration, for dead time and lag.
+    assert delay == pytest.approx(0.8, rel=0.04)
+    assert targets(timing) == pytest.approx((-0.8,) * 4, abs=0.03)
+
+
+def test_a_large_timing_error_adds_variance_while_the_response_changes() -> None:
+    stds = ((0.3, 0.2), (0.3, 0.0), (0.0, 0.2))
+    variances, of_delay, of_lag = (
+        np.array([step.variance for step in followed(Timing(0.6, 0.4, *pair), 5.0)]) for pair in stds
+    )
+    assert variances == pytest.approx(of_delay + of_lag, rel=1e-9, abs=1e-15)
+    assert min(of_delay.max(), of_lag.max()) > 1e-5
+    assert variances[:4].max() < 1e-12
+    assert variances[4:12].max() > 1e-4
+    assert variances[-3:].max() < 1e-5
+
+
+def test_without_commands_the_gains_are_zero() -> None:
+    timing = Timing(0.6, 0.4, 0.1, 0.1)
+    step = timing.step(CommandHistory(), 0, STEP_NS, 0.0)
+    assert (step.delay_gain, step.lag_gain, step.variance) == (0.0, 0.0, 0.0)
+    assert not timing.has_acted
+    assert timing.is_idle(CommandHistory(), STEP_NS)
+    assert not timing.is_idle(COMMANDS, 2 * NS_PER_S)
+
+
+def test_the_timing_moves_to_its_estimate_and_stays_valid() -> None:
+    moved, low, known = (
+        Timing(0.6, 0.4, 0.3, 0.2, has_acted=True),
+        Timing(0.6, 0.4, 0.3, 0.2),
+        Timing(0.6, 0.4, 0.0, 0.0),
+    )
+    moved.move((0.15, -0.1), (0.05, 0.5), Brake())
+    assert (moved.delay, moved.lag) == pytest.approx((0.75, 0.3))
+    assert not moved.has_acted
+    assert (moved.delay_std, moved.lag_std) == pytest.approx((0.05, 0.2))
+    low.move((-9.0, -9.0), (0.0, 0.0), Brake())
+    assert (low.delay, low.lag) == pytest.approx((0.0, 0.1))
+    assert min(low.delay_std, low.lag_std) > 0.0
+    # A known timing is not estimated.
+    known.move((0.0, 0.0), (1.0, 1.0), Brake())
+    assert (known.delay_std, known.lag_std) == (0.0, 0.0)
+
+
+def test_the_four_targets_equal_those_of_four_brakes() -> None:
+    timing = Timing(0.6, 0.4, 0.2, 0.1)
+    followed(timing, 2.2)
+    brakes = ((0.8, 0.4), (0.4, 0.4), (0.6, 0.5), (0.6, 0.3))
+    expected = [lag_response(0.0, -0.8, lag, 1.2 - delay) for delay, lag in brakes]
+    assert targets(timing) == pytest.approx(expected, rel=1e-6)
+
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
@@ -90,9 +255,7 @@ def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: 
 
 
 def braked(train_file: TrainFile, samples: list[Sample]) -> BrakeRateEstimator:
-    estimator = Gsma(train_file, CONFIG, np.random.default_rng(1))
-    for item in samples:
-        estimator.step(item)
+    estimator = stepped(Gsma(train_file, CONFIG, np.random.default_rng(1)), samples)
     assert estimator.state.observable
     return estimator
 

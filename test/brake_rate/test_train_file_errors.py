@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.stepping import step_and_estimate
+from test.estimators.makers import stepped
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.setup.pipelines import BRAKE_RATE
 from trainid_ros.stream.samples import Sample
@@ -51,9 +50,7 @@ def test_a_dead_time_error_of_three_tenths_is_estimated(
     train_file: TrainFile, stopping: list[Sample], name: str, late: float
 ) -> None:
     brake = Brake(1.0, LAG, DELAY + late)
-    estimator = make(replace(train_file, brake=brake), name)
-    for item in stopping:
-        estimator.step(item)
+    estimator = stepped(make(replace(train_file, brake=brake), name), stopping)
     timing, e = estimator.state.timing, estimator.estimate(0.0)
     # The train responds to the sum of dead time and lag.
     assert timing.delay + timing.lag == pytest.approx(DELAY + LAG, abs=0.14)
@@ -74,8 +71,7 @@ def test_a_dead_time_error_does_not_bias_the_first_braking(train_file: TrainFile
             resistance=lambda _: TRUE,
             seed=seed,
         )
-        for item in samples:
-            estimator.step(item)
+        stepped(estimator, samples)
         e = estimator.estimate(0.0)
         errors.append(abs(e.brake_rate - 0.9))
         assert errors[-1] < 3.0 * e.brake_rate_std
@@ -100,9 +96,7 @@ def test_a_resistance_error_is_estimated_between_brakings(
 
 def test_with_a_table_over_speed_the_estimate_is_a_factor_on_it(train_file: TrainFile, stopping: list[Sample]) -> None:
     """With a table of 0.8 at all speeds, a rate of 0.9 is a factor of 1.125."""
-    estimator = make(replace(train_file, brake=Brake(1.0, LAG, DELAY, ((0.0, 0.8), (30.0, 0.8)))))
-    for item in stopping:
-        estimator.step(item)
+    estimator = stepped(make(replace(train_file, brake=Brake(1.0, LAG, DELAY, ((0.0, 0.8), (30.0, 0.8))))), stopping)
     assert estimator.estimate(0.0).brake_rate == pytest.approx(1.125, abs=0.02)
 
 
@@ -116,9 +110,7 @@ def test_a_correct_table_leaves_no_slope_error(train_file: TrainFile, journey: J
             for c in item.brake_changes
         )
         samples.append(replace(item, brake_changes=changes))
-    estimator = make(replace(train_file, brake=brake))
-    for item in samples:
-        estimator.step(item)
+    estimator = stepped(make(replace(train_file, brake=brake)), samples)
     assert estimator.estimate(0.0).brake_rate == pytest.approx(1.0, abs=0.06)
 
 
@@ -154,20 +146,3 @@ def test_the_band_covers_the_truth_on_fresh_seeds(train_file: TrainFile, journey
             if estimator.state.observable and item.brake_command < 0.0:
                 inside.append(abs(e.brake_rate - f) < 1.96 * e.brake_rate_std)
     assert np.mean(inside) > 0.8
-
-
-@pytest.mark.parametrize('name', NAMES)
-def test_a_run_saved_and_restored_at_any_time_continues_bit_identical(
-    train_file: TrainFile, stopping: list[Sample], name: str
-) -> None:
-    """In the dead time, at a change of level, at release, and after the timing was updated."""
-    file = replace(train_file, brake=Brake(1.0, LAG, DELAY + 0.2))
-    for middle in (103, 132, 162, 190):
-        original, copy = make(file, name), make(file, name, seed=99)
-        for item in stopping[:middle]:
-            original.step(item)
-        copy.restore(original.save())
-        for item in stopping[middle : middle + 60]:
-            assert repr(step_and_estimate(copy, item)) == repr(step_and_estimate(original, item))
-        assert copy.save() == original.save()
-        assert math.isfinite(original.estimate(0.0).brake_rate)

@@ -14,12 +14,12 @@ ROOT = Path(__file__).resolve().parents[2]
 ALGORITHMS = (
     (
         'resistance/filter_bank',
-        ('resistance/hypotheses', 'resistance/speed_states'),
+        ('resistance/hypotheses',),
         'resistance/reference_filter_bank',
     ),
     (
         'resistance/vmils',
-        ('resistance/window_learner', 'resistance/change_points', 'resistance/normal'),
+        ('resistance/window_learner', 'resistance/change_points'),
         'resistance/reference_vmils',
     ),
     ('speed_model/am_vff_rls', (), 'speed_model/reference_am_vff_rls'),

@@ -7,33 +7,20 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
+from test.estimators.makers import NAMES, make, run
 from trainid_ros.interface.records import Record
-from trainid_ros.interface.results import Output, Reason, Status
+from trainid_ros.interface.results import Reason, Status
 from trainid_ros.resistance.davis_fit import PieceCollector
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.sample_stream import DriveHistory
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import TrainFile
 
-SETTINGS = EstimatorSettings()
-MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
-    'resistance': resistance_pipeline,
-    'speed_model': speed_model_pipeline,
-    'brake_rate': brake_rate_pipeline,
-}
 SPEEDS = np.linspace(4.0, 20.0, 9)
 # Allowed increase of the error over that of a train without any effect: N/kN, N/kN, brake rate [1].
 ALLOWANCE = {'resistance': 0.2, 'speed_model': 0.5, 'brake_rate': 0.01}
@@ -88,14 +75,9 @@ def day(file: TrainFile, runs: int) -> Simulation:
     return simulate(Scenario(file, runs=runs), np.random.default_rng(99))
 
 
-def run(job: str, file: TrainFile, records: Iterable[Record]) -> list[Output[Any]]:
-    pipeline = MAKERS[job](file, SETTINGS)
-    return [output for record in records for output in pipeline.push(record)]
-
-
 def error(job: str, train_file: TrainFile, simulation: Simulation) -> float:
     """Mean error over the second half: rms of w over speeds [N/kN], or of the brake rate while it brakes."""
-    outputs = run(job, train_file, simulation.records)
+    outputs = run(make(job, train_file), simulation.records)
     late = outputs[len(outputs) // 2 :]
     if job == 'brake_rate':
         rates = [(o.estimate, simulation.truth.truth_at_ns(o.stamp_ns).brake_rate or 0.0) for o in late]
@@ -105,9 +87,8 @@ def error(job: str, train_file: TrainFile, simulation: Simulation) -> float:
 
 
 def last_finding(job: str, file: TrainFile, records: Iterable[Record]) -> str:
-    pipeline = MAKERS[job](file, SETTINGS)
-    for record in records:
-        pipeline.push(record)
+    pipeline = make(job, file)
+    run(pipeline, records)
     return pipeline.stream.last_finding
 
 
@@ -115,7 +96,7 @@ def last_finding(job: str, file: TrainFile, records: Iterable[Record]) -> str:
 def plain(line: TrainFile) -> dict[str, float]:
     """Errors on the same drives without any effect."""
     simulation = day(line, 2)
-    return {job: error(job, line, simulation) for job in MAKERS}
+    return {job: error(job, line, simulation) for job in NAMES}
 
 
 @pytest.mark.slow
@@ -126,7 +107,7 @@ def test_a_modelled_effect_adds_no_error_and_a_missing_one_does(
     case = CASES[name]
     true = with_effect(line, case.text)
     simulation = day(true, 2)
-    known = {job: error(job, true, simulation) for job in MAKERS}
+    known = {job: error(job, true, simulation) for job in NAMES}
     unknown = error(case.degrades, line, simulation)
     print(name, {job: round(e, 4) for job, e in known.items()}, 'unknown:', case.degrades, round(unknown, 4))
     for job, found in known.items():
@@ -160,14 +141,14 @@ def test_one_run_suffices_to_show_the_difference(text: str, job: str, low: float
 
 
 def test_a_brake_scale_is_the_prior_brake_rate(line: TrainFile) -> None:
-    pipeline = brake_rate_pipeline(with_effect(line, 'brake_scale:ratio=0.8'), SETTINGS)
+    pipeline = make('brake_rate', with_effect(line, 'brake_scale:ratio=0.8'))
     assert pipeline.current().estimate.brake_rate == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize('delay', [-1.2, 1.2])
 def test_a_stamp_skew_makes_no_estimate_stale(delay: float, line: TrainFile) -> None:
     true = with_effect(line, f'stamp_skew:delay={delay}')
-    outputs = run('resistance', true, day(true, 1).records)
+    outputs = run(make('resistance', true), day(true, 1).records)
     assert Status.STALE not in {output.status for output in outputs[20:]}
     assert outputs[-1].used > 100
 
@@ -176,7 +157,7 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     true = with_effect(line, 'bearing_warmup:value=4,distance=3000')
     records = day(true, 1).records
     half = len(records) // 2
-    first, second = (resistance_pipeline(true, SETTINGS) for _ in range(2))
+    first, second = (make('resistance', true) for _ in range(2))
     for record in records[:half]:
         first.push(record)
     saved = first.save()
@@ -186,7 +167,7 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     assert outputs[0] == outputs[1]
     assert second.save() == first.save()
     # Without the drive history the bearings would be assumed cold again.
-    fresh = resistance_pipeline(true, SETTINGS)
+    fresh = make('resistance', true)
     fresh.estimator.restore(first.estimator.save())
     fresh.push(records[-1])
     assert fresh.save() != first.save()

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 
-from trainid_ros.estimators.pipeline import EstimatorPipeline
+from test.estimators.makers import NAMES, make, run
 from trainid_ros.interface.records import (
     FORCE,
     NS_PER_S,
@@ -21,23 +20,11 @@ from trainid_ros.interface.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.interface.results import Output, Status
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.interface.results import Status
 from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]
 Rates = dict[type[Record], float]
-SETTINGS = EstimatorSettings()
-MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
-    'resistance': resistance_pipeline,
-    'speed_model': speed_model_pipeline,
-    'brake_rate': brake_rate_pipeline,
-}
 KINDS = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord)
 ALL_SLOW: Rates = dict.fromkeys(KINDS, 1.0)
 LEARNED_S = 20.0
@@ -59,11 +46,7 @@ def at_rates(records: Records, rates: Rates, low: float = 0.0, high: float = mat
             yield record
 
 
-def run(pipeline: EstimatorPipeline[Any], records: Iterable[Record]) -> list[Output[Any]]:
-    return [output for record in records for output in pipeline.push(record)]
-
-
-@pytest.mark.parametrize('name', MAKERS)
+@pytest.mark.parametrize('name', NAMES)
 @pytest.mark.parametrize(
     'rates',
     [
@@ -77,7 +60,7 @@ def run(pipeline: EstimatorPipeline[Any], records: Iterable[Record]) -> list[Out
     ids=['all 1', 'all 2.5', 'speed 1', 'brake 1', 'force gradient 1', 'force 2.5 gradient 1'],
 )
 def test_inputs_of_any_rate_are_not_missing(name: str, rates: Rates, metro: TrainFile, day: Records) -> None:
-    pipeline = MAKERS[name](metro, SETTINGS)
+    pipeline = make(name, metro)
     run(pipeline, at_rates(day, rates, 0.0, LEARNED_S))
     used = pipeline.used
     outputs = run(pipeline, at_rates(day, rates, LEARNED_S, 120.0))
@@ -92,7 +75,7 @@ def test_inputs_of_any_rate_are_not_missing(name: str, rates: Rates, metro: Trai
 def test_the_timeout_of_a_slow_topic_follows_its_rate(
     kind: type[Record], rate: float, metro: TrainFile, day: Records
 ) -> None:
-    pipeline, rates = resistance_pipeline(metro, SETTINGS), {kind: rate}
+    pipeline, rates = make('resistance', metro), {kind: rate}
     run(pipeline, at_rates(day, rates, 0.0, 40.0))
     last_ns = max(r.stamp_ns for r in at_rates(day, rates, 0.0, 40.0) if isinstance(r, kind))
     became: int | None = None
@@ -107,7 +90,7 @@ def test_the_timeout_of_a_slow_topic_follows_its_rate(
 
 
 def test_timeout_ns_follows_the_rate_of_the_topic(metro: TrainFile, day: Records) -> None:
-    pipeline = resistance_pipeline(metro, SETTINGS)
+    pipeline = make('resistance', metro)
     run(pipeline, at_rates(day, {ForceRecord: 1.0}, 0.0, LEARNED_S))
     assert pipeline.timeout_ns(FORCE) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
     assert pipeline.timeout_ns(SPEED) == 0.8 * NS_PER_S
@@ -117,7 +100,7 @@ def test_timeout_ns_follows_the_rate_of_the_topic(metro: TrainFile, day: Records
 
 @pytest.mark.parametrize('rates', [ALL_SLOW, {BrakeRecord: 1.0}], ids=['all 1', 'brake 1'])
 def test_the_brake_rate_is_learned_at_one_record_per_second(rates: Rates, metro: TrainFile, day: Records) -> None:
-    pipeline = brake_rate_pipeline(metro, SETTINGS)
+    pipeline = make('brake_rate', metro)
     outputs = run(pipeline, at_rates(day, rates))
     valid = [o.estimate for o in outputs if o.status is Status.VALID]
     assert len(valid) > 30

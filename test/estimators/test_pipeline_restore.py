@@ -5,32 +5,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from test.estimators.makers import NAMES, make, run
 from trainid_ros.estimators.pipeline import EstimatorPipeline, share_streams
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Reason, Status
-from trainid_ros.setup.pipelines import (
-    RESISTANCE,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
 from trainid_ros.train.train_file import Effect, TrainFile
 
-MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
-    'resistance': resistance_pipeline,
-    'speed_model': speed_model_pipeline,
-    'brake_rate': brake_rate_pipeline,
-}
-ALL = pytest.mark.parametrize('name', MAKERS)
+ALL = pytest.mark.parametrize('name', NAMES)
 Records = tuple[Record, ...]
 EFFECTS = (
     Effect('wheel_diameter', (('ratio', 1.01),)),
@@ -39,14 +28,8 @@ EFFECTS = (
 )
 
 
-def make(name: str, train_file: TrainFile) -> EstimatorPipeline[Any]:
-    if name == 'V-MILS':
-        return resistance_pipeline(train_file, EstimatorSettings(resistance=RESISTANCE.choose(name)))
-    return MAKERS[name](train_file, EstimatorSettings())
-
-
 def push(pipeline: EstimatorPipeline[Any], records: Iterable[Record]) -> list[str]:
-    return [repr(output) for record in records for output in pipeline.push(record)]
+    return [repr(output) for output in run(pipeline, records)]
 
 
 @pytest.fixture(scope='module')
@@ -76,7 +59,7 @@ def faulty(day: Records) -> list[Record]:
     return records
 
 
-@pytest.mark.parametrize('name', [*MAKERS, 'V-MILS'])
+@pytest.mark.parametrize('name', [*NAMES, 'V-MILS'])
 @pytest.mark.parametrize('effects', [(), EFFECTS], ids=['plain', 'effects'])
 def test_restored_at_any_record_all_further_outputs_are_equal_to_the_bit(
     name: str, effects: tuple[Effect, ...], metro: TrainFile, faulty: list[Record]
@@ -177,10 +160,10 @@ def variance(estimate: Any) -> float:
 
 
 def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: TrainFile, day: Records) -> None:
-    pipelines = [make(name, metro) for name in MAKERS]
+    pipelines = [make(name, metro) for name in NAMES]
     for pipeline in pipelines:
         push(pipeline, day[:1000])
-    copies = [make(name, metro) for name in MAKERS]
+    copies = [make(name, metro) for name in NAMES]
     for copy, pipeline in zip(copies, pipelines, strict=True):
         copy.restore(pipeline.save())
     assert len(share_streams(copies)) == 1

@@ -10,9 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.hypotheses import Bank
+from trainid_ros.resistance.hypotheses import STATES, Bank, SpeedFilter
 
 Array = NDArray[np.float64]
+
+
+def covariance(one: SpeedFilter) -> Array:
+    """Return the covariance of a filter, shape (9, 9)."""
+    P = np.zeros((STATES, STATES))
+    P[np.triu_indices(STATES)] = list(one.P)
+    return np.asarray(P + np.triu(P, 1).T)
 
 
 @dataclass
@@ -32,8 +39,8 @@ class BankRows:
         """Return those of a bank, as copies."""
         items = bank.hypotheses
         return BankRows(
-            x=np.array([item.filter.mean() for item in items]),
-            P=np.array([item.filter.covariance() for item in items]),
+            x=np.array([list(item.filter.x) for item in items]),
+            P=np.array([covariance(item.filter) for item in items]),
             log_weight=np.array([item.log_weight for item in items]),
             age=np.array([item.age for item in items]),
             size=np.array([item.size for item in items]),

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.resistance.davis_posterior import MAX_DELAY, MIN_DELAY
-from trainid_ros.resistance.hypotheses import BankPlan
-from trainid_ros.resistance.speed_states import Interval
+from trainid_ros.resistance.hypotheses import BankPlan, Interval
 
 Array = NDArray[np.float64]
 V, A, C, G, E, KAPPA, DELTA = 0, 1, 3, 4, 5, 6, 7

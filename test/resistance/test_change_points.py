@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracker follows steps, ignores bursts, recovers from lock-out and otherwise does not forget."""
+"""Normal distributions as in textbooks; the tracker follows steps, ignores bursts and recovers from lock-out."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -13,22 +14,126 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from test.resistance.reference_vmils import VMils
-from trainid_ros.interface.state import encode, restore
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, robust_fit
-from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.change_points import (
+    OUTLIER_WIDTH,
+    Array,
+    ChangePointConfig,
+    Normal,
+    Tracker,
+    gate,
+    independent,
+    inflated,
+    information_in,
+    information_of,
+    mixed,
+    normal,
+    normal_of,
+    robust_fit,
+    soft_update,
+    weigh,
+)
 
-STD = 0.5
+STD = np.array([0.9, 0.02, 5e-3, 0.03, 0.15, 0.2])
+
+
+def some(n: int, seed: int = 1) -> Normal:
+    """Correlated parameters whose standard deviations differ by orders of magnitude."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, 2 * n))
+    S = root @ root.T
+    r = STD[:n] / np.sqrt(np.diag(S))
+    return normal(STD[:n] * rng.standard_normal(n), r[:, None] * S * r)
+
+
+def regressor(n: int) -> Array:
+    return np.array([1.0, 12.0, 150.0, -40.0, -3.0, 0.8])[:n]
+
+
+def numbers(x: Array) -> vec[float]:
+    return vec[float](x.tolist())
+
+
+def assert_equal(found: Normal, theta: Array, P: Array, tolerance: float) -> None:
+    """Compare two distributions in standard deviations."""
+    std = np.sqrt(np.diag(P))
+    assert np.max(np.abs(found.theta - theta) / std) < tolerance
+    assert np.max(np.abs(found.P - P) / np.outer(std, std)) < tolerance
+
+
+@pytest.mark.parametrize('n', [3, 6])
+def test_without_outliers_an_update_is_that_of_recursive_least_squares(n: int) -> None:
+    before, phi, y, R, slow = some(n), regressor(n), 5.0, 0.3, 2.0
+    predicted = float(phi @ before.theta), float(phi @ before.P @ phi)
+    assert before.predict(numbers(phi)) == pytest.approx(predicted)
+    found, weight, score = soft_update(before, numbers(phi), y, R, slow, 0.0)
+    nu, S = y - phi @ before.theta, phi @ before.P @ phi + R
+    K = before.P @ phi / (phi @ before.P @ phi + slow * R)
+    assert weight == 1.0
+    assert score == pytest.approx(-0.5 * (nu * nu / S + math.log(2.0 * math.pi * S)), rel=1e-12)
+    assert found.theta == pytest.approx(before.theta + K * nu, rel=1e-9)
+    assert pytest.approx(before.P - np.outer(K, phi @ before.P), rel=1e-9, abs=1e-15) == found.P
+
+
+@pytest.mark.parametrize('n', [3, 6])
+def test_adding_information_gives_the_same_update(n: int) -> None:
+    before, phi, y, R = some(n), regressor(n), 5.0, 0.3
+    parts = information_of(before), information_in(numbers(phi), y, R)
+    found = normal_of(numbers(np.array(list(parts[0])) + np.array(list(parts[1]))), n)
+    expected = soft_update(before, numbers(phi), y, R, 1.0, 0.0)[0]
+    assert_equal(found, expected.theta, expected.P, 1e-9)
+
+
+@pytest.mark.parametrize('y', [1e3, -1e9, 1e150])
+def test_an_outlier_changes_nothing_and_its_likelihood_is_bounded_below(y: float) -> None:
+    before = some(6)
+    found, weight, score = soft_update(before, numbers(regressor(6)), y, 0.3, 1.0, 0.05)
+    assert found is before
+    assert weight == 0.0
+    assert score == pytest.approx(math.log(0.05 / (OUTLIER_WIDTH * math.sqrt(0.3))))
+
+
+def test_a_mixture_has_the_moments_of_samples_drawn_from_it() -> None:
+    one, other = some(3, 1), some(3, 2)
+    rng, n = np.random.default_rng(5), 200_000
+    draws = [rng.multivariate_normal(item.theta, item.P, k) for item, k in ((one, n // 4), (other, 3 * n // 4))]
+    together = np.concatenate(draws)
+    found = mixed([one, other], [2.0, 6.0])
+    assert np.abs(found.theta - together.mean(axis=0)) == pytest.approx(np.zeros(3), abs=0.01 * STD[:3].max())
+    assert np.diag(found.P) == pytest.approx(together.var(axis=0), rel=0.02)
+    assert pytest.approx(one.P, rel=1e-12) == mixed([one], [0.3]).P
+    # Other weights for the covariance leave the mean.
+    stated, off = mixed([one, other], [2.0, 6.0], [1.0, 1.0]), np.array([one.theta, other.theta]) - found.theta
+    assert stated.theta.tolist() == found.theta.tolist()
+    assert pytest.approx(0.5 * (one.P + other.P + np.outer(off[0], off[0]) + np.outer(off[1], off[1]))) == stated.P
+
+
+def test_steps_increase_variances_up_to_the_limit_and_keep_correlations() -> None:
+    item = some(3)
+    steps = np.array([1e-2, 1e-5, 1e-6])
+    assert pytest.approx(np.diag(steps), abs=1e-15) == inflated(item, steps).P - item.P
+    most = np.array([1.0, 1e-3, 1e-4])
+    limited = inflated(item, 1e9 * steps, most)
+    assert np.diag(limited.P) == pytest.approx(most)
+    assert np.linalg.eigvalsh(limited.P)[0] > 0.0
+    assert (limited.theta == item.theta).all()
+
+
+def test_the_weight_is_the_probability_that_an_observation_is_good() -> None:
+    nu, S, R, eps = 1.3, 0.4, 0.25, 0.1
+    good = 0.9 * math.exp(-0.5 * nu * nu / S) / math.sqrt(2.0 * math.pi * S)
+    anything = 0.1 / (OUTLIER_WIDTH * 0.5)
+    assert weigh(nu, S, R, eps)[0] == pytest.approx(good / (good + anything), rel=1e-12)
+    assert weigh(nu, S, R, eps)[1] == pytest.approx(math.log(good + anything), rel=1e-12)
+    # At the gate good and bad are equally likely.
+    assert weigh(gate(eps) * 0.5, R, R, eps)[0] == pytest.approx(0.5, abs=1e-9)
+    assert gate(0.0) == math.inf
+
+
+NOISE = 0.5
 PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))
 PLAN = ChangePointConfig(
-    p=4,
-    outliers=0.1,
-    step_variances=(1.0, 1e-4, 1e-6),
-    hazard=1e-3,
-    spacing=8,
-    hypotheses=5,
-    min_age=32,
-    lockout=60,
+    p=4, outliers=0.1, step_variances=(1.0, 1e-4, 1e-6), hazard=1e-3, spacing=8, hypotheses=5, min_age=32, lockout=60
 )
 Spoil = Callable[[int, np.random.Generator], float]
 
@@ -41,11 +146,18 @@ def w(v: float | NDArray[np.float64], a: float = 1.5) -> float | NDArray[np.floa
     return a + 0.03 * v + 0.004 * v * v
 
 
-def track(seed: int, count: int, *, a: Callable[[int], float] = lambda _: 1.5, spoil: Spoil | None = None) -> Tracker:
-    rng, tracker = np.random.default_rng(seed), Tracker(PRIOR, PLAN)
+def track(
+    seed: int,
+    count: int,
+    *,
+    a: Callable[[int], float] = lambda _: 1.5,
+    spoil: Spoil | None = None,
+    plan: ChangePointConfig = PLAN,
+) -> Tracker:
+    rng, tracker = np.random.default_rng(seed), Tracker(PRIOR, plan)
     for i, v in enumerate(rng.uniform(3.0, 20.0, count).tolist()):
-        y = float(w(v, a(i))) + STD * float(rng.standard_normal())
-        tracker.update(phi(v), y + (spoil(i, rng) if spoil else 0.0), STD * STD)
+        y = float(w(v, a(i))) + NOISE * float(rng.standard_normal())
+        tracker.update(phi(v), y + (spoil(i, rng) if spoil else 0.0), NOISE * NOISE)
     return tracker
 
 
@@ -66,12 +178,10 @@ def test_the_long_memory_is_multi_innovation_least_squares(
     reference = VMils(PRIOR.theta, PRIOR.P, p, outliers)
     for v in rng.uniform(3.0, 20.0, 50).tolist():
         R = float(rng.uniform(0.1, 1.0))
-        y = float(w(v)) + STD * float(rng.standard_normal()) + (spoiled if rng.random() < outliers else 0.0)
+        y = float(w(v)) + NOISE * float(rng.standard_normal()) + (spoiled if rng.random() < outliers else 0.0)
         weight = tracker.update(phi(v), y, R, slow)
         assert weight == pytest.approx(reference.update(np.array(phi(v)), y, R, slow), rel=1e-6, abs=1e-12)
-        std = np.sqrt(np.diag(reference.P))
-        assert np.max(np.abs(tracker.estimate.theta - reference.theta) / std) < 1e-6
-        assert np.max(np.abs(tracker.estimate.P - reference.P) / np.outer(std, std)) < 1e-6
+        assert_equal(tracker.estimate, reference.theta, reference.P, 1e-6)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -80,7 +190,7 @@ def test_without_changes_it_is_as_accurate_as_least_squares(seed: int) -> None:
     std = np.mean([tracker.estimate.predict(phi(v))[1] for v in np.linspace(3.0, 20.0, 30).tolist()]) ** 0.5
     assert tracker.steps_found == 0
     # Three parameters from 2000 observations, and some variance for a possible recent step.
-    assert 0.9 < std / (STD * (3.0 / 2000.0) ** 0.5) < 1.7
+    assert 0.9 < std / (NOISE * (3.0 / 2000.0) ** 0.5) < 1.7
     assert error(tracker) < 3.0 * std
 
 
@@ -95,14 +205,10 @@ def test_a_step_is_followed(step: float) -> None:
 
 
 def test_the_stated_covariance_covers_a_step_before_the_estimate_follows_it() -> None:
-    def known(step_weight: float) -> Tracker:
-        tracker, rng = Tracker(PRIOR, replace(PLAN, step_weight=step_weight)), np.random.default_rng(3)
-        for i, v in enumerate(rng.uniform(3.0, 20.0, 1010).tolist()):
-            y = float(w(v, 1.5 if i < 1000 else 2.0)) + STD * float(rng.standard_normal())
-            tracker.update(phi(v), y, STD * STD)
-        return tracker
-
-    plain, cautious = known(1.0), known(100.0)
+    plain, cautious = (
+        track(3, 1010, a=lambda i: 1.5 if i < 1000 else 2.0, plan=replace(PLAN, step_weight=weight))
+        for weight in (1.0, 100.0)
+    )
     assert plain.stated.P.tolist() == plain.estimate.P.tolist()
     assert cautious.estimate.theta == pytest.approx(plain.estimate.theta, abs=0.01)
     assert cautious.stated.P[0, 0] > 1.5 * plain.stated.P[0, 0]
@@ -112,9 +218,9 @@ def test_the_stated_covariance_covers_a_step_before_the_estimate_follows_it() ->
 def test_noise_that_lasts_for_eight_observations_is_not_detected_as_a_step(seed: int) -> None:
     rng, tracker = np.random.default_rng(seed), Tracker(PRIOR, PLAN)
     for v in rng.uniform(3.0, 20.0, (190, 8)).tolist():
-        noise = STD * float(rng.standard_normal())
+        noise = NOISE * float(rng.standard_normal())
         for x in v:
-            tracker.update(phi(x), float(w(x)) + noise, STD * STD, 8.0)
+            tracker.update(phi(x), float(w(x)) + noise, NOISE * NOISE, 8.0)
     assert tracker.steps_found == 0
 
 
@@ -131,26 +237,12 @@ def test_it_is_robust_to_30_per_cent_one_sided_outliers() -> None:
     assert error(tracker) < 0.15
 
 
-def test_a_restored_tracker_continues_bit_identically() -> None:
-    tracker = track(5, 333)
-    copy = Tracker(PRIOR, PLAN)
-    restore(copy, encode(tracker))
-    copy.refresh()
-    for item in (tracker, copy):
-        item.update(vec[float]([1.0, 10.0, 101.0]), 3.0, 0.2, 1.5)
-    assert copy.estimate.theta.tolist() == tracker.estimate.theta.tolist()
-    assert encode(copy) == encode(tracker)
-    copy.reset()
-    assert copy.estimate.theta == pytest.approx(PRIOR.theta)
-    assert pytest.approx(PRIOR.P) == copy.estimate.P
-
-
 def test_the_robust_fit_follows_the_rows_that_agree() -> None:
     rng = np.random.default_rng(8)
     v = rng.uniform(3.0, 20.0, 200)
-    y = w(v) + STD * rng.standard_normal(200)
+    y = w(v) + NOISE * rng.standard_normal(200)
     y = np.where(rng.random(200) < 0.3, y + rng.uniform(4.0, 20.0, 200), y)
-    rows = tuple((1.0, float(x), float(x * x), float(z), STD * STD, 1.0) for x, z in zip(v, y, strict=True))
+    rows = tuple((1.0, float(x), float(x * x), float(z), NOISE * NOISE, 1.0) for x, z in zip(v, y, strict=True))
     fit = robust_fit(rows, PRIOR)
     assert fit is not None
     at = np.linspace(3.0, 20.0, 30)

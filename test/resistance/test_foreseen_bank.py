@@ -8,14 +8,9 @@ import pytest
 
 from test.resistance.bank_rows import BankRows
 from trainid_ros.estimators.settings import FilterBankConfig
-from trainid_ros.resistance.filter_bank import bank_plan, foreseen_mixtures, mean_covariance, usual_deviations
+from trainid_ros.resistance.filter_bank import FilterBank, bank_plan, foreseen_mixtures, usual_deviations
 from trainid_ros.resistance.hypotheses import Bank, Mixture
-from trainid_ros.resistance.suggested_drive import (
-    KM_H,
-    Manoeuvre,
-    Run,
-    plan_run,
-)
+from trainid_ros.resistance.suggested_drive import KM_H, Manoeuvre, Run, plan_run
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
@@ -67,6 +62,8 @@ def test_usual_deviations_are_two_sequences_of_opposite_sign() -> None:
 
 
 def test_covariances_are_averaged() -> None:
-    first, second = after(usual_deviations(run(), 1)[0]), after(usual_deviations(run(), 1)[1])
-    mean = mean_covariance([first[0], second[0]])
-    assert list(mean) == [0.5 * (x + y) for x, y in zip(first[0].covariance, second[0].covariance, strict=True)]
+    bank, pair = FilterBank(FILE, FilterBankConfig()), usual_deviations(run(), 1)
+    (both,), (first,), (second,) = (list(bank.foreseen(run(), 1, some)) for some in (pair, pair[:1], pair[1:]))
+    mean = [0.5 * (x + y) for x, y in zip(first.covariance, second.covariance, strict=True)]
+    assert first.covariance != second.covariance
+    assert both.covariance == pytest.approx(mean, rel=1e-12)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator apart from the algorithm: stops with and without weighing, changes, and the delay of the force."""
+"""The estimator apart from the algorithm: force delay, curve error, disturbances, stops and changes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,111 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from test.estimators.makers import stepped
 from trainid_ros.estimators.settings import AmVffRlsConfig
+from trainid_ros.interface.state import encode, restore
+from trainid_ros.interface.vectors import vec
 from trainid_ros.setup.pipelines import am_vff_rls
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Learned
-from trainid_ros.speed_model.nuisance_parameters import ForceDelay, RecentSamples
-from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Learned, Tuning
+from trainid_ros.speed_model.speed_model_estimator import (
+    CurveError,
+    Disturbance,
+    ForceDelay,
+    RecentSamples,
+    SpeedModelEstimator,
+)
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
+
+NONE = (0.0, 0.0, 0.0, 0.0)
+UNIT = (1.0, 0.0, 0.0, 0.0)
+
+
+def recent(rows: list[tuple[float, float]]) -> RecentSamples:
+    samples = RecentSamples()
+    for dt, speed in rows:
+        samples.add(dt, speed, -speed, 2.0 * speed)
+    return samples
+
+
+def test_a_past_value_is_interpolated_and_limited_to_the_oldest() -> None:
+    samples = recent([(math.nan, 1.0), (0.2, 2.0), (0.2, 4.0)])
+    expected = [4.0, 4.0, 3.0, 2.0, 1.5, 1.0]
+    assert [samples.speed(t) for t in (-1.0, 0.0, 0.1, 0.2, 0.3, 9.0)] == pytest.approx(expected)
+    assert (samples.track(0.3), samples.curve(0.3)) == pytest.approx((-1.5, 3.0))
+    samples.add(math.nan, 7.0, 0.0, 0.0)
+    assert samples.speed(0.3) == 7.0
+
+
+def test_the_last_second_of_samples_is_kept_and_restored() -> None:
+    samples, copy = recent([(0.2, float(k)) for k in range(20)]), RecentSamples()
+    assert sorted(samples._speeds) == [14.0, 15.0, 16.0, 17.0, 18.0, 19.0]
+    assert samples.speed(9.0) == 14.0
+    restore(copy, encode(samples))
+    assert [copy.speed(t) for t in (0.1, 0.5, 9.0)] == [samples.speed(t) for t in (0.1, 0.5, 9.0)]
+
+
+def test_changes_of_the_force_reveal_its_delay() -> None:
+    rng, late = np.random.default_rng(1), ForceDelay.unknown(0.15)
+    for _ in range(50):
+        late.sensitivity = 0.0
+        assert late.predict(0.9) == pytest.approx(0.81 * late.variance)
+        error = 0.9 * (0.2 - late.delay) + 0.03 * float(rng.standard_normal())
+        late.update(error, 0.03**2 + late.sensitivity**2 * late.variance, 0.03**2)
+    assert late.delay == pytest.approx(0.2, abs=0.02)
+    assert math.sqrt(late.variance) < 0.01
+
+
+@pytest.mark.parametrize('density', [1e-5, 4e-4])
+def test_the_strength_of_a_disturbance_is_estimated(density: float) -> None:
+    rng, disturbance = np.random.default_rng(2), Disturbance.declared(0.006)
+    for _ in range(9000):
+        disturbance.add(float(rng.normal(0.0, math.sqrt(0.2 * density))), NONE, UNIT, 0.2, 0.0)
+    assert disturbance.density == pytest.approx(density, rel=0.6)
+
+
+def test_window_errors_of_one_sign_indicate_a_change() -> None:
+    disturbance = Disturbance.declared(0.01)
+    for _ in range(450):
+        disturbance.add(0.0015, NONE, UNIT, 0.2, 0.0)
+    assert disturbance.chi2 > 9.0
+
+
+def test_the_curve_error_is_estimated_as_by_a_kalman_filter() -> None:
+    """For x and the error only: a matrix Kalman filter with two states."""
+    tuning = Tuning(0.0, 0.0, 0.0, 1.0, math.inf, 1.0, 1.0, 4.0, 0.0)
+    model, curve = AuxiliaryModel((0.0, 1.0, 1e-3, 0.0), (0.0,) * 7 + (1.0, 0.0, 0.0), tuning), CurveError(0.0, 0.04)
+    model.start(1e-2)
+    model.reinit_speed(10.0, 1e-2)
+    P, R, change = np.diag([1e-2, 0.04]), 4e-4, -0.05
+    F = np.array([[1.0, change], [0.0, 1.0]])
+    curve.predict(model, change, 0.0, 1.0)
+    P = F @ P @ F.T
+    assert (model.P[0], curve.x) == pytest.approx((P[0, 0], P[0, 1]))
+    S, error = P[0, 0] + R, 0.03
+    model.correct(error, R)
+    curve.update(model, error, S, R)
+    K = P[:, 0] / S
+    expected = P - np.outer(K, P[0])
+    assert (curve.error, curve.x, curve.variance) == pytest.approx((K[1] * error, expected[0, 1], expected[1, 1]))
+
+
+@pytest.mark.parametrize(('size', 'kept'), [(0.9, 1.0), (2.0, 0.5)])
+def test_covariances_shrink_only_as_far_as_the_variances_require(size: float, kept: float) -> None:
+    """c = P h has c' P^-1 c = h' P h; beyond the variance of the error it shrinks to it."""
+    tuning = Tuning(0.0, 0.0, 0.0, 1.0, math.inf, 1.0, 1.0, 4.0, 0.0)
+    model, factor = AuxiliaryModel((0.0, 1.0, 1e-3, 0.0), (1.0,) * 10, tuning), np.random.default_rng(5)
+    L = factor.standard_normal((5, 5))
+    P, h = L @ L.T, factor.standard_normal(5)
+    model.P = vec[float](P.ravel().tolist())
+    c = P @ h * size / math.sqrt(h @ P @ h)
+    curve = CurveError(0.0, 1.0, *c.tolist())
+    curve.bound(model)
+    assert (curve.x, curve.a1, curve.a2, curve.b1, curve.d0) == pytest.approx(tuple(kept * c))
+
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
@@ -30,10 +126,7 @@ def powered(journey: Journey) -> list[Sample]:
 
 
 def learned(train_file: TrainFile, samples: list[Sample]) -> SpeedModelEstimator:
-    estimator = am_vff_rls(train_file, CONFIG)
-    for item in samples:
-        estimator.step(item)
-    return estimator
+    return stepped(am_vff_rls(train_file, CONFIG), samples)
 
 
 @pytest.mark.parametrize(('weighed', 'std'), [(True, CONFIG.weighing_std), (False, CONFIG.load_std)])

@@ -53,10 +53,8 @@ if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# Candidate standard deviations, as multiples of the configured one: a factor of 1.42 apart.
-_LOW: Final = 0.3
-_HIGH: Final = 10.0
-_LEVELS: Final = 11
+# Smallest and largest candidate for the std of b, as multiples of the configured one, and their number.
+_LOW, _HIGH, _LEVELS = 0.3, 10.0, 11
 # Prior of the configured value: log-normal, one standard deviation is this factor.
 _PRIOR_FACTOR: Final = 2.5
 # The evidence is forgotten exponentially over this distance [m].
@@ -83,7 +81,7 @@ class Candidate:
         self.v, self.b, self.vv, self.vb, self.bb = speed, 0.0, r, 0.0, variance
 
     def advance(self, interval: Transition, known: float, variance: float, speed: float, r: float) -> float:
-        """Predict v' = v + dt b + known, b' = rho b over an interval, and update with a measured speed.
+        """Predict v' = v + dt b + known, b' = rho b, and update with a measured speed; return its log-likelihood.
 
         Args:
             interval: Motion model without a brake.
@@ -91,9 +89,6 @@ class Candidate:
             variance: Stationary variance of b [(m/s^2)^2].
             speed: Measured speed [m/s].
             r: Its variance [(m/s)^2].
-
-        Returns:
-            The log-likelihood of the speed.
         """
         dt, rho = interval.dt, interval.rho
         S = self.vv + dt * (2.0 * self.vb + dt * self.bb) + interval.q_v + r
@@ -176,9 +171,11 @@ def _candidates() -> tuple[Candidate, ...]:
 
 # After missing commands the state of the brake is known again this many time constants later.
 _SETTLING: Final = 6.0
+# Gain of the measured position in the filtered one [1].
 _POSITION_GAIN: Final = 0.1
 # Standard deviation of the brake acceleration at a restart of the train state [m/s^2].
 _REINIT_BRAKE_STD: Final = 0.05
+# Time for which commands are kept beyond the dead time [s].
 _HISTORY_S: Final = 60.0
 # Upper limits for learning the disturbance: residual braking [m/s^2], and traction error over the std of b [1].
 _MAX_RESIDUAL_BRAKING: Final = 1e-3
@@ -187,10 +184,7 @@ _MAX_TRACTION_SHARE: Final = 0.5
 _MEMORY: Final = 100.0
 _MAX_SQUARE: Final = 9.0
 _MAX_EXCESS: Final = 10.0
-# Margin of a valid rate below its limit [standard deviations].
-_MIN_MARGIN_STDS: Final = 3.0
-MAX_RATE_FACTOR: Final = 3.0
-"""Largest brake rate as a multiple of that of the train file [1]."""
+MAX_RATE_FACTOR: Final = 3.0  # largest brake rate as a multiple of that of the train file [1]
 
 
 @dataclass
@@ -236,10 +230,8 @@ class BrakeRateEstimator:
         # Settings that each sample needs.
         self._min_speed, self._min_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
         self._q, self._scale_std, self._valid_std = config.drift**2, config.scale_std, config.valid_std
-        self._white, self._max_traction_variance = (
-            config.acceleration_noise**2,
-            (_MAX_TRACTION_SHARE * config.disturbance_std) ** 2,
-        )
+        self._white = config.acceleration_noise**2
+        self._max_traction_variance = (_MAX_TRACTION_SHARE * config.disturbance_std) ** 2
         self._max_rate = MAX_RATE_FACTOR * brake.rate
         self.reset()
 
@@ -247,11 +239,12 @@ class BrakeRateEstimator:
         """Reset to the prior."""
         config, brake = self.config, self._brake
         self.posterior.reset(brake.rate, config.prior_std, self._model.stds)
-        noise = SpeedNoise.declared(config.speed_std)
-        disturbance = DisturbanceNoise.declared(self._model.disturbance_std)
-        delay_std, lag_std = self._model.timing_stds
-        timing = Timing(brake.delay, brake.time_constant, delay_std, lag_std)
-        self.state = EstimatorState(noise, disturbance, CommandHistory(), timing)
+        self.state = EstimatorState(
+            SpeedNoise.declared(config.speed_std),
+            DisturbanceNoise.declared(self._model.disturbance_std),
+            CommandHistory(),
+            Timing(brake.delay, brake.time_constant, *self._model.timing_stds),
+        )
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
     def save(self) -> str:
@@ -280,10 +273,10 @@ class BrakeRateEstimator:
         return result
 
     def _check_validity(self) -> None:
-        """Decide whether the rate is valid, with a hysteresis of factor two; a rate at its limit may exceed it."""
+        """Decide whether the rate is valid, with a hysteresis of factor two; one within 3 stds of its limit is not."""
         state, std = self.state, self._std()
         limit = self._valid_std * (2.0 if state.converged else 1.0)
-        state.converged = std < limit and state.rate + _MIN_MARGIN_STDS * std < self._max_rate
+        state.converged = std < limit and state.rate + 3.0 * std < self._max_rate
 
     def idle(self, seconds: float) -> None:
         """Let the drift of the rate go on over a time without samples [s]."""
@@ -306,7 +299,9 @@ class BrakeRateEstimator:
                 self._reinit_motion(sample, 0.0)
             return rejection
         braking = max(abs(state.filtered_target), abs(motion.start_target))
-        if braking < self._min_braking or self._released(sample) or _is_pulling(sample):
+        # Traction may begin before the brake is off, as at a departure.
+        is_pulling = sample.brake_command >= 0.0 and sample.force_mean > 0.0
+        if braking < self._min_braking or self._released(sample) or is_pulling:
             posterior.follow(sample.speed, state.noise.variance)
             self._learn_disturbance(sample, interval, braking)
             return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._min_braking)
@@ -467,8 +462,3 @@ class BrakeRateEstimator:
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
         )
-
-
-def _is_pulling(sample: Sample) -> bool:
-    """Whether traction has begun before the brake is off, as at a departure."""
-    return sample.brake_command >= 0.0 and sample.force_mean > 0.0

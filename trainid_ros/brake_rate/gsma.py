@@ -47,10 +47,9 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainid_ros.brake_rate.brake_rate_estimator import MAX_RATE_FACTOR, BrakeRateEstimator
-from trainid_ros.brake_rate.m_algorithm import GroupCloud, MAlgorithm, zeros
+from trainid_ros.brake_rate.m_algorithm import GroupCloud, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.scalars import is_finite
@@ -100,7 +99,7 @@ class Covariance:
         P[0], P[n + 1], P[2 * (n + 1)] = start.variances
 
     def predict(self, step: Transition) -> None:
-        """Predict over an interval, P = Phi P Phi' + Q, eq. (14); only v takes from other states."""
+        """Predict over an interval; only v takes from other states."""
         # [3] P = Phi P Phi' + Q, eq. (14)
         P, gains, decay, n = self.P, self._gains, self._decay, STATES
         gains[1], gains[2], decay[1], decay[2] = step.reach, step.dt, step.decay, step.rho
@@ -131,11 +130,7 @@ class Covariance:
         return variance
 
     def correct(self, r: float) -> float:
-        """Set the gain of a measured speed of variance r [(m/s)^2], eq. (20), and update P, eq. (21).
-
-        Returns:
-            The variance of the innovation, eq. (16) [(m/s)^2].
-        """
+        """Set the gain of a measured speed of variance r [(m/s)^2], update P; return the variance of the innovation."""
         P, K, n = self.P, self.K, STATES
         # [4] Eq. (16).
         S = P[0] + r
@@ -155,10 +150,7 @@ class Covariance:
 def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float, float]:
     """Return the probabilities [1] that a quiet brake started to jump, and that a jump ended.
 
-    Args:
-        config: Settings.
-        dt: Time in which jumps are observable, the sample period times ``steadiness`` [s].
-        pause: Time before the sample in which no brake acted [s].
+    Jumps are observable for ``dt`` [s], the sample period times ``steadiness``; before, no brake acted in a pause [s].
     """
     return -math.expm1(-config.jump_rate * (dt + pause)), -math.expm1(-dt / config.jump_time)
 
@@ -172,13 +164,6 @@ def drifts(config: JumpConfig) -> tuple[float, float]:
     return quiet, quiet + config.jump_std**2 / config.jump_time
 
 
-_JUMPING_SHARE: Final = 1.0 / 3.0
-_MIN_PARTICLES: Final = 3
-_ROUNDING: Final = 1e-6
-MIN_PAUSE_S: Final = 1e-6
-"""Shorter times without braking are rounding [s]."""
-
-
 class GsmaPosterior:
     """Particles in a quiet and a jumping stratum, with one covariance for all."""
 
@@ -189,13 +174,12 @@ class GsmaPosterior:
         self._max_rate = MAX_RATE_FACTOR * expected
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
-        jumping = max(_MIN_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
+        jumping = max(3, round(config.particles / 3)) if config.jump_rate > 0.0 else 0
         self._sizes = [config.particles - jumping, jumping] if jumping else [config.particles]
         # Variance of f in each stratum [1/s].
         self._q = drifts(config)
         self._walk, self._chain = zeros(len(self._sizes)), vec[float]([1.0] * len(self._sizes) ** 2)
         self.cloud, self._covariance = GroupCloud(self._sizes), Covariance()
-        self._algorithm = MAlgorithm(self.cloud)
         self._config = config
         self.reset(expected, config.prior_std, NO_ERRORS)
 
@@ -208,11 +192,6 @@ class GsmaPosterior:
     def variance(self) -> float:
         """Variance of f [1]."""
         return self.cloud.rate_variance
-
-    @property
-    def P(self) -> NDArray[np.float64]:
-        """Covariance of x given f, shape (n, n)."""
-        return np.array(list(self._covariance.P)).reshape(STATES, STATES)
 
     def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1]: from the particles, plus the variance of e given f."""
@@ -257,7 +236,7 @@ class GsmaPosterior:
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Reset to the prior: particles at its quantiles, strata at the stationary weights of the Markov chain."""
-        # [1] The normal distribution of the standard library, because importing that of SciPy is slow.
+        # [1]
         prior = NormalDist(rate, std)
         f = [max(0.0, prior.inv_cdf((i + 0.5) / n)) for n in self._sizes for i in range(n)]
         starts, ends = transition(self._config, 1.0)
@@ -298,7 +277,7 @@ class GsmaPosterior:
             return False
         dt, steadiness, pause = interval.dt, interval.steadiness, elapsed - interval.dt
         # [8]
-        if pause > MIN_PAUSE_S:
+        if pause > 1e-6:  # a shorter one is rounding
             self.cloud.inflate_variance(interval, self._drift * self._drift * pause)
         quiet, jumping = self._q
         self._walk[0] = quiet * dt
@@ -309,7 +288,7 @@ class GsmaPosterior:
             self._chain[0], self._chain[1], self._chain[2], self._chain[3] = 1.0 - starts, starts, ends, 1.0 - ends
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()
-        self._effective = self._algorithm.update(
+        self._effective = self.cloud.update(
             interval, self._walk, speed, self._covariance.K, S, self._max_rate, self._chain, uniforms
         )
         return True

@@ -32,12 +32,22 @@ from trainid_ros.interface.vectors import i64, vec
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.motion_model import Start, Transition
 
-WIDTH: Final = 13
-"""Number of columns of A, those of 1, f and x0."""
-# Rows of x.
+WIDTH: Final = 2 + STATES  # number of columns of A, those of 1, f and x0
+# Rows of v, a and e in x.
 _V: Final = 0
 _A: Final = 1
 _E: Final = 3
+# Logarithms of the prior weights of the children in a group: outer and middle.
+_LOG_OUTER: Final = math.log(1.0 / 6.0)
+_LOG_MIDDLE: Final = math.log(4.0 / 6.0)
+# Width of the kernel in standard deviations of f [1], and the change of a value when its stratum shrinks for it.
+_KAPPA: Final = 0.2
+_SHRUNK: Final = math.sqrt(1.0 - _KAPPA * _KAPPA) - 1.0
+# Limit of the factor that scales survivors to the variance before pruning.
+_MAX_SPREAD_FACTOR: Final = 2.0
+_TINY: Final = 1e-300
+# Lower limit of the variance: if one child has all the weight, the spread within its group is still unknown.
+_MIN_VARIANCE: Final = 1e-10
 
 
 def zeros(count: int) -> vec[float]:
@@ -82,6 +92,23 @@ class GroupCloud:
         self.v = zeros(N)
         # The next states, and one row of them.
         self._next, self._row = zeros(n * N), zeros(N)
+        # What a step of the M-algorithm sets. Stratum of each child, and so of each particle.
+        self._of = vec[i64]([m for _ in range(3) for m, size in enumerate(sizes) for _ in range(size)])
+        self._next_f = zeros(N)
+        # Of each particle: f shrunk, how far it moved, innovation, weight of its group, weight times f.
+        self._base, self._moved, self._nu, self._w0, self._wf = zeros(N), zeros(N), zeros(N), zeros(N), zeros(N)
+        # Of each child: rate, weight, place in the order of f. Child g of particle i has the number g N + i.
+        self._rates, self._w = zeros(3 * N), zeros(3 * N)
+        self._order, self._merged = vec[i64]([0] * (3 * N)), vec[i64]([0] * (3 * N))
+        self._runs = vec[i64]([0] * (3 * N + 1))
+        # Of each survivor: its particle, its distance from it, and its shift to the moments before pruning.
+        self._parent, self._off, self._shift = vec[i64]([0] * N), zeros(N), zeros(N)
+        # Of each stratum: step, and slopes of the predicted states over f and within the groups, shape (n, M).
+        self._h, self._slopes, self._c, self._c_v = zeros(M), zeros(n * M), zeros(n * M), zeros(M)
+        # Sums over its children of w, w f, w f^2, w off, w f off, w x and w x f.
+        self._sum_w, self._sum_wf, self._sum_wff, self._sum_woff, self._sum_wfoff = (zeros(M) for _ in range(5))
+        self._sum_wx, self._sum_wxf, self._share = zeros(M), zeros(M), zeros(M)
+        self._next_weight, self._next_mean, self._next_variance = zeros(M), zeros(M), zeros(M)
         self.reset_transform()
 
     def start(self, f: list[float], weight: list[float]) -> None:
@@ -213,6 +240,7 @@ class GroupCloud:
         return self._expected(self.A, j * WIDTH)
 
     def _expected(self, row: vec[float], at: i64) -> float:
+        """Return the mean of a row [1, f, x0] that begins at ``at``."""
         mean = row[at] + row[at + 1] * self.rate
         for k in range(STATES):
             mean += row[at + 2 + k] * self.x_mean[k]
@@ -275,49 +303,7 @@ class GroupCloud:
             for j in range(STATES):
                 self.slope[j * M + m] /= ratio
 
-
-# Logarithms of the prior weights of the children in a group: outer and middle.
-_LOG_OUTER: Final = math.log(1.0 / 6.0)
-_LOG_MIDDLE: Final = math.log(4.0 / 6.0)
-_KAPPA: Final = 0.2
-_SHRUNK: Final = math.sqrt(1.0 - 0.2 * 0.2) - 1.0
-# Limit of the factor that scales survivors to the variance before pruning.
-_MAX_SPREAD_FACTOR: Final = 2.0
-_TINY: Final = 1e-300
-# Lower limit of the variance: if one child has all the weight, the spread within its group is still unknown.
-_MIN_VARIANCE: Final = 1e-10
-
-
-class MAlgorithm:
-    """Steps of a cloud of particles in which a measured speed updates f.
-
-    Args:
-        cloud: The particles; a step changes them.
-    """
-
-    def __init__(self, cloud: GroupCloud) -> None:
-        N, M, n = int(cloud.N), int(cloud.M), STATES
-        self._cloud, self.N, self.M, self._edges = cloud, cloud.N, cloud.M, cloud.edges
-        # Stratum of each child, and so of each particle.
-        sizes = [int(cloud.edges[m + 1] - cloud.edges[m]) for m in range(M)]
-        self._of = vec[i64]([m for _ in range(3) for m, size in enumerate(sizes) for _ in range(size)])
-        # The next rates and states.
-        self._next_f, self._next = zeros(N), zeros(n * N)
-        # Of each particle: f shrunk, how far it moved, innovation, weight of its group, weight times f, a state.
-        self._base, self._moved, self._nu, self._w0, self._wf = zeros(N), zeros(N), zeros(N), zeros(N), zeros(N)
-        self._row = zeros(N)
-        # Of each child: rate, weight, place in the order of f. Child g of particle i has the number g N + i.
-        self._rates, self._w = zeros(3 * N), zeros(3 * N)
-        self._order, self._merged = vec[i64]([0] * (3 * N)), vec[i64]([0] * (3 * N))
-        self._runs = vec[i64]([0] * (3 * N + 1))
-        # Of each survivor: its particle, its distance from it, and its shift to the moments before pruning.
-        self._parent, self._off, self._shift = vec[i64]([0] * N), zeros(N), zeros(N)
-        # Of each stratum: step, and slopes of the predicted states over f and within the groups, shape (n, M).
-        self._h, self._slopes, self._c, self._c_v = zeros(M), zeros(n * M), zeros(n * M), zeros(M)
-        # Sums over its children of w, w f, w f^2, w off, w f off, w x and w x f.
-        self._sum_w, self._sum_wf, self._sum_wff, self._sum_woff, self._sum_wfoff = (zeros(M) for _ in range(5))
-        self._sum_wx, self._sum_wxf, self._share = zeros(M), zeros(M), zeros(M)
-        self._next_weight, self._next_mean, self._next_variance = zeros(M), zeros(M), zeros(M)
+    # The M-algorithm.
 
     def update(
         self,
@@ -330,7 +316,7 @@ class MAlgorithm:
         chain: vec[float],
         uniforms: list[float],
     ) -> float:
-        """Branch, weigh and prune predicted particles.
+        """Branch, weigh and prune predicted particles; return the effective number of children [1].
 
         Args:
             step: Motion model since the last sample.
@@ -341,12 +327,8 @@ class MAlgorithm:
             largest: Largest rate [1]; children outside 0 <= f <= largest get the weight zero.
             chain: Transition probabilities from stratum (row) to stratum (column), shape (M, M).
             uniforms: A draw in [0, 1) for each stratum, shape (M,).
-
-        Returns:
-            The effective number of children [1].
         """
-        cloud = self._cloud
-        cloud.flush_if_coupled()
+        self.flush_if_coupled()
         self._branch(step, walk, speed)
         effective = self._weigh(1.0 / math.sqrt(S), largest)
         self._sum_rates(chain)
@@ -357,29 +339,28 @@ class MAlgorithm:
         for j in range(STATES):
             self._correct(j, K[j])
             self._copy_to_survivors(j, chain)
-        cloud.x, self._next, cloud.f, self._next_f = self._next, cloud.x, self._next_f, cloud.f
-        cloud.reset_transform()
+        self.x, self._next, self.f, self._next_f = self._next, self.x, self._next_f, self.f
+        self.reset_transform()
         self._take_moments()
         return effective
 
     def _branch(self, step: Transition, walk: vec[float], speed: float) -> None:
         """Shrink the strata; set step and slopes within their groups, and the innovations of the middle children."""
-        cloud, base, moved, nu, M = self._cloud, self._base, self._moved, self._nu, self.M
-        f, v = cloud.f, cloud.v
+        base, moved, nu, M, f, v = self._base, self._moved, self._nu, self.M, self.f, self.v
         for m in range(M):
-            kernel = _KAPPA * _KAPPA * cloud.variance[m]
+            kernel = _KAPPA * _KAPPA * self.variance[m]
             both = max(walk[m] + kernel, _TINY)
             # [10]
             self._h[m] = math.sqrt(3.0 * both)
             # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
             for j in range(STATES):
                 gain = step.gain_v if j == _V else step.gain_a if j == _A else 0.0
-                slope = cloud.slope_of(j, m)
+                slope = self.slope_of(j, m)
                 self._slopes[j * M + m] = slope
                 self._c[j * M + m] = gain + kernel / both * (slope - gain)
             self._c_v[m] = self._c[_V * M + m]
-            mean, slope = cloud.mean[m], self._slopes[_V * M + m]
-            for i in range(self._edges[m], self._edges[m + 1]):
+            mean, slope = self.mean[m], self._slopes[_V * M + m]
+            for i in range(self.edges[m], self.edges[m + 1]):
                 # [9]
                 off = _SHRUNK * (f[i] - mean)
                 moved[i] = off
@@ -394,8 +375,8 @@ class MAlgorithm:
         base, nu, rates, w, N = self._base, self._nu, self._rates, self._w, self.N
         peak = -math.inf
         for m in range(self.M):
-            low, high = self._edges[m], self._edges[m + 1]
-            prior = math.log(max(self._cloud.weight[m], _TINY) / float(high - low))
+            low, high = self.edges[m], self.edges[m + 1]
+            prior = math.log(max(self.weight[m], _TINY) / float(high - low))
             for g in range(3):
                 off, log_prior = float(g - 1) * self._h[m], prior + (_LOG_MIDDLE if g == 1 else _LOG_OUTER)
                 ahead, child = off * self._c[_V * self.M + m], g * N
@@ -422,11 +403,11 @@ class MAlgorithm:
 
         f counts from its mean before, so that the moments are not differences of large numbers.
         """
-        base, w, w0, wf, N, M, centre = self._base, self._w, self._w0, self._wf, self.N, self.M, self._cloud.rate
+        base, w, w0, wf, N, M, centre = self._base, self._w, self._w0, self._wf, self.N, self.M, self.rate
         for m in range(M):
             h = self._h[m]
             ones = firsts = squares = offs = products = 0.0
-            for i in range(self._edges[m], self._edges[m + 1]):
+            for i in range(self.edges[m], self.edges[m + 1]):
                 f, below, above = base[i] - centre, w[i], w[2 * N + i]
                 one, off = below + w[N + i] + above, (above - below) * h
                 first, product = f * one + off, f * off + (above + below) * h * h
@@ -458,8 +439,14 @@ class MAlgorithm:
 
         Survivors are in order, so there is a run for each child of the group in each stratum.
         """
-        runs, count = self._runs, 3 * self.N
-        last = self._find_runs()
+        rates, order, runs, count = self._rates, self._order, self._runs, 3 * self.N
+        last: i64 = 0
+        for k in range(count):
+            order[k] = k
+            if k == 0 or rates[k] < rates[k - 1]:
+                runs[last] = k
+                last += 1
+        runs[last] = count
         while last > 1:
             pair: i64 = 0
             while pair < last:
@@ -469,18 +456,6 @@ class MAlgorithm:
             last = (last + 1) // 2
             runs[last] = count
             self._order, self._merged = self._merged, self._order
-
-    def _find_runs(self) -> i64:
-        """Number the children in order, and find where the runs begin; return how many there are."""
-        rates, order, runs, count = self._rates, self._order, self._runs, 3 * self.N
-        last: i64 = 0
-        for k in range(count):
-            order[k] = k
-            if k == 0 or rates[k] < rates[k - 1]:
-                runs[last] = k
-                last += 1
-        runs[last] = count
-        return last
 
     def _merge(self, low: i64, middle: i64, high: i64) -> None:
         """Merge the runs from ``low`` and from ``middle``, up to ``high``."""
@@ -498,7 +473,7 @@ class MAlgorithm:
         """Choose the survivors of a stratum by systematic resampling of all children, with a draw in [0, 1)."""
         order, rates, w, of, share, N, M = self._order, self._rates, self._w, self._of, self._share, self.N, self.M
         parent, off, f = self._parent, self._off, self._next_f
-        low, high = self._edges[m], self._edges[m + 1]
+        low, high = self.edges[m], self.edges[m + 1]
         size = float(high - low)
         for source in range(M):
             share[source] = chain[source * M + m] / self._next_weight[m]
@@ -517,7 +492,7 @@ class MAlgorithm:
 
     def _match(self, m: i64) -> None:
         """Shift and scale the survivors of a stratum to the mean and the variance of f before pruning."""
-        f, shift, low, high = self._next_f, self._shift, self._edges[m], self._edges[m + 1]
+        f, shift, low, high = self._next_f, self._shift, self.edges[m], self.edges[m + 1]
         size, average, spread = float(high - low), 0.0, 0.0
         for k in range(low, high):
             average += f[k]
@@ -526,7 +501,7 @@ class MAlgorithm:
             spread += (f[k] - average) * (f[k] - average)
         # [15]
         factor = min(math.sqrt(self._next_variance[m] / max(spread / size, _TINY)), _MAX_SPREAD_FACTOR)
-        mean = self._cloud.rate + self._next_mean[m]
+        mean = self.rate + self._next_mean[m]
         for k in range(low, high):
             matched = mean + factor * (f[k] - average)
             shift[k] = matched - f[k]
@@ -534,18 +509,18 @@ class MAlgorithm:
 
     def _correct(self, j: i64, K: float) -> None:
         """Update a state of the middle children, eq. (21), and sum it over the children of each stratum."""
-        cloud, moved, nu, w0, wf, row, c = self._cloud, self._moved, self._nu, self._w0, self._wf, self._row, self._c
-        f, x, N, M = cloud.f, cloud.x, self.N, self.M
+        moved, nu, w0, wf, row, c = self._moved, self._nu, self._w0, self._wf, self._row, self._c
+        f, x, N, M = self.f, self.x, self.N, self.M
         at = j * N
         # The speeds have been predicted; of another state only its own share and f are in A.
-        known, gain, decay = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
+        known, gain, decay = self.A[j * WIDTH], self.A[j * WIDTH + 1], self.A[j * WIDTH + 2 + j]
         if j == _V:
-            x, at, known, gain, decay = cloud.v, 0, 0.0, 0.0, 1.0
+            x, at, known, gain, decay = self.v, 0, 0.0, 0.0, 1.0
         for m in range(M):
             slope = self._slopes[j * M + m]
             c[j * M + m] -= K * self._c_v[m]
             states = products = 0.0
-            for i in range(self._edges[m], self._edges[m + 1]):
+            for i in range(self.edges[m], self.edges[m + 1]):
                 # [16] Eq. (21).
                 state = known + gain * f[i] + decay * x[at + i] + slope * moved[i] + K * nu[i]
                 row[i] = state
@@ -559,11 +534,11 @@ class MAlgorithm:
         row, parent, off, shift, of, c = self._row, self._parent, self._off, self._shift, self._of, self._c
         N, M, after, average = self.N, self.M, self._next, 0.0
         for m in range(M):
-            low, high, weight = self._edges[m], self._edges[m + 1], self._next_weight[m]
+            low, high, weight = self.edges[m], self.edges[m + 1], self._next_weight[m]
             mean = self._mix_into(self._sum_wx, chain, m) / weight
             product = self._mix_into(self._sum_wxf, chain, m) / weight
             slope = (product - mean * self._next_mean[m]) / self._next_variance[m]
-            self._cloud.slope[j * M + m] = slope
+            self.slope[j * M + m] = slope
             total = 0.0
             for k in range(low, high):
                 i = parent[k]
@@ -575,18 +550,18 @@ class MAlgorithm:
             for k in range(low, high):
                 after[j * N + k] += back
             average += weight * mean
-        self._cloud.x_mean[j] = average
+        self.x_mean[j] = average
 
     def _take_moments(self) -> None:
         """Take over the moments of the strata, and the means of the states."""
-        cloud, total = self._cloud, 0.0
+        total = 0.0
         for m in range(self.M):
             total += self._next_weight[m]
         for m in range(self.M):
-            cloud.weight[m] = self._next_weight[m] / total
-            cloud.mean[m] = cloud.rate + self._next_mean[m]
-            cloud.variance[m] = self._next_variance[m]
+            self.weight[m] = self._next_weight[m] / total
+            self.mean[m] = self.rate + self._next_mean[m]
+            self.variance[m] = self._next_variance[m]
         # [19] Eq. (22).
         for j in range(STATES):
-            cloud.x_mean[j] /= total
-        cloud.average()
+            self.x_mean[j] /= total
+        self.average()

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 Errors = tuple[float, float, float, float, float, float, float, float]
 NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # gains, variances or means of e that are zero
-UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)  # decays of e that does not change
+_UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)  # decays of e that does not change
 ERRORS: Final = 8  # number of errors e
 # Indices of the errors e.
 DELAY: Final = 0  # of the dead time, times f [s]
@@ -63,8 +63,7 @@ TRACTION: Final = 4  # of the traction, as a share [1]
 SLOPE: Final = 5  # of the change of the brake rate from rest to full speed [1]
 CHANGEOVER: Final = 6  # of its change where electric and friction brakes change over [1]
 LEVEL: Final = 7  # of the brake at its level [m/s^2]
-STATES: Final = 11
-"""Number of states x = [v, a, b, e]."""
+STATES: Final = 11  # number of states x = [v, a, b, e]
 
 
 class Transition:
@@ -72,28 +71,16 @@ class Transition:
 
     v' = v + reach a + dt b + gain_e e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = decay_e e.
 
-    v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2]. The errors e
-    of the train file are those of dead time and lag, times f [s]; the relative errors of w0 + w1 v, of w2 v^2 and of
-    the traction [1], see the module; the change of the brake rate from standstill to full speed [1]; its change where
-    electric and friction brakes change over [1]; and the error of the brake at its present level [m/s^2].
+    v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2], e the errors
+    of the train file, shape (8,). The gains reach [s] and gain_e [m/s per unit] are those of speed, gain_v [m/s] and
+    gain_a [m/s^2] those by the command at f = 1; decay, rho and decay_e are the shares left at the end [1].
 
     Attributes:
         dt: Duration [s].
-        reach: Gain of speed by the brake acceleration at the start [s].
-        decay: Share of that acceleration left at the end [1].
-        gain_v: Gain of speed by the command at f = 1 [m/s].
-        gain_a: Gain of brake acceleration by the command at f = 1 [m/s^2].
-        rho: Share of the disturbance left at the end [1].
         known: Gain of speed by all known forces [m/s].
-        q_v: Variance that white acceleration adds to v [(m/s)^2].
-        q_b: Variance added to b [(m/s^2)^2].
-        gain_e: Gain of speed per unit of each error [m/s per unit].
-        decay_e: Share of each error left at the end [1].
-        q_e: Variance added to each error.
+        q_v: Variance that white acceleration adds to v [(m/s)^2]; q_b [(m/s^2)^2] and q_e are those added to b and e.
         steadiness: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a
             jump of f cannot be detected.
-
-    The arrays over the errors have the shape (8,).
     """
 
     def __init__(
@@ -108,7 +95,7 @@ class Transition:
         q_v: float,
         q_b: float,
         gain_e: Errors = NO_ERRORS,
-        decay_e: Errors = UNCHANGED,
+        decay_e: Errors = _UNCHANGED,
         q_e: Errors = NO_ERRORS,
         steadiness: float = 1.0,
     ) -> None:
@@ -133,7 +120,7 @@ class Start:
         speed: float,
         target: float,
         variances: tuple[float, float, float],
-        decay_e: Errors = UNCHANGED,
+        decay_e: Errors = _UNCHANGED,
         q_e: Errors = NO_ERRORS,
     ) -> None:
         self.speed, self.target, self.variances = speed, target, variances
@@ -193,23 +180,15 @@ class Posterior(Protocol):
         """Update all states except f with a measured speed [m/s] of variance r [(m/s)^2]."""
 
     def update(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """Update all states and f, which drifted over ``elapsed`` [s], with a measured speed; after :meth:`predict`.
+        """Update all states and f with a measured speed [m/s] of variance r [(m/s)^2], after :meth:`predict`.
 
-        Args:
-            interval: Motion model since the last sample.
-            elapsed: Time since the last update of f [s].
-            speed: Measured speed [m/s].
-            r: Its variance [(m/s)^2].
-
-        Returns:
-            False if a number is no longer finite; the posterior is then unchanged.
+        f has drifted over ``elapsed`` [s], the time since its last update. Return False if a number is no longer
+        finite; the posterior is then unchanged.
         """
 
 
 # Smallest step of a difference quotient; below it rounding dominates [s].
 _MIN_SPREAD: Final = 0.02
-# A smaller target has no effect [m/s^2].
-_NOTHING: Final = 1e-4
 # A time constant stays above this share of that of the train file [1].
 _MIN_LAG: Final = 0.25
 
@@ -237,7 +216,8 @@ class Timing:
 
     def is_idle(self, commands: CommandHistory, stamp_ns: int) -> bool:
         """Return whether no command acts, acted recently, or is still pending for any possible dead time."""
-        if commands.value(stamp_ns) != 0.0 or min(self.later, self.sooner, self.slower, self.faster) < -_NOTHING:
+        # A target of less than 1e-4 m/s^2 has no effect.
+        if commands.value(stamp_ns) != 0.0 or min(self.later, self.sooner, self.slower, self.faster) < -1e-4:
             return False
         longest_ns = round((self.delay + self.delay_std) * NS_PER_S)
         return not commands.changes or commands.changes[-1].stamp_ns < stamp_ns - longest_ns
@@ -303,15 +283,9 @@ class BrakeStep:
 def brake_step(
     commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
 ) -> BrakeStep:
-    """Return the response over (start, end] [ns] to the command, eq. (1).
+    """Return the response over (start, end] [ns] to the commands after a dead time and with a time constant, eq. (1).
 
-    Args:
-        commands: History of the command.
-        delay: Dead time [s].
-        tau: Time constant [s].
-        start_ns: Start of the interval [ns].
-        end_ns: Its end [ns].
-        start_target: Brake acceleration at the start for f = 1 [m/s^2].
+    ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].
     """
     delay_ns = round(delay * NS_PER_S)
     a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
@@ -319,14 +293,13 @@ def brake_step(
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
 
 
-MIN_RATE: Final = 0.05
-"""Lower limit of a brake rate that is used as a divisor."""
-BLEND_SHAPE: Final = 0.7
-"""Error of the shape of the changeover between brakes, as a share of its size."""
+MIN_RATE: Final = 0.05  # lower limit of a brake rate that is used as a divisor [1]
+BLEND_SHAPE: Final = 0.7  # error of the shape of the changeover between brakes, as a share of its size [1]
 # Timing jitter of brake changes per relative error of the timing [s].
 _JITTER_S: Final = 0.4
-# Variation between changeovers, as a share of their size.
+# Variation between changeovers, as a share of their size, and its correlation time [s].
 _BLEND_VARIES: Final = 0.5
+_BLEND_S: Final = 1.0
 # Correlation times of the errors of dead time, lag, slope and changeover, and of resistance and traction [s].
 _LONG_S: Final = 1e5
 _SHORT_S: Final = 1800.0
@@ -334,8 +307,6 @@ _SHORT_S: Final = 1800.0
 _STOPPING: Final = 1.0
 # Relative change of the response per second at which its steadiness is 1/e [1/s].
 _CHANGING: Final = 0.1
-# Correlation time of the variation between changeovers [s].
-_BLEND_S: Final = 1.0
 # Smallest brake level with a level error [m/s^2].
 _MIN_LEVEL: Final = 0.08
 
@@ -345,17 +316,26 @@ class MotionModel:
 
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig) -> None:
         self.brake = true_brake(train_file)
-        self.known = KnownForce(_with_true_brake(train_file))
+        # The brake has its scale already.
+        effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
+        self.known = KnownForce(replace(train_file, brake=self.brake, effects=effects))
         self.inertia = self.known.inertia
         self._train_file, self._config, self._resistance = train_file, config, train_file.resistance
-        self.max_speed, self._timing_std = train_file.train.max_speed, train_file.brake.timing_std
+        train = train_file.train
+        self.max_speed, self._timing_std = train.max_speed, train_file.brake.timing_std
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
         self._force_error, self._min_braking = config.force_error, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
-        self.stds = self._error_stds()
+        # Standard deviations of the errors.
+        delay, lag = self.timing_stds
+        force, resistance = math.hypot(train.mass_std, train.force_std), config.resistance_std
+        self.stds: Errors = (
+            self.brake.rate * delay, self.brake.rate * lag, resistance, resistance, force,
+            config.slope_std, config.blend_std, config.level_std,
+        )  # fmt: skip
         self._stds, self._share = vec[float](self.stds), vec[float]([0.0] * ERRORS)
         self._interval = Transition(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -370,15 +350,6 @@ class MotionModel:
         # Relative to the delay stated in the file, because the effect brake_delay was measured.
         return self._train_file.brake.timing_stds
 
-    def _error_stds(self) -> Errors:
-        """Return the standard deviations of the errors of the train file; units as in :class:`Transition`."""
-        config, train = self._config, self._train_file.train
-        delay, lag = self.timing_stds
-        timing = (self.brake.rate * delay, self.brake.rate * lag)
-        force = math.hypot(train.mass_std, train.force_std)
-        resistance, speed = (config.resistance_std, config.resistance_std), (config.slope_std, config.blend_std)
-        return (*timing, *resistance, force, *speed, config.level_std)
-
     def gain(self, sample: Sample) -> float:
         """Return the brake rate by the table and the effects of the train file for f = 1 [1]."""
         return max(self.known.brake_share(sample) * self.brake.shape_at(sample.speed), MIN_RATE)
@@ -386,12 +357,8 @@ class MotionModel:
     def traction(self, sample: Sample, nominal: float, *, released: bool) -> float:
         """Return the acceleration by traction [m/s^2].
 
-        The reported force is that of traction minus the force of a nominal brake.
-
-        Args:
-            sample: The sample.
-            nominal: Integral of the brake target over it [m/s].
-            released: Whether the brake is released after its dead time, so that traction may have begun unseen.
+        The reported force is that of traction minus the force of a nominal brake, whose target has the integral
+        ``nominal`` over the sample [m/s]. After the dead time of a released brake traction may have begun unseen.
         """
         force = self.known.traction(sample.force_mean, sample) / self.inertia
         if sample.brake_command >= 0.0 and (released or force > 0.0):
@@ -470,10 +437,9 @@ class MotionModel:
         return max(0.0, 1.0 - abs(speed / self._blend_speed - 1.0))
 
     def share(self, sample: Sample, level: float) -> vec[float]:
-        """Return the shares of the errors in the brake rate at a speed and level [m/s^2, >= 0], shape (8,).
+        """Return the shares of the errors in the brake rate at a level [m/s^2, >= 0], shape (8,), until the next call.
 
-        They are valid until the next call. At the end of a braking they are zero, which gives the brake rate at medium
-        speed, for the next braking.
+        At the end of a braking they are zero, which gives the brake rate at medium speed, for the next braking.
         """
         share = self._share
         share[SLOPE] = share[CHANGEOVER] = share[LEVEL] = 0.0
@@ -497,9 +463,3 @@ def true_brake(train_file: TrainFile) -> Brake:
     brake, effects = train_file.brake, train_file.effects
     rate = brake.rate * effect_value(effects, 'brake_scale', 'ratio', 1.0)
     return replace(brake, rate=rate, delay=brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0))
-
-
-def _with_true_brake(train_file: TrainFile) -> TrainFile:
-    """Return the train file with brake_scale applied to the brake and removed from the effects."""
-    effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
-    return replace(train_file, brake=true_brake(train_file), effects=effects)

@@ -9,6 +9,7 @@ braking, fed with its own predicted speed plus noise.
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -36,13 +37,8 @@ _MAX_BRAKING_S: Final = 300.0
 def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> SuggestedDrive | None:
     """Return the shortest drive with brakings that make the brake rate valid, as far as any does.
 
-    Args:
-        estimator: The estimator of the brake rate; only GSMA can foresee its standard deviation.
-        train_file: Train file.
-        now: Present estimate.
-
-    Returns:
-        None if it is valid, if nothing was measured yet, if the train file is wrong, or if no braking would help.
+    None if it is valid at present, if nothing was measured yet, if the train file is wrong, or if no braking would
+    help; only GSMA can foresee its standard deviation.
     """
     config = estimator.config if isinstance(estimator, Gsma) else None
     if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
@@ -60,12 +56,8 @@ def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEs
                 copy.step(sample)
             yield copy.estimate(0.0)
 
-    wanted = Wanted('brake rate', '', _std, config.valid_std)
+    wanted = Wanted('brake rate', '', attrgetter('brake_rate_std'), config.valid_std)
     return best_drive((wanted,), now, planned_brakings(train_file), foreseen)
-
-
-def _std(estimate: BrakeRateEstimate) -> float:
-    return estimate.brake_rate_std
 
 
 def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) -> Iterator[Sample]:
@@ -82,15 +74,11 @@ def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) ->
         given = {0: 0.0, begin: command}.get(k)
         changes = () if given is None else (BrakeCommandChange(stamp_ns, given),)
         measured = v + std * float(rng.standard_normal())
-        yield _sample(stamp_ns, math.nan if k == 0 else _DT, measured, command if k >= begin else 0.0, changes)
+        sample = coasting_sample(stamp_ns, math.nan if k == 0 else _DT, measured)
+        sample.brake_command, sample.brake_changes = command if k >= begin else 0.0, changes
+        sample.curvature_mean = 0.0
+        yield sample
         acting_s = min(_DT, max(0.0, (k + 1) * _DT - acts_s))
         braked = factor * brake.shape_at(v) * lag_integral(target, command, lag, acting_s)
         target = lag_response(target, command, lag, acting_s)
         v += braked + _DT * acceleration(0.0, train.mass, train.rotary_mass, davis(train_file.resistance, v))
-
-
-def _sample(stamp_ns: int, dt: float, speed: float, command: float, changes: tuple[BrakeCommandChange, ...]) -> Sample:
-    """Return a sample on level, straight track without traction."""
-    sample = coasting_sample(stamp_ns, dt, speed)
-    sample.brake_command, sample.brake_changes, sample.curvature_mean = command, changes, 0.0
-    return sample

@@ -38,8 +38,7 @@ class Estimator(Protocol[EstimateT_co]):
     def innovation(self) -> tuple[float, float]:
         """Innovation of the last update and its variance as stated before the measurement, 0 if none is stated.
 
-        That of the resistance is a specific force [N/kN] with its variance [(N/kN)^2], the others are speeds [m/s]
-        with their variance [(m/s)^2].
+        That of the resistance is a specific force [N/kN], the others are speeds [m/s].
         """
 
     def estimate(self, speed: float) -> EstimateT_co:

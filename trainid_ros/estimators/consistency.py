@@ -27,10 +27,6 @@ _MIN_UPDATES: Final = 30
 _QUANTILE: Final = NormalDist().inv_cdf(0.995)
 # Limit of a single normalised innovation [std]; it also keeps the running sums accurate.
 _MAX_Z: Final = 10.0
-# Mean NIS above which an estimate is not valid [1]: errors are twice as large as stated.
-_MAX_NIS: Final = 4.0
-# Limit of the correlation of neighbours [1]: that of noise is lower, and some degrees of freedom must remain.
-_MAX_CORRELATION: Final = 0.9
 
 
 class ConsistencyVerdict(Enum):
@@ -40,12 +36,6 @@ class ConsistencyVerdict(Enum):
     CONSISTENT = 'consistent'  # variances are as stated
     OPTIMISTIC = 'optimistic'  # errors are larger than stated
     PESSIMISTIC = 'pessimistic'  # errors are smaller than stated
-
-
-_ADVICE: Final = {
-    ConsistencyVerdict.OPTIMISTIC: 'so allow for errors as much larger',
-    ConsistencyVerdict.PESSIMISTIC: 'so the stated one is safe, but wider than it need be',
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +59,14 @@ class Consistency:
         """Return verdict and numbers as text."""
         if not self.updates:
             return f'{self.verdict.value} (no innovation with a stated variance)'
-        advice = _ADVICE.get(self.verdict)
         band = f'99 % band {self.low:.2f} to {self.high:.2f}, {self.updates} updates'
-        meaning = f': predictions miss by {math.sqrt(self.ratio):.2f} times the stated std, {advice}' if advice else ''
-        return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band}){meaning}'
+        text = f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
+        missed = f'predictions miss by {math.sqrt(self.ratio):.2f} times the stated std'
+        if self.verdict is ConsistencyVerdict.OPTIMISTIC:
+            return f'{text}: {missed}, so allow for errors as much larger'
+        if self.verdict is ConsistencyVerdict.PESSIMISTIC:
+            return f'{text}: {missed}, so the stated one is safe, but wider than it need be'
+        return text
 
 
 class ConsistencyMonitor:
@@ -97,12 +91,9 @@ class ConsistencyMonitor:
         self._consecutive = 0
 
     def add(self, innovation: float, variance: float, *, used: bool) -> None:
-        """Take in the innovation that an estimate reports for its last update.
+        """Take in the innovation that an estimate reports for its last update, see ``Estimator.innovation``.
 
-        Args:
-            innovation: Measured minus predicted, see ``Estimator.innovation``.
-            variance: Its variance as stated before the measurement, in squared units; not above 0 if none is stated.
-            used: False if the sample was rejected: outliers beyond a gate are not noise.
+        Those of a sample that was not ``used`` do not count: outliers beyond a gate are not noise.
         """
         # Samples without an update repeat the pair of the last one.
         if innovation == self._innovation and variance == self._variance:
@@ -138,7 +129,7 @@ class ConsistencyMonitor:
     @property
     def refuted(self) -> bool:
         """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
-        return self._consecutive >= WINDOW and self._ratio > _MAX_NIS
+        return self._consecutive >= WINDOW and self._ratio > 4.0
 
     def current(self) -> Consistency:
         """Return the current outcome."""
@@ -155,15 +146,12 @@ class ConsistencyMonitor:
 
 
 def band(count: int, correlation: float = 0.0) -> tuple[float, float]:
-    """Return the 99 % band of the mean NIS of consistent updates [1].
+    """Return the 99 % band of the mean NIS of consistent updates with a correlation of neighbours [1].
 
     The chi-squared quantiles are approximated by Wilson and Hilferty (1931), within 1 % from ten degrees of freedom.
-
-    Args:
-        count: Number of updates averaged.
-        correlation: Correlation of neighbouring innovations [1].
+    The correlation of noise is below 0.9, and some degrees of freedom must remain.
     """
-    rho = min(abs(correlation), _MAX_CORRELATION)
+    rho = min(abs(correlation), 0.9)
     freedom = max(1.0, count * (1.0 - rho * rho) / (1.0 + rho * rho))
     spread = 2.0 / (9.0 * freedom)
     reach = _QUANTILE * math.sqrt(spread)

@@ -56,23 +56,13 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Snapshots:
-    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong.
+    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong."""
 
-    Attributes:
-        before: The state to go back to; it is older than it takes to find a contradiction.
-        newest: The newest state.
-        moved_s: Time in motion since then [s].
-        before_step: The state before the last step of the stamps forward, None if there was none.
-    """
-
-    before: Snapshot
-    newest: Snapshot
-    moved_s: float = 0.0
+    before: Snapshot  # The state to go back to; it is older than it takes to find a contradiction
+    newest: Snapshot  # The newest state
+    moved_s: float = 0.0  # Time in motion since then [s]
+    # The state before the last step of the stamps forward, None if there was none
     before_step: Snapshot | None = stored(None, kind=Snapshot)  # noqa: RUF009 - makes a field
-
-    def add(self, state: Snapshot) -> None:
-        """Add the present state."""
-        self.before, self.newest, self.moved_s = self.newest, state, 0.0
 
 
 class EstimatorPipeline(Generic[EstimateT]):
@@ -182,12 +172,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         return outputs
 
     def take(self, events: list[StreamEvent], publish: Callable[[Output[EstimateT]], object] | None = None) -> None:
-        """Take in what the stream made of one record.
-
-        Args:
-            events: What :meth:`SampleStream.push` returned.
-            publish: Called with the output after each sample.
-        """
+        """Take in what :meth:`SampleStream.push` made of one record; ``publish`` is called with each output."""
         for event in events:
             if isinstance(event, Sample):
                 self._step(event)
@@ -329,7 +314,7 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._go_back()
                 self._has_gap = True
             elif trust.is_full and snapshots.moved_s >= _SNAPSHOT_S:
-                snapshots.add(self._snapshot())
+                snapshots.before, snapshots.newest, snapshots.moved_s = snapshots.newest, self._snapshot(), 0.0
             self._suspected_s = 0.0
         self._is_found = trust.is_fault_confirmed
 

@@ -1,28 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter estimation that follows steps without forgetting between them.
+"""Estimation of n parameters theta of y = phi' theta + noise that follows steps without forgetting between them.
 
-A forgetting factor responds to a step faster at the price of more noise at all other times. Here one long-memory
-estimate (multi-innovation least squares) runs beside a few run-length hypotheses. Each assumes that the parameters
-stepped when it was created: it starts from the long-memory estimate of that time with the variance of a step added,
-and accumulates the log Bayes factor of its predictions against those of the long memory. The estimate is the
-mixture of all, weighted by their probability; the stated covariance weights the hypotheses more, since it must cover
-both outcomes while a step is suspected. Once the long memory has negligible probability, the most likely
-hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
-
-The long memory is multi-innovation least squares, [9] and [10] at the head of :mod:`vmils`, for n parameters: with
-information I = [P^-1 | P^-1 theta],
+A normal distribution has two forms: mean and covariance P; and the information I = [P^-1 | P^-1 theta], shape
+(n, n + 1), in which independent observations add. The long memory is multi-innovation least squares, [9] and [10] at
+the head of :mod:`vmils`:
 
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
-Each hypothesis weights outliers by its own prediction, so a burst that a young hypothesis follows does not affect the
-long memory. Hypotheses count only after ``min_age`` observations, longer than a burst. A step so large that no
-hypothesis follows it shows in weights that stay low; the long memory then restarts from a robust fit of the latest
-observations.
+A forgetting factor responds to a step faster at the price of more noise at all other times. Here a few run-length
+hypotheses run beside the long memory. Each assumes that the parameters stepped when it was created: it starts from the
+long memory with the variance of a step added, and accumulates the log Bayes factor of its predictions against those of
+the long memory. The estimate is the mixture of all, weighted by their probability; the stated covariance weights the
+hypotheses more, since it must cover both outcomes while a step is suspected. Once the long memory has negligible
+probability, the most likely hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007)
+with few run lengths.
 
-A robust batch fit of y = phi' theta, insensitive to up to 45 % outliers, starts an estimate from bad data and restarts
-one that has diverged. Least trimmed squares finds the 55 % of
-the observations that agree best, by concentration steps from many small subsets (Rousseeuw and Van Driessen 2006);
-least squares over all observations near that fit gives the estimate.
+An observation is good with probability 1 - eps; otherwise it is uniformly distributed over a width of
+``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate cannot
+recover from a wrong estimate; this one scores how well an estimate predicts, outliers included. Each hypothesis weights
+outliers by its own prediction, and counts only after ``min_age`` observations, longer than a burst of them.
+
+A step so large that no hypothesis follows it shows in weights that stay low. The long memory then restarts from a
+robust fit of the latest observations: least trimmed squares finds the 55 % that agree best, by concentration steps from
+many small subsets (Rousseeuw and Van Driessen 2006); least squares over all observations near that fit gives the
+estimate.
 """
 
 from __future__ import annotations
@@ -30,44 +31,242 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trainid_ros.interface.state import State, declare, several
-from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.normal import (
-    Array,
-    Normal,
-    inflated,
-    information_in,
-    information_of,
-    mixed,
-    normal,
-    normal_of,
-    soft_update,
-    weigh,
-)
+from trainid_ros.interface.state import State, declare, definite, several
+from trainid_ros.interface.vectors import append, i64, vec
 
-MIN_ROWS: Final = 12
-"""Smallest number of rows to fit."""
-_AGREEING: Final = 0.55
-_STARTS, _SUBSET = 60, 4
-_CONCENTRATIONS: Final = 12
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Array = NDArray[np.float64]
+
+OUTLIER_WIDTH: Final = 40.0  # range of outliers [standard deviations]
+_ROOT_2PI: Final = math.sqrt(2.0 * math.pi)
+# Beyond 37 standard deviations the density of a good observation underflows.
+_MAX_NIS: Final = 1400.0
+_MIN_WEIGHT: Final = 1e-9
+
+
+def weigh(nu: float, S: float, R: float, eps: float) -> tuple[float, float]:
+    """Return the weight of an observation and the logarithm of its likelihood.
+
+    Its innovation nu [N/kN] has the variance S if it is good. The variance R of its noise [(N/kN)^2] sets the width of
+    the density of outliers, whose share is eps [1].
+    """
+    nis = nu * nu / S
+    good = (1.0 - eps) / (_ROOT_2PI * math.sqrt(S)) * math.exp(-0.5 * nis) if nis < _MAX_NIS else 0.0
+    likelihood = good + eps / (OUTLIER_WIDTH * math.sqrt(R)) + 1e-300
+    return good / likelihood, math.log(likelihood)
+
+
+def gate(eps: float) -> float:
+    """Return the innovation, in standard deviations, at which an observation is good with probability 1/2."""
+    return math.sqrt(2.0 * math.log((1.0 - eps) * OUTLIER_WIDTH / (eps * _ROOT_2PI))) if eps > 0.0 else math.inf
+
+
+class Normal:
+    """Normal distribution of n parameters.
+
+    Attributes:
+        mean: theta, n numbers.
+        covariance: P, n^2 numbers, row by row.
+    """
+
+    STATE: ClassVar[State] = declare('mean', definite('covariance'))
+
+    def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
+        self.mean, self.covariance = mean, covariance
+
+    @property
+    def theta(self) -> Array:
+        """The mean as an array, shape (n,)."""
+        return np.array(list(self.mean))
+
+    @property
+    def P(self) -> Array:
+        """The covariance as an array, shape (n, n)."""
+        return np.array(list(self.covariance)).reshape(len(self.mean), len(self.mean))
+
+    def predict(self, phi: vec[float]) -> tuple[float, float]:
+        """Return mean and variance of phi' theta, in the unit of y and its square, for n regressors."""
+        return dot(phi, self.mean), max(dot(phi, _times(self.covariance, phi)), 0.0)
+
+
+def normal(theta: Array, P: Array) -> Normal:
+    """Return the distribution with a mean of shape (n,) and a covariance of shape (n, n)."""
+    return Normal(vec[float](theta.tolist()), vec[float](P.ravel().tolist()))
+
+
+def independent(theta: Sequence[float], variances: Sequence[float]) -> Normal:
+    """Return the distribution of independent parameters with these means and variances."""
+    return normal(np.array(theta, dtype=np.float64), np.diag(np.array(variances, dtype=np.float64)))
+
+
+def dot(x: vec[float], y: vec[float]) -> float:
+    """Return x' y."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+def _times(P: vec[float], x: vec[float]) -> vec[float]:
+    """Return P x."""
+    n, product = len(x), vec[float]()
+    k: i64 = 0
+    for _ in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[k] * x[j]
+            k += 1
+        product = append(product, total)
+    return product
+
+
+def inflated(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
+    """Return the distribution after independent random steps of these variances, shape (n,).
+
+    ``limits`` are upper limits of the variances afterwards, shape (n,); limiting keeps the correlations.
+    """
+    P = item.P + np.diag(variances)
+    if limits is not None:
+        r = np.minimum(1.0, np.sqrt(limits / np.diag(P)))
+        P = r[:, None] * P * r
+    return normal(item.theta, P)
+
+
+def soft_update(
+    item: Normal, phi: vec[float], y: float, R: float, slow: float, eps: float
+) -> tuple[Normal, float, float]:
+    """Return the distribution after one observation, the weight of the observation and its log likelihood.
+
+    The arguments are those of :meth:`Tracker.update`; the share of outliers ``eps`` is 0 for plain least squares.
+    """
+    g = _times(item.covariance, phi)
+    variance = dot(phi, g)
+    nu = y - dot(phi, item.mean)
+    weight, log_likelihood = weigh(nu, variance + R, R, eps)
+    if weight < _MIN_WEIGHT:
+        return item, weight, log_likelihood
+    # [11] eqs. (9)-(11): theta += K nu, P -= g g' / (phi' P phi + slow R / weight); the weight divides the variance
+    gain = 1.0 / (variance + slow * R / weight)
+    theta, P = item.mean[:], item.covariance[:]
+    k: i64 = 0
+    for i in range(len(phi)):
+        theta[i] += gain * nu * g[i]
+        for j in range(len(phi)):
+            P[k] -= gain * (g[i] * g[j])
+            k += 1
+    return Normal(theta, P), weight, log_likelihood
+
+
+def mixed(items: list[Normal], weights: list[float], stated: list[float] | None = None) -> Normal:
+    """Return mean and covariance of a mixture; its weights need not sum to one.
+
+    ``stated`` are other weights for the covariance, which is about the mean by the first ones.
+    """
+    n, total, spread = len(items[0].mean), math.fsum(weights), weights if stated is None else stated
+    all_spread = math.fsum(spread)
+    theta, apart, P = vec[float]([0.0] * n), vec[float]([0.0] * n), vec[float]([0.0] * (n * n))
+    for item, weight in zip(items, weights, strict=True):
+        for i in range(n):
+            theta[i] += weight / total * item.mean[i]
+    for item, weight in zip(items, spread, strict=True):
+        share = weight / all_spread
+        k: i64 = 0
+        for i in range(n):
+            apart[i] = item.mean[i] - theta[i]
+        for i in range(n):
+            for j in range(n):
+                P[k] += share * (item.covariance[k] + apart[i] * apart[j])
+                k += 1
+    return Normal(theta, P)
+
+
+def information_of(item: Normal) -> vec[float]:
+    """Return [P^-1 | P^-1 theta], n rows of n + 1 numbers."""
+    inverse, information = _inverse(item.covariance, len(item.mean)), vec[float]()
+    k: i64 = 0
+    vector = _times(inverse, item.mean)
+    for i in range(len(vector)):
+        for _ in range(len(vector)):
+            information = append(information, inverse[k])
+            k += 1
+        information = append(information, vector[i])
+    return information
+
+
+def normal_of(information: vec[float], n: i64) -> Normal:
+    """Return the distribution of n parameters with an information [P^-1 | P^-1 theta]."""
+    inverse, vector = vec[float](), vec[float]()
+    k: i64 = 0
+    for _ in range(n):
+        for _ in range(n):
+            inverse = append(inverse, information[k])
+            k += 1
+        vector = append(vector, information[k])
+        k += 1
+    P = _inverse(inverse, n)
+    return Normal(_times(P, vector), P)
+
+
+def information_in(phi: vec[float], y: float, variance: float, weight: float = 1.0) -> vec[float]:
+    """Return the information of one observation, phi [phi', y] weight / variance, n rows of n + 1 numbers."""
+    information = vec[float]()
+    for i in range(len(phi)):
+        for j in range(len(phi)):
+            information = append(information, phi[i] * phi[j] / variance * weight)
+        information = append(information, phi[i] * y / variance * weight)
+    return information
+
+
+def _inverse(S: vec[float], n: i64) -> vec[float]:
+    """Return the inverse of a positive definite matrix of n rows by Gauss-Jordan elimination, without pivoting.
+
+    The matrix is scaled to a unit diagonal first, since the parameters differ by orders of magnitude.
+    """
+    scale, A = vec[float](), S[:]
+    for i in range(n):
+        scale = append(scale, 1.0 / math.sqrt(S[i * n + i]))
+    for i in range(n):
+        for j in range(n):
+            A[i * n + j] *= scale[i] * scale[j]
+    for k in range(n):
+        pivot = 1.0 / A[k * n + k]
+        A[k * n + k] = 1.0
+        for j in range(n):
+            A[k * n + j] *= pivot
+        for i in range(n):
+            factor = A[i * n + k]
+            if i != k:
+                A[i * n + k] = 0.0
+                for j in range(n):
+                    A[i * n + j] -= factor * A[k * n + j]
+    inverse = A[:]
+    for i in range(n):
+        for j in range(n):
+            inverse[i * n + j] = 0.5 * scale[i] * (A[i * n + j] + A[j * n + i]) * scale[j]
+    return inverse
+
+
+# Share of the observations that agree, and the quantile of |z| of a unit normal at that share.
+_AGREEING, _AGREEING_Z = 0.55, 0.7554
+# Least trimmed squares: number and size of the subsets, and concentration steps from each.
+_STARTS, _SUBSET, _CONCENTRATIONS = 60, 4, 12
 # Inlier threshold [standard deviations], and the standard deviation of a unit normal truncated at +-2.5.
 _INLIER_STDS, _TRUNCATED_STD = 2.5, 0.9497
-# Quantile of |z| of a unit normal at the agreeing share of 55 %.
-_AGREEING_Z: Final = 0.7554
+# Rounds of least squares near the trimmed fit.
 _ROUNDS: Final = 10
 
 
 def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | None:
     """Return the posterior of the parameters from the rows that agree, or None if fewer than half of them do.
 
-    Args:
-        rows: Rows of the n entries of the regressor phi, the observation y, its noise variance R, and the factor on
-            R in the mean of many observations.
-        prior: Prior distribution of the n parameters.
+    A row has the n entries of phi, then y, R and slow, see :meth:`Tracker.update`.
     """
     table = np.array(rows)
     root = np.sqrt(table[:, -2])
@@ -112,8 +311,9 @@ def _ridge(Phi: Array, y: Array, information: Array, vector: Array) -> Array:
 
 # Log odds of a hypothesis against the long memory from which it replaces the long memory [1].
 _TAKEOVER_LOG_ODDS: Final = math.log(1e3)
-# Mean weight of the observations below which the long memory is locked out.
+# Mean weight of the observations below which the long memory is locked out, and the fewest from which it restarts.
 _MIN_MEAN_WEIGHT: Final = 0.4
+_MIN_ROWS: Final = 12
 # Limit of the log Bayes factor, far beyond any decision threshold.
 _MAX_EVIDENCE: Final = 300.0
 
@@ -126,12 +326,11 @@ class ChangePointConfig:
     outliers: float  # Share of outliers
     step_variances: tuple[float, ...]  # Variances that a step adds to the n parameters; 0 for those that do not step
     hazard: float  # Probability of a step at each observation
-    spacing: int  # Number of observations between the creation of two hypotheses
-    hypotheses: int  # Maximum number of hypotheses
     min_age: int  # Number of observations after which a hypothesis counts
-    # Number of observations over which weights are averaged to detect a lock-out, and from which the long memory then
-    # restarts
-    lockout: int
+    spacing: int = 6  # Number of observations between the creation of two hypotheses
+    hypotheses: int = 5  # Maximum number of hypotheses
+    # Number of observations whose weights show a lock-out, and from which the long memory then restarts
+    lockout: int = 30
     # Factor on the weight of the hypotheses in the stated covariance, while they weigh less than the long memory
     step_weight: float = 1.0
 
@@ -203,13 +402,9 @@ class Tracker:
         self._long = normal_of(information, len(self.prior.mean))
 
     def update(self, phi: vec[float], y: float, R: float, slow: float = 1.0) -> float:
-        """Process one observation y = phi' theta + noise; return its weight in the long memory.
+        """Process one observation y = phi' theta + noise of the variance R; return its weight in the long memory.
 
-        Args:
-            phi: Regressor, n numbers.
-            y: Observation.
-            R: Variance of the noise.
-            slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
+        ``slow`` is the factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
         """
         plan, long = self.plan, self._long
         if self._count % plan.spacing == 0 and self._count > 0:
@@ -239,12 +434,10 @@ class Tracker:
         return weight
 
     def inflate_variance(self, variances: Array, limits: Array) -> None:
-        """Add the variances of random steps of the parameters, see :func:`normal.inflated`."""
+        """Add the variances of random steps of the parameters, see :func:`inflated`."""
         self._set_memory(information_of(inflated(self._long, variances, limits)))
-        self._hypotheses = [
-            RunLengthHypothesis(inflated(item.normal, variances, limits), item.evidence, item.age)
-            for item in self._hypotheses
-        ]
+        for item in self._hypotheses:
+            item.normal = inflated(item.normal, variances, limits)
         self._mix()
 
     def _add_hypothesis(self) -> None:
@@ -259,40 +452,34 @@ class Tracker:
     def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
         best, most = None, _TAKEOVER_LOG_ODDS - self._log_hazard
-        for i, item in enumerate(self._hypotheses):
-            normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
+        for item in self._hypotheses:
+            item.normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
             # Observations with correlated noise carry repeated evidence.
-            evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MAX_EVIDENCE)
-            self._hypotheses[i] = RunLengthHypothesis(normal, evidence, item.age + 1)
-            if item.age >= self.plan.min_age and evidence > most:
-                best, most = self._hypotheses[i], evidence
+            item.evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MAX_EVIDENCE)
+            item.age += 1
+            if item.age > self.plan.min_age and item.evidence > most:
+                best, most = item, item.evidence
         if best is not None:
-            self._take_over(best)
-
-    def _take_over(self, chosen: RunLengthHypothesis) -> None:
-        younger = [item for item in self._hypotheses if item.age < chosen.age]
-        self.begin(chosen.normal)
-        self._hypotheses = [
-            RunLengthHypothesis(item.normal, item.evidence - chosen.evidence, item.age) for item in younger
-        ]
-        self.steps_found += 1
+            younger = [item for item in self._hypotheses if item.age < best.age]
+            self.begin(best.normal)
+            self._hypotheses = younger
+            for item in younger:
+                item.evidence -= best.evidence
+            self.steps_found += 1
 
     def _restart_from_latest(self) -> None:
         """Restart from the latest observations, which contradict the long memory, if most of them agree."""
-        if len(self._rows) < MIN_ROWS:
+        if len(self._rows) < _MIN_ROWS:
             return
-        fit = robust_fit(tuple(self._rows), self._restart_prior())
-        if fit is not None:
-            self.begin(fit)
-            self.steps_found += 1
-
-    def _restart_prior(self) -> Normal:
-        """Return the prior of a restart: the initial prior for parameters that step, the long memory for the rest."""
+        # Parameters that step have their initial prior, the rest that of the long memory.
         stepping = self._steps > 0.0
         theta = np.where(stepping, self.prior.theta, self._long.theta)
         P = np.where(np.outer(stepping, stepping), self.prior.P, 0.0)
         P += np.where(np.outer(~stepping, ~stepping), self._long.P, 0.0)
-        return normal(theta, P)
+        fit = robust_fit(tuple(self._rows), normal(theta, P))
+        if fit is not None:
+            self.begin(fit)
+            self.steps_found += 1
 
     def _mix(self) -> None:
         """Update the mixture, weighted by probability."""

@@ -20,15 +20,14 @@ from the measured speeds and theta = 0, is integrated linear least squares. No s
 initial value, so the model can neither stall nor diverge. The initial speeds are free like all others.
 
 The paper steps in distance; its formulation, for comparison, is in ``research/``. Steps in time suit bags at 5 Hz and
-records every 100 m: both have time stamps. They need no position and have no 1/v at a stop, and the exact balance over
-an interval holds for the time-mean force, which the aligned samples contain. Distance steps computed from measured
-speeds would bring their noise into the model.
+records every 100 m. They need no position and have no 1/v at a stop, and the exact balance over an interval holds for
+the time-mean force, which the aligned samples contain. Distance steps would bring the noise of speeds into the model.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -39,29 +38,28 @@ from trainid_ros.stream.known_force import Admission, KnownForce
 
 if TYPE_CHECKING:
     from collections import Counter
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from trainid_ros.interface.results import Reason, Rejection
+    from trainid_ros.interface.results import Reason
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
+    Array = NDArray[np.float64]
+
 # Ratio of the standard deviation to the median absolute deviation of a Gaussian.
 _MAD: Final = 1.4826
-# Median absolute difference of two rounding errors, in quanta.
-_ROUNDED: Final = 1.0 - math.sqrt(0.5)
-# Share of steps of a rounded speed that are not whole multiples of its quantum, due to errors of single messages.
-_STRAY_STEPS: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Concatenated pieces; a stage leads from each node to the next one of its piece."""
 
-    speed: NDArray[np.float64]  # Measured speed at the nodes [m/s], shape (n,)
-    dt: NDArray[np.float64]  # Time since the previous node [s], 0 at the start of a piece, shape (n,)
-    known: NDArray[np.float64]  # Mean known specific force since the previous node [N/kN], shape (n,)
-    traction: NDArray[np.float64]  # Traction part of it [N/kN], shape (n,)
+    speed: Array  # Measured speed at the nodes [m/s], shape (n,)
+    dt: Array  # Time since the previous node [s], 0 at the start of a piece, shape (n,)
+    known: Array  # Mean known specific force since the previous node [N/kN], shape (n,)
+    traction: Array  # Traction part of it [N/kN], shape (n,)
     inertia: float  # Specific force per acceleration, 1000 (1 + gamma) / g0 [N/kN per m/s^2]
 
     @property
@@ -69,7 +67,7 @@ class Trajectory:
         """Start indices of the pieces, shape (m,)."""
         return np.flatnonzero(self.dt == 0.0)
 
-    def traction_rate(self) -> NDArray[np.float64]:
+    def traction_rate(self) -> Array:
         """Return the rate of traction over each stage [N/kN per s], 0 at the ends of pieces, shape (n,)."""
         stage, t = self.dt > 0.0, self.traction
         change = np.zeros_like(t)
@@ -78,34 +76,25 @@ class Trajectory:
         return np.asarray(change / np.where(stage, self.dt, 1.0))
 
 
-@dataclass(slots=True)
 class PieceCollector:
     """Collector of the samples without braking for a trajectory."""
 
-    train_file: TrainFile  # Train file with train and effects
-    min_speed: float  # Slowest speed to learn from [m/s]
-    shortest: float  # Shortest piece to use, given that each needs its own initial speed [s]
-    known: KnownForce = field(init=False)  # Forces known from train file and inputs
-    _nodes: list[tuple[float, float, float, float]] = field(init=False, default_factory=list)
-    _begun: int = field(init=False, default=0)
-    _admission: Admission = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.known = KnownForce(self.train_file)
-        self._admission = Admission(self.known, self.min_speed)
+    def __init__(self, train_file: TrainFile, min_speed: float, shortest: float) -> None:
+        """Prepare for the slowest speed to learn from [m/s], and the shortest piece [s]: each has an initial speed."""
+        self.train_file, self._shortest = train_file, shortest
+        self.known = KnownForce(train_file)
+        self._nodes: list[tuple[float, float, float, float]] = []
+        self._begun = 0
+        self._admission = Admission(self.known, min_speed)
 
     def monitor(self, sample: Sample) -> None:
         """Update the drive history without adding the sample."""
-        self._reject(sample)
-
-    def _reject(self, sample: Sample) -> Rejection | None:
-        rejection = self._admission.reject(sample)
-        return sample.rejection or rejection
+        self._admission.reject(sample)
 
     def add(self, sample: Sample, rejected: Counter[Reason]) -> None:
         """Add one sample, or count the reason for its rejection."""
-        rejection = self._reject(sample)
-        if rejection is not None:
+        unused = self._admission.reject(sample)
+        if (rejection := sample.rejection or unused) is not None:
             rejected[rejection.reason] += 1
             self.end_piece()
             return
@@ -115,7 +104,7 @@ class PieceCollector:
 
     def end_piece(self) -> None:
         """End the current piece, and remove it if it is too short."""
-        if sum(node[1] for node in self._nodes[self._begun :]) < self.shortest:
+        if sum(node[1] for node in self._nodes[self._begun :]) < self._shortest:
             del self._nodes[self._begun :]
         self._begun = len(self._nodes)
 
@@ -126,13 +115,10 @@ class PieceCollector:
         return Trajectory(speed, dt, known, traction, self.known.inertia)
 
 
-def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> float:
-    """Return half the variance of increments over a lag within pieces; for white noise this is its variance.
+def half_variance(y: Array, piece: NDArray[np.intp], lag: int) -> float:
+    """Return half the variance of increments of y over a lag within pieces; for white noise this is its variance.
 
-    Args:
-        y: A signal, shape (n,).
-        piece: Index of the piece of each value, shape (n,).
-        lag: Lag in values; at least one piece must be longer.
+    ``piece`` is the index of the piece of each value, shape (n,) like y; at least one must be longer than the lag.
     """
     change = np.abs(y[lag:] - y[:-lag])[piece[lag:] == piece[:-lag]]
     middle = change.size // 2
@@ -142,56 +128,43 @@ def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> 
 def rounding_variance(given: Trajectory) -> float:
     """Return the :func:`half_variance` of rounding alone, for lags over which speed changes many quanta [(m/s)^2].
 
-    The quantum is the smallest step of the measured speed, except for a few percent of the steps. With fine rounding
-    the result is less than the noise.
+    The quantum is the smallest step of the measured speed, except for 5 % of the steps: errors of single messages. With
+    fine rounding the result is less than the noise.
     """
     steps = np.abs(np.diff(given.speed))[given.dt[1:] > 0.0]
     steps = steps[steps > 0.0]
-    quantum = float(np.quantile(steps, _STRAY_STEPS)) if steps.size else 0.0
-    return 0.5 * (_MAD * _ROUNDED * quantum) ** 2
+    quantum = float(np.quantile(steps, 0.05)) if steps.size else 0.0
+    median = 1.0 - math.sqrt(0.5)  # of the absolute difference of two rounding errors, in quanta
+    return 0.5 * (_MAD * median * quantum) ** 2
 
 
-def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def recur(k: Array, rows: Array) -> Array:
     """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides: one LAPACK call, no loop over stages.
 
-    Args:
-        k: Coefficients of stages 1 to I, shape (I,); the first is not used.
-        rows: Right-hand sides, shape (m, I).
-
-    Returns:
-        x_1 to x_I for each right-hand side, shape (m, I).
+    k has the shape (I,), its first entry is not used; rows r and the result x_1 to x_I have the shape (m, I).
     """
     band = np.ones((2, k.size))
     band[1, :-1] = -k[1:]
     # Rows in C order are columns in Fortran order, so only the result is copied.
     x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
-    result: NDArray[np.float64] = x.T
+    result: Array = x.T
     return result
 
 
 # Typical sizes of a, b, c, force delay and force gain, used to scale the steps.
 _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
-_STEP_TOLERANCE: Final = 1e-9
-_MAX_ITERATIONS: Final = 30
+# Largest scaled step that is negligible, and maximum number of steps.
+_STEP_TOLERANCE, _MAX_ITERATIONS = 1e-9, 30
 # Weights and noise are updated from the residuals until they change by less than this, or for this many steps; then
 # they are fixed, and the iteration continues until the step is negligible.
-_SETTLED: Final = 0.1
-_LEARNING_STEPS: Final = 8
+_SETTLED, _LEARNING_STEPS = 0.1, 8
 # Number of stages of one change of traction, which share a timing error.
 _CHANGE_STAGES: Final = 5.0
+# Smallest standard deviation of the speed noise [m/s].
 _MIN_STD: Final = 1e-4
 # Weights of the declared values, since a short bag contains almost no information on either: that of the declared
 # disturbance in observed lags, and that of the expected spread of the scores in clusters.
-_DECLARED_LAGS: Final = 1.0
-_DECLARED_CLUSTERS: Final = 6.0
-# Limits of a plausible fit: share of outliers, and standard deviations of a resistance below zero.
-_MAX_OUTLIERS: Final = 0.3
-_SIGMAS: Final = 3.0
-# Gusts as large as the resistance of a train [N/kN]; map errors of two per mille give half of it.
-_MAX_GUST: Final = 4.0
-_MAX_GAIN: Final = 0.1
-# Noise of the speed [m/s]; a quantum of 1 mph gives an eighth of it.
-_MAX_NOISE: Final = 1.0
+_DECLARED_LAGS, _DECLARED_CLUSTERS = 1.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,8 +190,8 @@ class DavisFitConfig:
 class DavisFit:
     """Result of a batch fit."""
 
-    theta: NDArray[np.float64]  # a, b, c [N/kN, v in m/s], shape (3,)
-    covariance: NDArray[np.float64]  # Covariance of theta, shape (3, 3)
+    theta: Array  # a, b, c [N/kN, v in m/s], shape (3,)
+    covariance: Array  # Covariance of theta, shape (3, 3)
     force_delay: float  # Estimated delay of the reported force [s]
     force_gain: float  # Estimated relative error of the traction force [1]
     iterations: int  # Number of Gauss-Newton steps
@@ -269,39 +242,37 @@ def check_plausible(fit: DavisFit, config: DavisFitConfig) -> None:
     With force in kN, speed in km/h or gradient in percent the model cannot follow the motion. The fit then classifies
     speeds as outliers, attributes the motion to gusts, or gives a negative resistance.
     """
-    odd = _oddity(fit, config)
-    if odd:
+    if odd := next(_oddities(fit, config), ''):
         raise NoAnswerError(
             f'{odd}: check the units and signs of speed, force, mass and gradient, and the speed sensor'
         )
 
 
-def _oddity(fit: DavisFit, config: DavisFitConfig) -> str:
+def _oddities(fit: DavisFit, config: DavisFitConfig) -> Iterator[str]:
     slow, fast = fit.speed_range
     for v in (slow, 0.5 * (slow + fast), fast):
         w, std = fit.resistance(v)
-        if w < -_SIGMAS * std:
-            return f'a negative resistance of {w:.3g} N/kN (std {std:.2g}) at {v:.1f} m/s would drive the train'
-    if abs(fit.force_gain) > _MAX_GAIN:
-        return f'the fit requires a force error of {fit.force_gain:+.0%}'
-    if fit.speed_std > _MAX_NOISE:
-        return f'the speed noise is {fit.speed_std:.2g} m/s'
+        if w < -3.0 * std:
+            yield f'a negative resistance of {w:.3g} N/kN (std {std:.2g}) at {v:.1f} m/s would drive the train'
+    if abs(fit.force_gain) > 0.1:
+        yield f'the fit requires a force error of {fit.force_gain:+.0%}'
+    if fit.speed_std > 1.0:  # a quantum of 1 mph gives an eighth of it
+        yield f'the speed noise is {fit.speed_std:.2g} m/s'
     gust = math.sqrt(fit.disturbance / (2.0 * config.disturbance_time))
-    if gust > _MAX_GUST:
-        return f'forces and resistance leave {gust:.2g} N/kN of the motion unexplained'
-    if fit.outliers > _MAX_OUTLIERS:
-        return f'{fit.outliers:.0%} of the speeds are outliers'
-    return ''
+    if gust > 4.0:  # as the resistance of a train; map errors of two per mille give half of it
+        yield f'forces and resistance leave {gust:.2g} N/kN of the motion unexplained'
+    if fit.outliers > 0.3:
+        yield f'{fit.outliers:.0%} of the speeds are outliers'
 
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
     """All stages linearised about v and theta: defect_i + D_i dv_i - N_i dv_{i-1} + F_i dtheta = 0."""
 
-    defect: NDArray[np.float64]
-    D: NDArray[np.float64]
-    N: NDArray[np.float64]
-    F: NDArray[np.float64]
+    defect: Array
+    D: Array
+    N: Array
+    F: Array
 
 
 class _Iteration:
@@ -365,7 +336,7 @@ class _Iteration:
         self._theta = self._theta + _SCALE * delta
         return float(np.max(np.abs(delta)))
 
-    def _precision(self) -> NDArray[np.float64]:
+    def _precision(self) -> Array:
         """Return the inverse variances of the defects [(m/s)^-2], 0 where a piece begins."""
         force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
         return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
@@ -410,7 +381,7 @@ class _Iteration:
         """Return the effective number of parameters: 3 to 5, as the prior partly determines delay and gain."""
         return 5.0 - float(np.trace(_solve(self._schur, np.diag(self._prior))))
 
-    def _errors(self, lin: _Linear) -> NDArray[np.float64]:
+    def _errors(self, lin: _Linear) -> Array:
         """Return measured speeds minus those of the model without disturbance, up to an initial speed, shape (n,)."""
         inverse = np.where(self._stage, 1.0 / np.where(self._stage, lin.D, 1.0), 0.0)
         deviation = recur(lin.N * inverse, (lin.defect * inverse)[None, :])[0]
@@ -473,12 +444,12 @@ class _Iteration:
         return np.flatnonzero(fresh)
 
 
-def _ahead(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ahead(x: Array) -> Array:
     """Return the contribution of the stage after each node."""
     return np.concatenate((x[..., 1:], np.zeros_like(x[..., :1])), axis=-1)
 
 
-def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solve(S: Array, h: Array) -> Array:
     """Solve with the information matrix of theta; raise NoAnswerError if it is rank deficient."""
     size = np.sqrt(np.maximum(np.diag(S), 1e-300))
     unit = S / np.outer(size, size)
@@ -487,9 +458,7 @@ def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64
     return np.asarray(np.linalg.solve(S, h))
 
 
-def _solve_tridiagonal(
-    diagonal: NDArray[np.float64], below: NDArray[np.float64], rows: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _solve_tridiagonal(diagonal: Array, below: Array, rows: Array) -> Array:
     """Solve a symmetric positive definite tridiagonal system for several right-hand sides, shape (m, n).
 
     Raises:
@@ -498,5 +467,5 @@ def _solve_tridiagonal(
     _, _, x, info = dptsv(diagonal, below, rows.T)
     if info != 0:
         raise NoAnswerError('speeds and forces do not determine a trajectory')
-    result: NDArray[np.float64] = x.T
+    result: Array = x.T
     return result

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Posterior of the Davis parameters: errors of the known forces, drift, the published estimate, and its validity.
+"""Posterior of the Davis parameters: force errors, drift, inflation, the published estimate, and its validity.
 
 With T the reported specific traction [N/kN] and R the curve radius, the true forces are modelled as
 
     (1 + kappa) T(t + delta)   and   w_curve + kappa_curve 600 m / R.
 
 Force gain and mass share one scale kappa: only their ratio is observable in the motion.
+
+The noise of neighbouring observations is correlated (gusts, map errors, overlapping windows). If the predicted
+variances are correct, the expected squared sum of the innovations of a batch longer than the correlation time equals
+the sum of the variances. Any excess is unmodelled error: :class:`Inflation` is the factor on the published covariance.
 
 A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
 covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
@@ -22,6 +26,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.interface.results import ResistanceEstimate
@@ -36,54 +41,25 @@ CURVE_RADIUS: Final = 600.0
 MIN_DELAY: Final = -0.2  # shortest estimable force delay [s]
 MAX_DELAY: Final = 0.4
 """Range of estimable force delays [s], limited by the reports available ahead and the range of the cubic."""
-# A delay this near the end of the range counts as beyond it; the mean of a mixture never quite reaches the end.
-_AT_END_S: Final = 0.01
-# Standard deviation of the curve resistance: share of the coefficient if no std is stated, and value at 600 m [N/kN]
-# if the train file has no curve effect.
-_CURVE_SHARE: Final = 0.2
-_CURVE_STD: Final = 0.5
-# Std of the change of kappa at a stop with a weighed load and with an unweighed one.
-_WEIGHED_STEP: Final = 0.004
-_UNWEIGHED_STEP: Final = 0.03
-# The mass error of empty train and scales is constant, that of the load is not: share of the mass error that changes.
-_CHANGING: Final = 0.5
-_MIN_STD: Final = 1e-4
-# Length of a train, in correlation lengths, up to which a linear approximation is accurate.
-_SHORT_TRAIN: Final = 1e-3
+MIN_FORCE_STD: Final = 1e-4
+"""Smallest prior standard deviation of a force error [1, s, N/kN], so that information is finite."""
 
 
-@dataclass(frozen=True, slots=True)
-class ForceErrors:
-    """Prior standard deviations of kappa [1], delta [s] and kappa_curve [N/kN at 600 m]."""
-
-    scale: float  # of kappa [1]
-    delay: float  # of delta [s]
-    curve: float  # of kappa_curve [N/kN at 600 m]
-
-    @property
-    def variances(self) -> tuple[float, float, float]:
-        """Variances of kappa [1], delta [s^2] and kappa_curve [(N/kN)^2], positive so that information is finite."""
-        scale, delay, curve = (max(std, _MIN_STD) ** 2 for std in (self.scale, self.delay, self.curve))
-        return scale, delay, curve
-
-
-def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
-    """Return the prior standard deviations of the force errors from a train file; ``delay_std`` [s] is a setting."""
+def force_variances(train_file: TrainFile, delay_std: float) -> tuple[float, float, float]:
+    """Return the prior variances of kappa [1], delta [s^2], kappa_curve [(N/kN)^2]; ``delay_std`` [s] is a setting."""
     train = train_file.train
-    return ForceErrors(
-        scale=math.hypot(train.mass_std, train.force_std),
-        delay=delay_std,
-        curve=curve_std(train_file),
-    )
+    stds = math.hypot(train.mass_std, train.force_std), delay_std, curve_std(train_file)
+    scale, delay, curve = (max(std, MIN_FORCE_STD) ** 2 for std in stds)
+    return scale, delay, curve
 
 
 def curve_std(train_file: TrainFile) -> float:
-    """Return the prior standard deviation of the curve resistance at 600 m [N/kN]."""
+    """Return the prior std of the curve resistance at 600 m [N/kN]: as stated, else a fifth; 0.5 without an effect."""
     for effect in train_file.effects:
         if effect.name == 'curve_resistance':
             coefficient = dict(effect.parameters).get('coefficient', 0.0)
-            return dict(effect.std).get('coefficient', _CURVE_SHARE * coefficient) / CURVE_RADIUS
-    return _CURVE_STD
+            return dict(effect.std).get('coefficient', 0.2 * coefficient) / CURVE_RADIUS
+    return 0.5
 
 
 def length_under_train(length: float, train_length: float) -> float:
@@ -92,45 +68,39 @@ def length_under_train(length: float, train_length: float) -> float:
     With the autocorrelation exp(-d / l) along the line, the mean over L has the variance share
     2 l / L (1 - l / L (1 - exp(-L / l))). Averaging keeps the integral of the autocovariance, so the correlation
     length, integral over variance, becomes l over that share: l for short trains, (l + L) / 2 for long ones.
-
-    Args:
-        length: Correlation length l of the map error along the line [m].
-        train_length: Length L of the train [m].
+    l is ``length`` [m], L the length of the train [m].
     """
     x = train_length / length
     # Its limit for short trains: the formula would lose digits.
-    return length * (1.0 + x / 3.0) if x < _SHORT_TRAIN else length * x * x / (2.0 * (x - 1.0 + math.exp(-x)))
+    return length * (1.0 + x / 3.0) if x < 1e-3 else length * x * x / (2.0 * (x - 1.0 + math.exp(-x)))
 
 
 def is_delay_at_end(delay: float) -> bool:
-    """Return whether a delay [s] is at an end of its range, so that the true one may lie beyond."""
-    return abs(delay - MIN_DELAY) < _AT_END_S or abs(delay - MAX_DELAY) < _AT_END_S
+    """Return whether a delay [s] is at an end of its range, so that the true one may lie beyond.
+
+    The mean of a mixture never quite reaches the end: 0.01 s before it counts as beyond.
+    """
+    return abs(delay - MIN_DELAY) < 0.01 or abs(delay - MAX_DELAY) < 0.01
 
 
 def scale_step(train: Train, *, weighed: bool) -> float:
-    """Return the standard deviation of the change of kappa at a stop [1], where the passenger load changes."""
-    return min(_WEIGHED_STEP if weighed else _UNWEIGHED_STEP, _CHANGING * train.mass_std)
+    """Return the std of the change of kappa at a stop [1]: of the load, 0.4 % of the mass if weighed and 3 % if not.
+
+    The errors of empty train and scales are constant: at most half of the mass error changes.
+    """
+    return min(0.004 if weighed else 0.03, 0.5 * train.mass_std)
 
 
 DavisPosterior = tuple[float, ...]
 
-_SECONDS_PER_HOUR: Final = 3600.0
-# Intervals of the speeds at which the largest standard deviation is sought.
-_INTERVALS: Final = 8
-
 
 def drift_growth(share: float) -> float:
-    """Return the growth of a variance per second as a share of the prior one [1/s]; share as in drift_rates."""
-    return share**2 / _SECONDS_PER_HOUR
+    """Return the growth of a variance per second as a share of the prior one [1/s]; ``share`` of its std in an hour."""
+    return share**2 / 3600.0
 
 
 def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the growth of three variances per second.
-
-    Args:
-        share: Standard deviation of the drift in one hour as a share of the prior one [1].
-        prior: Prior variances.
-    """
+    """Return the growth of three variances per second from the prior ones; ``share`` as in :func:`drift_growth`."""
     growth = drift_growth(share)
     a, b, c = prior
     return growth * a, growth * b, growth * c
@@ -139,13 +109,9 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
 def drifted(
     estimate: DavisPosterior, rates: tuple[float, float, float], elapsed_s: float, limits: tuple[float, float, float]
 ) -> DavisPosterior:
-    """Return an estimate after a random walk of the parameters.
+    """Return an estimate after a random walk of the parameters for some time [s].
 
-    Args:
-        estimate: Estimate before.
-        rates: Growth of the three variances per second.
-        elapsed_s: Elapsed time [s].
-        limits: Upper limits of the variances; limiting keeps the correlations.
+    The three variances grow by these rates per second, up to limits; limiting keeps the correlations.
     """
     a, b, c, A, B, C, D, E, F = estimate
     A, D, F = A + rates[0] * elapsed_s, D + rates[1] * elapsed_s, F + rates[2] * elapsed_s
@@ -153,6 +119,49 @@ def drifted(
         return a, b, c, A, B, C, D, E, F
     r0, r1, r2 = (min(1.0, math.sqrt(limit / P)) for limit, P in zip(limits, (A, D, F), strict=True))
     return a, b, c, A * r0 * r0, B * r0 * r1, C * r0 * r2, D * r1 * r1, E * r1 * r2, F * r2 * r2
+
+
+# Driving time of a batch [s], several times the correlation time of gusts.
+_BATCH_S: Final = 48.0
+# One batch determines a variance only to a factor 1.4, so several are averaged and each ratio is limited.
+_INFLATION_MEMORY: Final = 8.0
+_MAX_INFLATION: Final = 9.0
+
+
+@dataclass(slots=True)
+class Inflation:
+    """Mean ratio of squared innovation sums to predicted variances, and the current batch."""
+
+    ratio: float = 1.0  # Mean ratio, 1 if the model is consistent
+    total: float = 0.0  # Sum of the innovations of the batch, in any unit or normalised by their standard deviations
+    variance: float = 0.0  # Sum of their predicted variances, in the square of that unit
+    length: float = 0.0  # Driving time of the batch so far [s]
+
+    @property
+    def factor(self) -> float:
+        """Factor on the covariance of the parameters [1], at least 1."""
+        return max(1.0, self.ratio)
+
+    def foreseen(self, duration_s: float) -> float:
+        """Return the mean factor after a driving time [s] that the model describes [1]."""
+        # The ratio of a batch is chi-square of one degree of freedom: mean 1, variance 2.
+        kept = math.exp(-duration_s / (_BATCH_S * _INFLATION_MEMORY))
+        excess, variance = (self.ratio - 1.0) * kept, 2.0 / (2.0 * _INFLATION_MEMORY - 1.0) * (1.0 - kept * kept)
+        # E max(0, x) of a normal x
+        z = excess / math.sqrt(variance)
+        above = 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
+        return 1.0 + excess * above + math.sqrt(variance / (2.0 * math.pi)) * math.exp(-0.5 * z * z)
+
+    def add(self, nu: float, variance: float, dt: float) -> None:
+        """Add one innovation times its outlier weight, its variance in the mean of many, and its driving time [s]."""
+        self.total += nu
+        self.variance += variance
+        self.length += dt
+        if self.length < _BATCH_S - 0.5 * dt:
+            return
+        found = min(self.total * self.total / self.variance, _MAX_INFLATION)
+        self.ratio += (found - self.ratio) / _INFLATION_MEMORY
+        self.total = self.variance = self.length = 0.0
 
 
 def predict(estimate: DavisPosterior, v: float, s: float) -> tuple[float, float]:
@@ -163,17 +172,14 @@ def predict(estimate: DavisPosterior, v: float, s: float) -> tuple[float, float]
 
 
 def largest_std(covariance: tuple[float, ...], driven: tuple[float, float], present: float) -> float:
-    """Return the largest standard deviation of w [N/kN]: at nine of the speeds learned from, and now.
+    """Return the largest standard deviation of w [N/kN]: at nine of the speeds learned from, and the present one.
 
-    Args:
-        covariance: Of (a, b, c), 3x3, row-major.
-        driven: Slowest and fastest speed learned from [m/s].
-        present: Standard deviation at the present speed [N/kN].
+    The covariance of (a, b, c) is 3x3, row-major; ``driven`` are the slowest and fastest speed learned from [m/s].
     """
     A, B, C, _, D, E, _, _, F = covariance
     largest = 0.0
-    for k in range(_INTERVALS + 1):
-        v = driven[0] + (driven[1] - driven[0]) * k / _INTERVALS
+    for k in range(9):
+        v = driven[0] + (driven[1] - driven[0]) * k / 8
         largest = max(largest, A + v * (2.0 * B + v * (2.0 * C + D + v * (2.0 * E + v * F))))
     return max(present, math.sqrt(largest))
 
@@ -197,7 +203,6 @@ def resistance_estimate(
     a, b, c, A, B, C, D, E, F = posterior
     resistance, variance = predict(posterior, speed, speed * speed)
     nu, S, test_ratio = innovation
-    slowest, fastest = driven
     scale, scale_std, delay, delay_std = force
     covariance = A, B, C, B, D, E, C, E, F
     return ResistanceEstimate(
@@ -211,20 +216,14 @@ def resistance_estimate(
         innovation=nu,
         innovation_variance=S,
         test_ratio=test_ratio,
-        speed_min=slowest,
-        speed_max=fastest,
+        speed_min=driven[0],
+        speed_max=driven[1],
         resistance_std_max=largest_std(covariance, driven, math.sqrt(variance)),
         force_scale=scale,
         force_scale_std=scale_std,
         force_delay=delay,
         force_delay_std=delay_std,
     )
-
-
-# An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker: at a few
-# speeds, and over all driven ones.
-_HYSTERESIS: Final = 1.5
-_DRIVEN_HYSTERESIS: Final = 2.0
 
 
 def representative_speeds(slowest: float, fastest: float) -> tuple[float, float, float]:
@@ -235,14 +234,12 @@ def representative_speeds(slowest: float, fastest: float) -> tuple[float, float,
 def is_accurate(variances: tuple[float, float, float], valid_std: float, *, was_accurate: bool) -> bool:
     """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
 
-    Args:
-        variances: Variance of the resistance at the :func:`representative_speeds` [(N/kN)^2].
-        valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
-        was_accurate: Whether it was fit so far.
+    The variances are those at the :func:`representative_speeds` [(N/kN)^2], the limit is in N/kN. An estimate that was
+    accurate stays so up to 1.5 times the limit, so that the status does not flicker.
     """
     at_slowest, between, at_fastest = variances
     rms = math.sqrt((at_slowest + between + at_fastest) / 3.0)
-    return rms < valid_std * (_HYSTERESIS if was_accurate else 1.0)
+    return rms < valid_std * (1.5 if was_accurate else 1.0)
 
 
 @dataclass(slots=True)
@@ -279,14 +276,8 @@ def is_accurate_over_driven_speeds(
 ) -> bool:
     """Return whether the standard deviation of w, in root mean square over the driven speeds, is small enough.
 
-    Each speed counts as often as it was driven.
-
-    Args:
-        posterior: Posterior of a, b, c.
-        driven: Moments of the driven speeds.
-        valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
-        valid_share: Largest standard deviation as a share of the resistance [1]; both limits add in squares.
-        was_accurate: Whether it was fit so far.
+    Each speed counts as often as it was driven. The limit is in N/kN and as a share of the resistance [1], added in
+    squares; an estimate that was accurate stays so up to twice the limit, so that the status does not flicker.
     """
     if not driven.count:
         return False
@@ -296,7 +287,7 @@ def is_accurate_over_driven_speeds(
     variance = A + 2.0 * B * m1 + (2.0 * C + D) * m2 + 2.0 * E * m3 + F * m4
     square = a * a + 2.0 * a * b * m1 + (2.0 * a * c + b * b) * m2 + 2.0 * b * c * m3 + c * c * m4
     limit = valid_std * valid_std + valid_share * valid_share * square
-    return variance < limit * (_DRIVEN_HYSTERESIS * _DRIVEN_HYSTERESIS if was_accurate else 1.0)
+    return variance < limit * (4.0 if was_accurate else 1.0)
 
 
 def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
@@ -307,14 +298,11 @@ def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, va
 
 # Observability
 
-_NAMES: Final = ('a', 'b', 'c')
 SEEN_SHARE: Final = 0.5
 """Relative reduction of the prior variance from which a parameter counts as seen [1]."""
-# A parameter is noticeable where its standard deviation changes w by this many standard deviations of w.
+# A parameter shows where its standard deviation changes w by this many standard deviations of w at the speeds seen, and
+# w counts as known where its own is at most this many times that [1].
 _NOTICEABLE: Final = 2.0
-# w counts as known where its standard deviation is at most this many times the largest one over the speeds seen.
-_KNOWN_FACTOR: Final = 2.0
-_GRID_M_S: Final = 0.5
 REACH_M_S: Final = 25.0
 """Fastest speed at which w is judged by default [m/s]."""
 
@@ -355,49 +343,39 @@ def observe(
         speed_max: Fastest speed learned from [m/s]; 0 if nothing was learned.
         reach: Fastest speed at which w is needed [m/s].
     """
-    shares = tuple(_share(covariance[4 * i], prior_covariance[4 * i]) for i in range(3))
+    pairs = ((covariance[k], prior_covariance[k]) for k in (0, 4, 8))
+    a, b, c = (min(1.0, max(0.0, 1.0 - now / prior)) if prior > 0.0 else 0.0 for now, prior in pairs)
     if not speed_max > 0.0:
         nothing = 'nothing seen yet: estimates are the prior'
         return Observability((0.0, 0.0, 0.0), math.nan, math.nan, (math.nan, math.nan), nothing)
     top = max(reach, speed_max)
-    speeds = [_GRID_M_S * k for k in range(int(top / _GRID_M_S) + 1)]
+    speeds = [0.5 * k for k in range(int(2.0 * top) + 1)]
     seen = [speed_min, *(v for v in speeds if speed_min < v < speed_max), speed_max]
     std_observed = max(resistance_std(covariance, v) for v in seen)
     outside = [v for v in (*speeds, top) if not speed_min <= v <= speed_max]
     std_outside = max((resistance_std(covariance, v) for v in outside), default=0.0)
-    known = _known_range(covariance, speeds, speed_min, speed_max, _KNOWN_FACTOR * std_observed)
-    text = _summary(shares, covariance, std_observed, (speed_min, speed_max, top))
-    return Observability((shares[0], shares[1], shares[2]), std_observed, std_outside, known, text)
+    limit = _NOTICEABLE * std_observed
+    slower = _last_known(covariance, [v for v in reversed(speeds) if v < speed_min], limit)
+    faster = _last_known(covariance, [v for v in speeds if v > speed_max], limit)
+    known = (speed_min if slower is None else slower, speed_max if faster is None else faster)
+    text = _summary((a, b, c), covariance, std_observed, (speed_min, speed_max, top))
+    return Observability((a, b, c), std_observed, std_outside, known, text)
 
 
-def _share(variance: float, prior: float) -> float:
-    return min(1.0, max(0.0, 1.0 - variance / prior)) if prior > 0.0 else 0.0
-
-
-def _known_range(
-    covariance: Sequence[float], speeds: Sequence[float], low: float, high: float, limit: float
-) -> tuple[float, float]:
-    """Return the range of speeds around those seen where the standard deviation of w stays within a limit [m/s]."""
-    slowest, fastest = low, high
-    for v in reversed([v for v in speeds if v < low]):
-        if resistance_std(covariance, v) > limit:
-            break
-        slowest = v
-    for v in (v for v in speeds if v > high):
-        if resistance_std(covariance, v) > limit:
-            break
-        fastest = v
-    return slowest, fastest
+def _last_known(covariance: Sequence[float], speeds: Sequence[float], limit: float) -> float | None:
+    """Return the last of the speeds up to which the standard deviation of w stays within a limit, None if none is."""
+    known = list(takewhile(lambda v: resistance_std(covariance, v) <= limit, speeds))
+    return known[-1] if known else None
 
 
 def _summary(
     shares: Sequence[float], covariance: Sequence[float], std_observed: float, speeds: tuple[float, float, float]
 ) -> str:
     slowest, fastest, top = speeds
-    seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= SEEN_SHARE]
+    seen = [name for name, share in zip('abc', shares, strict=True) if share >= SEEN_SHARE]
     parts = [f'{_listed(seen)} seen'] if seen else []
     confounded = []
-    for power, name in enumerate(_NAMES):
+    for power, name in enumerate('abc'):
         if name in seen:
             continue
         # From this speed on the parameter's uncertainty would show against that of w at the speeds seen.

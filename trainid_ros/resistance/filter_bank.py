@@ -3,8 +3,8 @@
 
 A bank of extended Kalman filters on raw speed. It is not from one of the three papers. It combines Bayesian
 change-point detection (Adams and MacKay 2007) with a multiple-model estimator of the noise sizes (Blom and Bar-Shalom
-1988). (1) is the motion at the head of :mod:`speed_states`; [n] marks the same step in the code: here, in
-:mod:`hypotheses` and in :mod:`speed_states`. A hypothesis i has a filter (x_i, P_i) with x = [v, a, b, c, g, e, kappa,
+1988). (1) is the motion at the head of :mod:`hypotheses`; [n] marks the same step in the code: here and in
+:mod:`hypotheses`. A hypothesis i has a filter (x_i, P_i) with x = [v, a, b, c, g, e, kappa,
 delta, kappa_R], a weight W_i, an age, and sizes of gusts g and map errors e.
 
     [1]  hypotheses = {stated prior, wide prior of small weight} x all sizes
@@ -49,8 +49,9 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
     DrivenSpeeds,
+    Inflation,
     drift_growth,
-    force_errors,
+    force_variances,
     is_accurate_at,
     is_accurate_over_driven_speeds,
     is_delay_at_end,
@@ -58,26 +59,29 @@ from trainid_ros.resistance.davis_posterior import (
     resistance_estimate,
     scale_step,
 )
-from trainid_ros.resistance.hypotheses import N_PUBLISHED, Array, Bank, BankPlan, Mixture
-from trainid_ros.resistance.normal import Inflation
-from trainid_ros.resistance.speed_states import (
+from trainid_ros.resistance.hypotheses import (
     DELTA,
     KAPPA,
     KAPPA_R,
+    N_PUBLISHED,
     STATES,
     A,
     AdmittedSample,
+    Array,
     B,
+    Bank,
+    BankPlan,
     C,
     Interval,
+    Mixture,
     ProcessNoise,
 )
 from trainid_ros.resistance.suggested_drive import STEP_S
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-from trainid_ros.stream.samples import STANDING
+from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from trainid_ros.estimators.settings import FilterBankConfig
     from trainid_ros.interface.results import ResistanceEstimate
@@ -86,14 +90,11 @@ if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# Hypothetical disturbance sizes, as multiples of the settings.
-_GUST_SIZES: Final = (1.0, 2.0, 4.0, 8.0)
-_MAP_SIZES: Final = (0.25, 1.25)
+# Hypothetical sizes of gusts and map errors, as multiples of the settings.
+_GUST_SIZES, _MAP_SIZES = (1.0, 2.0, 4.0, 8.0), (0.25, 1.25)
 # Step of the traction interpolation [s], at least one sample; two later steps must be available.
 _SPACING_S: Final = 0.2
 _STEPS_AHEAD: Final = 2
-# Maximum number of samples in such a step.
-_MAX_STRIDE: Final = 50
 # Innovations beyond this many standard deviations have a weight below 0.001.
 _GATE: Final = 5.5
 # Duration of consecutive rejections after which the filters restart from the measured speed [s].
@@ -109,18 +110,9 @@ _VALIDITY_CHECK_INTERVAL: Final = 5
 _VALIDITY_CHECK_AFTER_NS: Final = 210_000_000
 # Standard deviation of the relative error of the wheel diameter, which is up to about half a per cent.
 _WHEEL_STD: Final = 0.003
-# Share of a added to the std of its steps; minimum std of a step of c [N/kN per (m/s)^2].
-_STEP_SHARE_A: Final = 0.15
-_MIN_STEP_C: Final = 1e-6
-# Indices of kappa and delta in a mixture, and the places of their variances.
+# Indices of kappa and delta in a mixture.
 _SCALE: Final = 3
 _DELAY: Final = 4
-_SCALE_VARIANCE: Final = 12
-_DELAY_VARIANCE: Final = 14
-# Age up to which a hypothesis is young [s].
-_YOUNG_AGE_S: Final = 120.0
-# Sample interval for which the white noise of the force is stated [s].
-_FORCE_INTERVAL_S: Final = 0.2
 
 
 class FilterBank:
@@ -180,8 +172,8 @@ class FilterBank:
         self._admitted.append(self._admit(sample))
         if len(self._admitted) == 1 and self._converged:  # the speed may be far from where the last drive ended
             self._check_validity()
-        if len(self._admitted) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
-            self._stride = max(1, min(round(_SPACING_S / sample.dt), _MAX_STRIDE))
+        if len(self._admitted) <= _STEPS_AHEAD:  # the first samples of a drive set its stride, at most 50 of them
+            self._stride = max(1, min(round(_SPACING_S / sample.dt), 50))
         while len(self._admitted) > (_STEPS_AHEAD + 1) * self._stride + 1:
             del self._admitted[0]
         if len(self._admitted) > _STEPS_AHEAD * self._stride:
@@ -322,8 +314,9 @@ class FilterBank:
         return self._estimate(self._current(), speed)
 
     def _estimate(self, now: Mixture, speed: float) -> ResistanceEstimate:
-        scale_std = math.sqrt(max(now.covariance[_SCALE_VARIANCE], 0.0))
-        delay_std = math.sqrt(max(now.covariance[_DELAY_VARIANCE], 0.0))
+        # The upper triangle ends with the variance of kappa, its covariance with delta, and the variance of delta.
+        scale_std = math.sqrt(max(now.covariance[12], 0.0))
+        delay_std = math.sqrt(max(now.covariance[14], 0.0))
         return resistance_estimate(
             now.davis,
             speed,
@@ -335,11 +328,8 @@ class FilterBank:
     def foreseen(self, run: Run, times: int, deviations: Array | None = None) -> Iterator[ResistanceEstimate]:
         """Yield the mean estimates after one, two, ... of a number of runs, each from a stop.
 
-        Args:
-            run: The run.
-            times: Number of runs.
-            deviations: Innovations over their standard deviations, shape (n, times, steps): covariances are means over
-                the n sequences; by default those of :func:`usual_deviations`.
+        Covariances are means over n sequences of innovations over their standard deviations, shape (n, times, steps);
+        by default those of :func:`usual_deviations`.
         """
         mean, slowest = self._current().mean, self.config.min_speed
         first = max(1, run.first_learned(self._known.settling, slowest))
@@ -351,7 +341,8 @@ class FilterBank:
         ]
         for k, mixtures in enumerate(zip(*found, strict=True), 1):
             factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
-            now = self._inflated(Mixture(mean, mean_covariance(mixtures)), factor)
+            covariance = np.mean([list(mixture.covariance) for mixture in mixtures], axis=0)
+            now = self._inflated(Mixture(mean, vec[float](covariance.tolist())), factor)
             yield self._estimate(now, run.steps[-1].speed)
 
     def save(self) -> str:
@@ -376,16 +367,15 @@ def usual_deviations(run: Run, times: int) -> Array:
 def foreseen_mixtures(
     now: Bank, run: Run, deviations: Array, first: int, slowest: float, variances: tuple[float, float]
 ) -> Iterator[Mixture]:
-    """Yield the mixture after each of some runs from a stop.
+    """Yield the mixture after each of some runs from a stop; the bank stays as it is.
 
     Args:
-        now: The bank, which stays as it is.
+        now: The bank.
         run: The run, driven once or more.
         deviations: Innovations over their standard deviations, shape (runs, steps).
         first: Index of the first step from which is learned, at least 1.
         slowest: Speed at which the train is taken to stop [m/s].
-        variances: Variance of the speed at the end of a step [(m/s)^2], and that by which the force scale may change
-            at a stop [1].
+        variances: Variance of the speed at the end of a step [(m/s)^2], and of the force scale at a stop [1].
     """
     bank, (speed_variance, scale_variance) = Bank(now.plan), variances
     restore(bank, encode(now))
@@ -396,11 +386,6 @@ def foreseen_mixtures(
             if not bank.simulate_step(_planned(step, speed_variance), deviation, slowest):
                 break
         yield bank.mixture(bank.plan.young_weight)
-
-
-def mean_covariance(mixtures: Sequence[Mixture]) -> vec[float]:
-    """Return the mean of the covariances of mixtures, 15 numbers."""
-    return vec[float](np.mean([list(mixture.covariance) for mixture in mixtures], axis=0).tolist())
 
 
 def _planned(step: Step, variance: float) -> Interval:
@@ -420,14 +405,14 @@ def _planned(step: Step, variance: float) -> Interval:
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:
     """Return the settings of the bank for a train; inertia = 1000 (1 + gamma) / g0 [N/kN per m/s^2]."""
-    davis, errors = train_file.resistance, force_errors(train_file, config.force_delay_std)
-    mean, variance = np.zeros(STATES), np.zeros(STATES)
+    davis, mean, variance = train_file.resistance, np.zeros(STATES), np.zeros(STATES)
     mean[[A, B, C]] = davis.a, davis.b, davis.c
     variance[[A, B, C]] = prior_variances((davis.a, davis.b, davis.c), config)
-    variance[[KAPPA, DELTA, KAPPA_R]] = errors.variances
+    variance[[KAPPA, DELTA, KAPPA_R]] = force_variances(train_file, config.force_delay_std)
     drift = drift_growth(config.drift_share) * variance
     drift[KAPPA] = 0.0  # kappa changes only at stops
-    step_a, step_c = config.step_a + _STEP_SHARE_A * davis.a, max(config.step_share_c * davis.c, _MIN_STEP_C)
+    # The text of the setting states the share of a; a step of c is not zero without c.
+    step_a, step_c = config.step_a + 0.15 * davis.a, max(config.step_share_c * davis.c, 1e-6)
     gradient_std = train_file.line.gradient_std
     map_stds = tuple(size * gradient_std for size in _MAP_SIZES) if gradient_std > 0.0 else (0.0,)
     return BankPlan(
@@ -440,20 +425,15 @@ def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -
         branch_interval=config.branch_interval,
         hypotheses=config.hypotheses,
         min_age=config.min_age,
-        young_age=_YOUNG_AGE_S,
         young_weight=config.young_weight,
         wrong_prior=config.wrong_prior,
         drift=drift,
-        noise=_process_noise(config, inertia, train_file.train.length),
-    )
-
-
-def _process_noise(config: FilterBankConfig, inertia: float, train_length: float) -> ProcessNoise:
-    return ProcessNoise(
-        inertia=inertia,
-        gust_time=config.gust_time,
-        map_length=length_under_train(config.map_length, train_length),
-        force_density=config.force_noise**2 * _FORCE_INTERVAL_S,
-        skew=config.force_skew,
-        outliers=config.outlier_share,
+        noise=ProcessNoise(
+            inertia=inertia,
+            gust_time=config.gust_time,
+            map_length=length_under_train(config.map_length, train_file.train.length),
+            force_density=config.force_noise**2 * SAMPLE_PERIOD,  # the noise is stated for the mean over a sample
+            skew=config.force_skew,
+            outliers=config.outlier_share,
+        ),
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from trainid_ros.resistance.davis_posterior import SEEN_SHARE, resistance_std
 from trainid_ros.train.forces import lag_response, specific_force, specific_inertia
@@ -38,15 +38,10 @@ ACCELERATION: Final = 0.9  # limit of a service start [m/s^2]
 JERK: Final = 0.8  # limit of a service start [m/s^3]
 DECELERATION: Final = 0.6  # of the brake command to the stop [m/s^2]
 # Shortest run with enough data for a prediction, and longest practicable run or braking [s].
-_MIN_RUN_S: Final = 60.0
-_MAX_RUN_S: Final = 900.0
-# Length of a run where the train file names no stops [m].
-_MAX_RUN_M: Final = 10e3
-# Tolerance of a controller at a speed limit [m/s].
-_LIMIT_TOLERANCE: Final = 0.5
+_MIN_RUN_S, _MAX_RUN_S = 60.0, 900.0
 # Speeds at which coasting or holding begins, as shares of the top speed; coasting ends at these shares of that speed.
-_STARTS: Final = (1.0, 0.7, 0.45)
-_ENDS: Final = (0.85, 0.7, 0.5, 0.3)
+_STARTS, _ENDS = (1.0, 0.7, 0.45), (0.85, 0.7, 0.5, 0.3)
+# Times for which a speed is held [s].
 _HELD_S: Final = (60.0, 180.0)
 
 
@@ -115,9 +110,7 @@ class Run:
     def first_learned(self, settling_s: float, slowest: float) -> int:
         """Return the index of the first step from which is learned; the number of steps if there is none.
 
-        Args:
-            settling_s: Time that the brake takes to release, from the start [s].
-            slowest: Slowest speed to learn from [m/s].
+        The brake takes ``settling_s`` [s] to release; ``slowest`` is the slowest speed to learn from [m/s].
         """
         released = min(len(self.steps), math.ceil(settling_s / STEP_S))
         fast = (k for k, step in enumerate(self.steps[released:], released) if step.speed >= slowest)
@@ -145,23 +138,23 @@ def _fits(run: Run, train_file: TrainFile) -> bool:
     """Return whether there is room for a run between two stops, where the speed limits allow it."""
     line, length = train_file.line, run.length_m
     if not line.stops:
-        return length <= _MAX_RUN_M
+        return length <= 10e3
     profile = LineProfile(line, train_file.train.length)
-    for stop, following in pairwise(line.stops):
-        # A limit ends when the rear of the train has passed it.
-        ends = (position + train_file.train.length for position, _ in line.speed_limit)
-        begins = (begin for begin in (stop, *ends) if stop <= begin <= following - length)
-        if any(_is_allowed(run, begin, profile) for begin in begins):
-            return True
-    return False
+    # A limit ends when the rear of the train has passed it.
+    ends = [position + train_file.train.length for position, _ in line.speed_limit]
+    return any(
+        stop <= begin <= following - length and _is_allowed(run, begin, profile)
+        for stop, following in pairwise(line.stops)
+        for begin in (stop, *ends)
+    )
 
 
 def _is_allowed(run: Run, begin: float, profile: LineProfile) -> bool:
-    """Return whether a run from a position [m] on exceeds no speed limit."""
+    """Return whether a run from a position [m] on exceeds no speed limit by more than a controller does, 0.5 m/s."""
     position = begin
     for speed in run.speeds:
         position += STEP_S * speed
-        if speed > profile.speed_limit(position, 1) + _LIMIT_TOLERANCE:
+        if speed > profile.speed_limit(position, 1) + 0.5:
             return False
     return True
 
@@ -186,13 +179,9 @@ def _round(speed: float) -> float:
 
 
 def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_scale: float = 1.0) -> Run | None:
-    """Return a run; None if the train does not do it within a practicable time.
+    """Return a run of a train with a resistance; None if the train does not do it within a practicable time.
 
-    Args:
-        manoeuvre: What the driver does.
-        train_file: Train and line.
-        davis: Resistance.
-        force_scale: Actual over reported traction [1].
+    ``force_scale`` is the actual over the reported traction [1].
     """
     train, scale = train_file.train, force_scale
     m = specific_inertia(1.0, train.rotary_mass)
@@ -240,13 +229,6 @@ _MAX_STD_RATIO: Final = 0.9
 _MIN_REDUCTION: Final = 0.03
 # Tolerance of a standard deviation, as a multiple of its limit or of the present one [1].
 _TOLERANCE: Final = 1.05
-# Standard deviation from which a force scale counts as known [1].
-_MIN_SCALE_STD: Final = 0.01
-# Smallest plausible force scale [1].
-_MIN_SCALE: Final = 0.1
-# w must be known up to the top speed, checked at these shares of it.
-_SHARES: Final = (0.25, 0.5, 0.75, 1.0)
-_NUMBERS: Final = {1: 'once', 2: 'twice'}
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +283,7 @@ class SuggestedDrive:
     def text(self) -> str:
         """The drive in words, with what it promises."""
         wanted, promise = self.least_known.wanted, self.least_known
-        times = _NUMBERS.get(self.times, f'{self.times} times')
+        times = {1: 'once', 2: 'twice'}.get(self.times, f'{self.times} times')
         length = f'{self.times * self.run.length_m / 1000.0:.1f} km'
         std = f'{wanted.name} ± {promise.then:.2g}{f" {wanted.unit}" if wanted.unit else ""}, now ± {promise.now:.2g}'
         missed = '' if promise.ratio <= _TOLERANCE else f' (wanted ± {wanted.limit:.2g})'
@@ -321,26 +303,16 @@ class SuggestedDrive:
             'duration_s': self.duration_s,
             'length_m': self.times * self.run.length_m,
             'least_known': promise.wanted.name,
-            'std': {item.wanted.name: _stds(item) for item in self.promises},
+            'std': {
+                item.wanted.name: {
+                    'unit': item.wanted.unit,
+                    'now': item.now,
+                    'then': item.then,
+                    'wanted': item.wanted.limit,
+                }
+                for item in self.promises
+            },
         }
-
-
-class _Candidate(NamedTuple):
-    """A run, how often it is driven, and what that promises."""
-
-    run: Run
-    times: int
-    promises: tuple[Promise, ...]
-
-    @property
-    def duration_s(self) -> float:
-        """Duration without dwells [s]."""
-        return self.times * self.run.duration_s
-
-
-def _stds(promise: Promise) -> dict[str, object]:
-    wanted = promise.wanted
-    return {'unit': wanted.unit, 'now': promise.now, 'then': promise.then, 'wanted': wanted.limit}
 
 
 @runtime_checkable
@@ -360,20 +332,14 @@ def suggested_drive(
 ) -> SuggestedDrive | None:
     """Return the shortest drive that makes known what is not, as far as any drive does.
 
-    Args:
-        estimator: The estimator of the resistance.
-        train_file: Train file.
-        prior: Estimate before the first sample.
-        now: Present estimate.
-
-    Returns:
-        None if all is known, if nothing was learned yet, if no drive would help, or if the estimator cannot foresee it.
+    ``prior`` is the estimate before the first sample, ``now`` the present one. None if all is known, if nothing was
+    learned yet, if no drive would help, or if the estimator of the resistance cannot foresee it.
     """
     if not isinstance(estimator, ForeseeingEstimator) or not now.speed_max > 0.0:
         return None
     config = estimator.config
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
-    scale = now.force_scale if now.force_scale > _MIN_SCALE else 1.0  # it may be NaN
+    scale = now.force_scale if now.force_scale > 0.1 else 1.0  # it may be NaN or implausible
     runs = planned_runs(train_file, Davis(now.a, now.b, now.c), scale)
     return best_drive(quantities, now, runs, estimator.foreseen)
 
@@ -381,47 +347,38 @@ def suggested_drive(
 def best_drive(
     quantities: Sequence[Wanted], now: object, runs: Iterable[Run], foreseen: Callable[[Run, int], Iterable[object]]
 ) -> SuggestedDrive | None:
-    """Return the shortest drive that makes known what is not, None if all is known or no drive would help.
+    """Return the shortest drive of these runs that makes known what is not, None if all is known or none would help.
 
-    Args:
-        quantities: What should be known.
-        now: Present estimate.
-        runs: Runs to compare.
-        foreseen: Returns the estimates after one, two, ... of a number of runs.
+    ``foreseen`` returns the estimates after one, two, ... of a number of runs. A longer drive must be better. What
+    counts is the quantity that is least known after the drive, of those that at least one drive makes known; or of
+    those for which the drives are made if none does.
     """
-    if all(wanted.std(now) <= wanted.limit for wanted in quantities):
+    before = [Promise(wanted, wanted.std(now), wanted.std(now)) for wanted in quantities]
+    unknown = {k for k, item in enumerate(before) if item.now > item.wanted.limit}
+    if not unknown:
         return None
-    drives = []
+    drives: list[tuple[Run, int, tuple[Promise, ...]]] = []
     for run in runs:
         for times, then in enumerate(foreseen(run, _MAX_TIMES), 1):
-            promises = tuple(Promise(wanted, wanted.std(now), wanted.std(then)) for wanted in quantities)
+            promises = tuple(Promise(item.wanted, item.now, item.wanted.std(then)) for item in before)
             if not any(promise.is_worse for promise in promises):
-                drives.append(_Candidate(run, times, promises))
-    best = _shortest(sorted(drives, key=attrgetter('duration_s')))
-    return best if best is not None and best.least_known.then < _MAX_STD_RATIO * best.least_known.now else None
-
-
-def _shortest(drives: Sequence[_Candidate]) -> SuggestedDrive | None:
-    """Return the best of the drives, shortest first: a longer one must be better.
-
-    What counts is the quantity that is least known after the drive, of those that at least one drive makes known; or
-    of those for which the drives are made if none does.
-    """
-    if not drives:
-        return None
-    first = drives[0].promises
-    reached = [k for k in range(len(first)) if min(drive.promises[k].ratio for drive in drives) <= 1.0]
-    unknown = [k for k, item in enumerate(first) if item.before > 1.0]
-    counted = reached if set(reached) & set(unknown) else unknown
-    best, least = drives[0], math.inf
+                drives.append((run, times, promises))
+    drives.sort(key=lambda drive: drive[1] * drive[0].duration_s)
+    reached = {k for k in range(len(before)) if any(promises[k].ratio <= 1.0 for _, _, promises in drives)}
+    counted = reached if reached & unknown else unknown
+    best, least = None, math.inf
     for drive in drives:
-        ratio = max(drive.promises[k].ratio for k in counted)
-        if ratio < (1.0 - _MIN_REDUCTION) * least:
+        ratio = max(drive[2][k].ratio for k in counted)
+        if best is None or ratio < (1.0 - _MIN_REDUCTION) * least:
             best, least = drive, ratio
         if least <= 1.0:
             break
-    least_known = max((best.promises[k] for k in counted), key=attrgetter('before'))
-    return SuggestedDrive(best.run, best.times, least_known, best.promises)
+    if best is None:
+        return None
+    run, times, promises = best
+    least_known = max((promises[k] for k in sorted(counted)), key=attrgetter('before'))
+    is_useful = least_known.then < _MAX_STD_RATIO * least_known.now
+    return SuggestedDrive(run, times, least_known, promises) if is_useful else None
 
 
 def _quantities(
@@ -432,12 +389,12 @@ def _quantities(
     left = math.sqrt(1.0 - SEEN_SHARE)
     for k, (name, unit) in enumerate(zip('abc', units, strict=True)):
         yield Wanted(name, unit, partial(_parameter, k), left * _parameter(k, prior))
-    for share in _SHARES:
+    for share in (0.25, 0.5, 0.75, 1.0):
         v = share * top_speed(train_file)
         w = now.a + v * (now.b + v * now.c)
         yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', partial(_at, v), math.hypot(valid_std, valid_share * w))
     if not math.isnan(prior.force_scale_std):
-        yield Wanted('force scale', '', _scale, max(_MIN_SCALE_STD, left * prior.force_scale_std))
+        yield Wanted('force scale', '', attrgetter('force_scale_std'), max(0.01, left * prior.force_scale_std))
 
 
 # The standard deviations of an estimate: functions of the module, so that a drive can be sent to another process.
@@ -449,7 +406,3 @@ def _parameter(k: int, estimate: ResistanceEstimate) -> float:
 
 def _at(v: float, estimate: ResistanceEstimate) -> float:
     return resistance_std(estimate.covariance, v)
-
-
-def _scale(estimate: ResistanceEstimate) -> float:
-    return estimate.force_scale_std

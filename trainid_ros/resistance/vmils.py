@@ -3,8 +3,8 @@
 
 After Liu et al. 2018. (n) is an equation of the paper, whose multi-innovation equations have no numbers: "MILS" are
 those of section 3, "V-MILS" those of section 4.2. [n] marks the same step in the code: here and in
-:mod:`window_learner`, :mod:`change_points` and :mod:`normal`. theta = [a, b, c, kappa, delta,
-kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
+:mod:`window_learner` and :mod:`change_points`. theta = [a, b, c, kappa, delta, kappa_curve]: the resistance
+w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_posterior`.
 
     [1]  theta = theta(0), P = P(0): the regularisation                                   (7): P(0)^-1 for lambda I
     for each sample without braking:
@@ -36,7 +36,7 @@ The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vm
   weight exactly once and P is a covariance;
 * "interval-varying": good observations enter the p of a step. A soft gate weights them instead of choosing;
 * traction is not exact: its scale and delay are estimated too, and so is the curve resistance;
-* the correlation of the noise is learned, see :mod:`normal`, and so is the speed noise;
+* the correlation of the noise is learned, see :mod:`window_learner`, and so is the speed noise;
 * steps of a, b, c are detected and followed, see :mod:`change_points`.
 """
 
@@ -52,20 +52,18 @@ from trainid_ros.interface.errors import InputError, check_settings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, encode, restore
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
-    ForceErrors,
     drift_rates,
     drifted,
-    force_errors,
+    force_variances,
     is_accurate_over_driven_speeds,
     resistance_estimate,
     scale_step,
 )
-from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.suggested_drive import STEP_S
-from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan, WindowSample
+from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 from trainid_ros.stream.known_force import Admission, KnownForce
 
 if TYPE_CHECKING:
@@ -73,21 +71,14 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.settings import VMilsConfig
     from trainid_ros.interface.results import Rejection, ResistanceEstimate
+    from trainid_ros.resistance.change_points import Array
     from trainid_ros.resistance.davis_posterior import DavisPosterior
-    from trainid_ros.resistance.normal import Array
     from trainid_ros.resistance.suggested_drive import Run
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Interval at which drift is added, and the estimate is tested again without new observations [s].
 _DRIFT_LUMP_S: Final = 60.0
-# Observations between the creation of two hypotheses, and maximum number of hypotheses.
-_SPACING: Final = 6
-_HYPOTHESES: Final = 5
-# Observations over which a lock-out is detected and from which the estimate restarts.
-_LOCKOUT: Final = 30
-# Factor on the weight of the hypotheses in the stated covariance [1]: a step of 1 % probability counts as much as none.
-_STEP_WEIGHT: Final = 100.0
 # Speed below which the train is at a stop, where the passenger load changes [m/s].
 _STANDING: Final = 0.3
 # Index of kappa and delta in theta.
@@ -108,13 +99,15 @@ class VMils:
         self.config = config
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)
-        davis, errors = train_file.resistance, force_errors(train_file, config.force_delay_std)
-        tracker = tracker_of((davis.a, davis.b, davis.c), errors, config)
+        davis, force = train_file.resistance, force_variances(train_file, config.force_delay_std)
+        tracker = tracker_of((davis.a, davis.b, davis.c), force, config)
         a, b, c, *_ = tracker.prior.P.diagonal().tolist()
         self._prior_variances = a, b, c
         self._rates = drift_rates(config.drift_share, self._prior_variances)
-        plan = window_plan(config, self._known.inertia, train_file.line.gradient_std)
-        self.learner = WindowLearner(tracker, plan)
+        # Upper limits of the variances of theta: the prior ones, plus one step of kappa.
+        self._limits = tracker.prior.P.diagonal().copy()
+        self._limits[_KAPPA] += scale_step(train_file.train, weighed=False) ** 2
+        self.learner = WindowLearner(tracker, config, self._known.inertia, train_file.line.gradient_std)
         self._clear()
 
     def _clear(self) -> None:
@@ -176,22 +169,15 @@ class VMils:
         elif sample.speed < _STANDING:
             self._standing = True
             # [16]
-            step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
-            variances = np.zeros(len(self.learner.tracker.prior.theta))
-            variances[_KAPPA] = step
-            self.learner.tracker.inflate_variance(variances, self._limits())
+            variances = np.zeros_like(self._limits)
+            variances[_KAPPA] = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
+            self.learner.tracker.inflate_variance(variances, self._limits)
 
     def idle(self, seconds: float) -> None:
         """Let the drift of a, b, c go on over a time without samples [s]."""
         if self._stamp_ns:
             self._stamp_ns += round(seconds * NS_PER_S)
             self._check_validity(updated=True)
-
-    def _limits(self) -> Array:
-        """Return the upper limits of the variances of theta: the prior ones, plus one step of kappa."""
-        limits = self.learner.tracker.prior.P.diagonal().copy()
-        limits[_KAPPA] += scale_step(self._known.train_file.train, weighed=False) ** 2
-        return limits
 
     def _drift(self) -> None:
         """Add the drift variance of a, b, c at intervals."""
@@ -200,10 +186,9 @@ class VMils:
             self._drifted_ns = self._stamp_ns
         elif elapsed_s >= _DRIFT_LUMP_S:
             # [16]
-            limits = self._limits()
-            variances = np.zeros(len(limits))
+            variances = np.zeros_like(self._limits)
             variances[:3] = np.array(self._rates) * elapsed_s
-            self.learner.tracker.inflate_variance(variances, limits)
+            self.learner.tracker.inflate_variance(variances, self._limits)
             self._drifted_ns = self._stamp_ns
 
     def _published(self, P: Array) -> DavisPosterior:
@@ -263,7 +248,7 @@ class VMils:
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
         # At an arrival no load has been weighed yet.
         step = scale_step(self._known.train_file.train, weighed=False) ** 2
-        most, drift = self._limits()[_KAPPA], np.array(self._rates) * run.duration_s
+        most, drift = self._limits[_KAPPA], np.array(self._rates) * run.duration_s
         if not self._standing:
             P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
         for k in range(1, times + 1):
@@ -297,54 +282,22 @@ class VMils:
         )
 
 
-def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: VMilsConfig) -> Tracker:
+def tracker_of(davis: tuple[float, float, float], of_force: tuple[float, float, float], config: VMilsConfig) -> Tracker:
     """Return the tracker of theta = [a, b, c, kappa, delta, kappa_curve] before the first observation.
 
-    Args:
-        davis: Prior means of a, b, c [N/kN, v in m/s].
-        errors: Prior standard deviations of the force errors, whose means are 0.
-        config: Settings of V-MILS.
+    Its prior means are a, b, c [N/kN, v in m/s] and 0 for the force errors, whose prior variances are given.
     """
     variances = prior_variances(davis, config)
     share = config.step_share**2
     a, b, c = (share * variance for variance in variances)
     # [1] The regularisation of eq. (7) as a Gaussian prior.
-    prior = independent((*davis, 0.0, 0.0, 0.0), (*variances, *errors.variances))
-    return Tracker(prior, change_point_config(config, (a, b, c, 0.0, 0.0, 0.0)))
-
-
-def change_point_config(config: VMilsConfig, step_variances: tuple[float, ...]) -> ChangePointConfig:
-    """Return the settings of the step detection of V-MILS."""
-    return ChangePointConfig(
+    prior = independent((*davis, 0.0, 0.0, 0.0), (*variances, *of_force))
+    plan = ChangePointConfig(
         p=config.innovation_length,
         outliers=config.outlier_share,
-        step_variances=step_variances,
+        step_variances=(a, b, c, 0.0, 0.0, 0.0),
         hazard=config.hop / config.step_interval,
-        spacing=_SPACING,
-        hypotheses=_HYPOTHESES,
         min_age=config.step_min_age,
-        lockout=_LOCKOUT,
-        step_weight=_STEP_WEIGHT,
+        step_weight=100.0,  # a step of 1 % probability counts as much as none
     )
-
-
-def window_plan(config: VMilsConfig, inertia: float, gradient_std: float) -> WindowPlan:
-    """Return the window lengths and declared noise of V-MILS.
-
-    Args:
-        config: Settings of V-MILS.
-        inertia: As in :func:`observe_resistance` [N/kN per m/s^2].
-        gradient_std: Standard deviation of the gradients of the map [per mille].
-    """
-    return WindowPlan(
-        window=config.window,
-        hop=config.hop,
-        inertia=inertia,
-        speed_std=config.speed_std,
-        # A gradient of 1 per mille is 1 N/kN.
-        disturbance_std=math.hypot(config.disturbance_std, gradient_std),
-        disturbance_time=config.disturbance_time,
-        force_error=config.force_error,
-        force_skew=config.force_skew,
-        outliers=config.outlier_share,
-    )
+    return Tracker(prior, plan)

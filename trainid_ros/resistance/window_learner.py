@@ -7,8 +7,8 @@ curvature, each averaged with the weights of the slope of the window:
     y = a + b v + c s - kappa Tw - delta Dw + kappa_curve (600/R)w + noise.
 
 The tracker is updated with it. Window and tracker need noise levels: that of the speed, and the variance that
-disturbances (gusts, map errors) add to one observation and to the mean of many. All are learned online, within bounds
-around the declared values.
+disturbances (gusts, map errors) add to one observation and to the mean of many, whose noise is correlated. All are
+learned online, within bounds around the declared values.
 
 An observation is the least-squares slope of the speed minus the effect of the known force. Differenced 5 Hz speed is
 too noisy (Liu et al. 2018, Fig. 1), so a line is fitted through a window. The paper's acceleration of that line assumes
@@ -30,8 +30,8 @@ from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, several
 from trainid_ros.interface.vectors import append, vec
-from trainid_ros.resistance.davis_posterior import DrivenSpeeds
-from trainid_ros.resistance.normal import Inflation, SlowNoise, dot, gate
+from trainid_ros.resistance.change_points import dot, gate
+from trainid_ros.resistance.davis_posterior import DrivenSpeeds, Inflation
 from trainid_ros.stream.known_force import SpeedNoise
 
 if TYPE_CHECKING:
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.change_points import Tracker
-    from trainid_ros.resistance.normal import Array
+    from trainid_ros.estimators.settings import VMilsConfig
+    from trainid_ros.resistance.change_points import Array, Tracker
 
+# Speeds further from the line of their window are outliers [standard deviations]; largest share of them [1].
 _OUTLIER_SIGMAS: Final = 5.0
 _MAX_OUTLIER_SHARE: Final = 0.34
-_ROBUST_ROUNDS: Final = 3
 # A line fit through fewer samples cannot detect outliers; at low sample rates the windows are longer.
 _MIN_SAMPLES: Final = 8
 
@@ -65,17 +65,14 @@ class WindowSample:
 class WindowResult:
     """One observation of the resistance."""
 
-    y: float  # Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
+    y: float  # Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction
     # Regressor [1, v, v^2] with v in m/s, averaged with the weights of the slope, shape (3,)
     phi: tuple[float, float, float]
     noise_std: float  # Standard deviation of y due to speed noise alone [N/kN]
     traction: float  # Specific traction Tw, averaged with the weights of the slope [N/kN]
     traction_size: float  # Mean absolute specific traction [N/kN]
-    # Slope Dw of the traction with the weights of the speed slope [N/kN per s]: the error of y per second of force
-    # delay
-    traction_rate: float
+    traction_rate: float  # Slope Dw of the traction with these weights [N/kN per s]: error of y per second of delay
     curve: float  # 600 m over the radius, averaged with the weights of the slope [1]
-    duration: float  # Time from the first to the last sample [s]
     speed_min: float  # Slowest speed in the window without outliers [m/s]
     speed_max: float  # Fastest speed in the window without outliers [m/s]
 
@@ -158,7 +155,7 @@ def observe_resistance(samples: list[WindowSample], inertia: float, speed_std: f
             return Rejection(samples[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
         weights = vec[float](_slope_weights(time, kept).tolist())
         speeds = vec[float](np.interp(time, time[kept], v[kept]).tolist())
-    return _result(samples, times, rest, weights, speeds, inertia, speed_std)
+    return _result(samples, rest, weights, speeds, inertia, speed_std)
 
 
 def _unforced(samples: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
@@ -203,7 +200,6 @@ def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> 
 
 def _result(
     samples: list[WindowSample],
-    times: vec[float],
     rest: vec[float],
     weights: vec[float],
     speeds: vec[float],
@@ -234,17 +230,15 @@ def _result(
         traction_size=size / (len(samples) - 1),
         traction_rate=_traction_rate(samples, weights),
         curve=curve,
-        duration=times[-1],
         speed_min=slowest,
         speed_max=fastest,
     )
 
 
 def _traction_rate(samples: list[WindowSample], weights: vec[float]) -> float:
-    """Return sum w_k T(t_k), the slope of the traction; T at a stamp is the mean of the two adjacent intervals.
+    """Return sum w_k T(t_k), by whose product with delta a force that acts delta later changes the slope of the speed.
 
-    A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the
-    changes of T, weighted by the shares of the intervals, into T weighted by w.
+    T at a stamp is the mean of the two adjacent intervals.
     """
     rate, T = 0.0, samples[-1].traction
     for k in range(len(samples) - 1, 0, -1):
@@ -264,68 +258,98 @@ def overlap_factor(window: int, hop: int) -> float:
     return 1.0 + 2.0 * math.fsum(covariances) / float(c @ c)
 
 
-def _slope_weights(time: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _slope_weights(time: Array, kept: NDArray[np.bool_]) -> Array:
     centred = np.where(kept, time - time[kept].mean(), 0.0)
-    weights: NDArray[np.float64] = centred / (centred @ centred)
+    weights: Array = centred / (centred @ centred)
     return weights
 
 
-def _line(time: NDArray[np.float64], y: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _line(time: Array, y: Array, kept: NDArray[np.bool_]) -> Array:
     slope = float(_slope_weights(time, kept) @ y)
-    line: NDArray[np.float64] = y[kept].mean() + slope * (time - time[kept].mean())
+    line: Array = y[kept].mean() + slope * (time - time[kept].mean())
     return line
 
 
-def _robust_line(time: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+def _robust_line(time: Array, y: Array) -> Array:
     """Return the line through the medians of the two halves."""
     half = len(y) // 2
     slope = (np.median(y[-half:]) - np.median(y[:half])) / (np.median(time[-half:]) - np.median(time[:half]))
-    line: NDArray[np.float64] = slope * time + np.median(y - slope * time)
+    line: Array = slope * time + np.median(y - slope * time)
     return line
 
 
-def _inliers(
-    time: NDArray[np.float64], y: NDArray[np.float64], robust: NDArray[np.float64], tolerance: float
-) -> NDArray[np.bool_]:
+def _inliers(time: Array, y: Array, robust: Array, tolerance: float) -> NDArray[np.bool_]:
     """Mark the speeds within ``tolerance`` of the line, so that single spikes do not invalidate a window."""
     kept = np.ones(len(y), dtype=bool)
     if np.max(np.abs(y - _line(time, y, kept))) <= tolerance:
         return kept
     kept = np.abs(robust) <= 2.0 * tolerance
-    for _ in range(_ROBUST_ROUNDS):
+    for _ in range(3):
         if kept.mean() < 0.5:
             break
         kept = np.abs(y - _line(time, y, kept)) <= tolerance
     return kept
 
 
+# Observations in a batch of the slow noise, and how many batches are averaged, fewer at first.
+_BATCH: Final = 20
+_SLOW_MEMORY: Final = 25.0
+_FIRST_SLOW_MEMORY: Final = 12.0
+# The ratio of one batch is limited, since a parameter step is not noise. Steps still count until they are detected;
+# otherwise gusts that look like steps would never be learned.
+_MAX_SLOW_RATIO: Final = 6.0
+
+
+@dataclass(slots=True)
+class SlowNoise:
+    """Learned factor on the noise variance in the mean of many observations, and the current batch.
+
+    If the predicted variances are correct, the expected squared sum of the innovations of a batch longer than their
+    correlation time equals the sum of the variances.
+    """
+
+    factor: float = 1.0  # factor on the noise variance [1]
+    total: float = 0.0  # sum of the innovations of the batch [N/kN]
+    variance: float = 0.0  # expected variance of that sum [(N/kN)^2]
+    known: float = 0.0  # share of the noise in it [(N/kN)^2]
+    count: int = 0  # innovations in the batch
+    memory: float = _FIRST_SLOW_MEMORY  # batches that the factor remembers
+
+    def add(self, nu: float, prediction: float, variance: float, bounds: tuple[float, float]) -> None:
+        """Add one innovation.
+
+        Args:
+            nu: Innovation times its outlier weight [N/kN].
+            prediction: Variance of its prediction due to the parameter uncertainty [(N/kN)^2].
+            variance: Variance of its noise in the mean of many, including the factor [(N/kN)^2].
+            bounds: Limits of the factor [1].
+        """
+        self.total += nu
+        self.variance += prediction + variance
+        self.known += variance
+        self.count += 1
+        if self.count < _BATCH:
+            return
+        ratio = min(self.total * self.total / self.variance, _MAX_SLOW_RATIO)
+        # If the parameter uncertainty dominates the variance, the batch carries little information on the noise.
+        gain = self.known / self.variance / self.memory
+        self.memory = min(self.memory + 1.0, _SLOW_MEMORY)
+        self.factor = min(max(self.factor * (1.0 + gain * (ratio - 1.0)), bounds[0]), bounds[1])
+        self.total = self.variance = self.known = 0.0
+        self.count = 0
+
+
+# Gain of one innovation in the learned disturbance variance [1].
 _DISTURBANCE_MEMORY: Final = 0.03
-# The range includes gusts of up to 0.8 N/kN and map errors of 0.5 per mille.
+# Range of the disturbance, as multiples of the declared one: gusts of up to 0.8 N/kN and map errors of 0.5 per mille.
 _MIN_DISTURBANCE: Final = 0.3
 _MAX_DISTURBANCE: Final = 8.0
-_MIN_SLOW: Final = 0.2
-_MAX_SLOW: Final = 20.0
+# Limits of the factor of the slow noise [1].
+_SLOW_BOUNDS: Final = (0.2, 20.0)
 # Cap on one innovation in the learned disturbance, since slip is not a disturbance [standard deviations].
 _MAX_SIGMAS: Final = 3.0
 # Probability of a step above which an innovation is not used to learn the noise of one observation.
 _UNCERTAIN: Final = 0.1
-# Observations with less weight are rejected.
-_MIN_WEIGHT: Final = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class WindowPlan:
-    """Window lengths and declared noise."""
-
-    window: float  # length of a window [s]
-    hop: float  # time from one window to the next [s]
-    inertia: float  # 1000 (1 + gamma) / g0 [N/kN per m/s^2]
-    speed_std: float  # noise of measured speed [m/s]
-    disturbance_std: float  # gusts and map errors [N/kN]
-    disturbance_time: float  # their correlation time [s]
-    force_error: float  # relative error of the force, std [1]
-    force_skew: float  # delay of the force, std [s]
-    outliers: float  # share of outliers [1]
 
 
 class WindowLearner:
@@ -336,8 +360,7 @@ class WindowLearner:
         inflation: Inflation of the covariance for unmodelled errors.
         innovation: Innovation of the last observation [N/kN].
         innovation_variance: Its variance if the observation is good [(N/kN)^2]; 0 before the first.
-        test_ratio: Its square over that variance and the square of the gate [1]; above 1 the weight of the
-            observation is less than one half.
+        test_ratio: Its square over that variance and the square of the gate [1], above 1 if its weight is below 1/2.
         driven: Speeds of the windows used.
     """
 
@@ -346,19 +369,22 @@ class WindowLearner:
         'innovation_variance', 'test_ratio', 'driven',
     )  # fmt: skip
 
-    def __init__(self, tracker: Tracker, plan: WindowPlan) -> None:
+    def __init__(self, tracker: Tracker, config: VMilsConfig, inertia: float, gradient_std: float) -> None:
+        """Prepare; inertia as in :func:`observe_resistance`, std of the gradients of the map in per mille."""
         self.tracker = tracker
-        self._plan = plan
-        self._windows = SlidingWindow(plan.window, plan.hop)
-        self._gate = gate(plan.outliers)
+        self._config, self._inertia = config, inertia
+        # A gradient of 1 per mille is 1 N/kN.
+        self._disturbance_std = math.hypot(config.disturbance_std, gradient_std)
+        self._windows = SlidingWindow(config.window, config.hop)
+        self._gate = gate(config.outlier_share)
         self._clear()
 
     def _clear(self) -> None:
-        self._speed_noise = SpeedNoise.declared(self._plan.speed_std, robust=True)
+        self._speed_noise = SpeedNoise.declared(self._config.speed_std, robust=True)
         self._slow = SlowNoise()
         self.inflation = Inflation()
         self._windows.clear()
-        self._disturbance = self._plan.disturbance_std**2
+        self._disturbance = self._disturbance_std**2
         self.innovation = self.innovation_variance = self.test_ratio = 0.0
         self.driven = DrivenSpeeds()
 
@@ -379,26 +405,24 @@ class WindowLearner:
         cut = self._windows.push(sample)
         if cut is None:
             return None
-        observed = observe_resistance(cut.samples, self._plan.inertia, self._speed_noise.std)
+        observed = observe_resistance(cut.samples, self._inertia, self._speed_noise.std)
         if isinstance(observed, Rejection):
             return observed
         return self._learn(observed, cut)
 
     def foreseen_information(self, samples: Sequence[WindowSample], sampled_s: float) -> Array:
-        """Return the information that planned motion would give on theta, shape (n, n).
+        """Return the information that planned motion, without noise at equal intervals, would give on theta.
 
-        Args:
-            samples: The motion, at equal intervals; without noise.
-            sampled_s: Time between two speeds that are then measured [s].
+        ``sampled_s`` is the time between two speeds that are then measured [s]; the information has the shape (n, n).
         """
-        plan, n = self._plan, len(self.tracker.prior.mean)
-        windows, information = SlidingWindow(plan.window, plan.hop), np.zeros((n, n))
+        config, n = self._config, len(self.tracker.prior.mean)
+        windows, information = SlidingWindow(config.window, config.hop), np.zeros((n, n))
         if not samples:
             return information
         speed_std = self._speed_noise.std * math.sqrt(sampled_s / samples[0].dt)
         for sample in samples:
             cut = windows.push(sample)
-            observed = None if cut is None else observe_resistance(cut.samples, plan.inertia, speed_std)
+            observed = None if cut is None else observe_resistance(cut.samples, self._inertia, speed_std)
             if cut is None or not isinstance(observed, WindowResult):
                 continue
             phi = np.array(list(_regressor(observed)))
@@ -422,26 +446,26 @@ class WindowLearner:
         # [15]
         if tracker.change_probability < _UNCERTAIN:
             self._learn_disturbance(nu, S)
-        self._slow.add(weight * nu, variance, slow * noise, (_MIN_SLOW, _MAX_SLOW))
+        self._slow.add(weight * nu, variance, slow * noise, _SLOW_BOUNDS)
         self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
-        if weight < _MIN_WEIGHT:
+        if weight < 0.5:
             return Rejection(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
         self.driven.add_mean(observed.phi[1], observed.speed_min, observed.speed_max)
         return None
 
     def _noise_of(self, item: WindowResult, cut: Cut) -> tuple[float, float]:
         """Return the variance of one observation [(N/kN)^2], and the factor on it in the mean of many."""
-        plan = self._plan
-        force = (plan.force_error * item.traction_size) ** 2 + (plan.force_skew * item.traction_rate) ** 2
+        config = self._config
+        force = (config.force_error * item.traction_size) ** 2 + (config.force_skew * item.traction_rate) ** 2
         one = item.noise_std**2 + self._disturbance + force
-        together = max(1.0, 2.0 * plan.disturbance_time / cut.hop)
+        together = max(1.0, 2.0 * config.disturbance_time / cut.hop)
         overlap = overlap_factor(len(cut.samples), cut.hop_samples)
-        mean = overlap * item.noise_std**2 + together * plan.disturbance_std**2 + force
+        mean = overlap * item.noise_std**2 + together * self._disturbance_std**2 + force
         return one, self._slow.factor * mean / one
 
     def _learn_disturbance(self, nu: float, S: float) -> None:
         """Learn the disturbance variance from the innovations beyond their predicted variance, within bounds."""
-        declared = self._plan.disturbance_std * self._plan.disturbance_std
+        declared = self._disturbance_std * self._disturbance_std
         low, high = _MIN_DISTURBANCE * _MIN_DISTURBANCE * declared, _MAX_DISTURBANCE * _MAX_DISTURBANCE * declared
         bounded = min(nu * nu, _MAX_SIGMAS * _MAX_SIGMAS * S)
         # The noisier an innovation, the less information it carries on a small disturbance.

@@ -38,8 +38,8 @@ The same in plain numpy is ``test/speed_model/reference_am_vff_rls.py``. The dif
   running mean stays small; after a change they have the same sign.
 * Only the resistance is forgotten, not the mass, and forgetting ends at the prior in every direction.
 * P has the units of the parameters and is a consistent covariance: the speed noise, the strength of gusts and map
-  errors and the delay of the reported force are estimated (:mod:`nuisance_parameters`), and slow changes of the weather
-  are modelled as a drift of d0.
+  errors and the delay of the reported force are estimated, see :mod:`speed_model_estimator`, and slow changes of the
+  weather are modelled as a drift of d0.
 * Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient,
   and the error of mass and force affects traction only.
 * A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts.
@@ -75,9 +75,6 @@ Theta: TypeAlias = tuple[float, float, float, float]
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
 """Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
 
-# Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
-_MIN_MASS_STD: Final = 1e-4
-
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
     """Map Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2] and k [m/s^2 per N/kN] to (a1, a2, b1, d0)."""
@@ -97,19 +94,15 @@ def to_physical(theta: Theta, k: float) -> tuple[float, float, float, float]:
 def prior(
     davis: tuple[float, float, float], k: float, config: SpeedModelConfig, mass_std: float
 ) -> tuple[Theta, Symmetric]:
-    """Return theta(0) and its covariance.
+    """Return theta(0) and its covariance; ``mass_std`` is the relative std of mass and force together [1].
 
-    Args:
-        davis: Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2].
-        k: k0 [m/s^2 per N/kN].
-        config: Settings.
-        mass_std: Relative standard deviation of mass and force together [1].
+    The Davis parameters are in N/kN with v in m/s; k = k0 [m/s^2 per N/kN].
     """
     a, b, c = prior_variances(davis, config)
     scale = (SAMPLE_PERIOD * k) ** 2
-    return to_speed_model(davis, k), (
-        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _MIN_MASS_STD) ** 2, 0.0, scale * a
-    )  # fmt: skip
+    # Forgetting divides by the variance of b1, so it is not zero.
+    of_b1 = scale * max(mass_std, 1e-4) ** 2
+    return to_speed_model(davis, k), (scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, of_b1, 0.0, scale * a)
 
 
 def full(S: Symmetric) -> tuple[float, ...]:
@@ -125,10 +118,6 @@ def resistance_variance(S: Symmetric, v: float, k: float) -> float:
     square = v * v
     total = square * (s11 * square + 2.0 * (s12 * v + s14)) + v * (s22 * v + 2.0 * s24) + s44
     return total / (SAMPLE_PERIOD * k) ** 2
-
-
-Numbers: TypeAlias = tuple[float, ...]
-"""State of an algorithm as it is saved: its speed x, then theta, then what else it stores."""
 
 
 class Learned:
@@ -186,7 +175,7 @@ class Method(Protocol):
         """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
 
 
-# Places of x_a and of the parameters in the joint state.
+# Places of x_a and of the parameters in the joint state, and their number.
 _X: Final = 0
 _A1: Final = 1
 _A2: Final = 2
@@ -196,7 +185,6 @@ _SIZE: Final = 5
 _RESISTANCE: Final = (_A1, _A2, _D0)
 # Limit of one error in the running mean, in standard deviations.
 _MAX_ERROR: Final = 3.0
-_TINY: Final = 1e-300
 
 
 @dataclass(frozen=True)
@@ -218,7 +206,6 @@ class AuxiliaryModel:
     """Joint mean and covariance of the auxiliary output x_a and theta.
 
     Attributes:
-        tuning: Parameters.
         z: x_a, a1, a2, b1, d0, shape (5,).
         P: Their covariance, shape (5, 5), row by row.
         mean_error: Running mean of the errors, in standard deviations [1].
@@ -227,8 +214,7 @@ class AuxiliaryModel:
     STATE: ClassVar[State] = declare('z', definite('P'), 'mean_error')
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
-        self.tuning = tuning
-        self._theta0, self._P0, self._prior = theta0, P0, prior_variances_given_b1(P0)
+        self.tuning, self._theta0, self._P0, self._prior = tuning, theta0, P0, prior_variances_given_b1(P0)
         self.z = vec[float]([0.0] * _SIZE)
         self.P = vec[float]([0.0] * (_SIZE * _SIZE))
         # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
@@ -239,20 +225,18 @@ class AuxiliaryModel:
 
     def start(self, variance: float) -> None:
         """Go to the prior; ``variance`` is that of x [(m/s)^2]."""
-        # [1]
-        self._set((0.0, *self._theta0), (variance, 0.0, 0.0, 0.0, 0.0), self._P0)
-        self.mean_error = 0.0
-
-    def _set(self, z: Numbers, of_x: Numbers, S: Symmetric) -> None:
-        """Set the mean, the variance of x with its covariances with theta, and the covariance of theta."""
         n: i64 = _SIZE
-        columns = full(S)
+        z: tuple[float, ...] = (0.0, *self._theta0)
+        columns = full(self._P0)
+        # [1]
         for i in range(n):
             self.z[i] = z[i]
-            self.P[i] = self.P[n * i] = of_x[i]
+            self.P[i] = self.P[n * i] = 0.0
             for j in range(1, n):
                 if i > 0:
                     self.P[n * i + j] = columns[4 * (i - 1) + j - 1]
+        self.P[0] = variance
+        self.mean_error = 0.0
 
     def speed(self) -> float:
         """Return x [m/s]."""
@@ -297,7 +281,7 @@ class AuxiliaryModel:
             left[k] = self.P[k]
         # Gaussian elimination: left loses the part of P that the elements before determine.
         for k in range(n):
-            r = 1.0 / max(left[n * k + k], _TINY)
+            r = 1.0 / max(left[n * k + k], 1e-300)
             total += rest[k] * rest[k] * r
             for i in range(k + 1, n):
                 share = left[n * k + i] * r
@@ -307,14 +291,7 @@ class AuxiliaryModel:
         return total
 
     def update(self, y: float, u: float, scale: float, variance: float) -> Learned:
-        """Update by one step of (7) in its computable order.
-
-        Args:
-            y: Measured speed [m/s].
-            u: Specific force over the step [N/kN].
-            scale: Duration of the step over the sample period [1].
-            variance: Variance of y [(m/s)^2].
-        """
+        """Update by one step of (7) in its computable order; the arguments are those of :class:`Method`."""
         tuning = self.tuning
         # [2]-[5] Eq. (7): x_a = phi' theta(n-1), with its covariance.
         self.coast(u, scale)
@@ -332,8 +309,8 @@ class AuxiliaryModel:
         # [9] The variance of ``mean`` is share / (2 - share) if the errors are white.
         chi2 = mean * mean * (2.0 - tuning.share) / tuning.share
         if chi2 > tuning.threshold:
-            # [10], [11]
-            lam = forgetting_factor(chi2, tuning)
+            # [10] Eq. (6) with chi2 - threshold instead of the squared error, [11]
+            lam = max(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low)
             self.forget(lam)
         self.mean_error = mean
         # [12]-[14] Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
@@ -426,13 +403,10 @@ class AuxiliaryModel:
         """Reduce the information on the resistance by ``factor``, never below that of the prior.
 
         The mass changes at stops only, so b1 is kept: with c the column of b1, P - c c' / var(b1) is the covariance
-        given b1. There the information matrix of a1, a2, d0 becomes lambda times itself plus (1 - lambda) times that of
-        the prior: their covariance is divided by lambda, then the prior is applied as three observations of weight
-        1 - lambda with zero innovation. A direction without excitation returns to its prior variance, so the covariance
-        does not wind up.
-
-        Args:
-            factor: lambda in (0, 1].
+        given b1. There the information matrix of a1, a2, d0 becomes lambda = ``factor`` times itself plus (1 - lambda)
+        times that of the prior: their covariance is divided by lambda, then the prior is applied as three observations
+        of weight 1 - lambda with zero innovation. A direction without excitation returns to its prior variance, so the
+        covariance does not wind up.
         """
         n: i64 = _SIZE
         # [11]
@@ -465,11 +439,3 @@ def running_mean(mean: float, z: float, share: float) -> float:
     """Return the running mean of errors in standard deviations [1] after one more error z of weight ``share``."""
     bounded = z if -_MAX_ERROR < z < _MAX_ERROR else math.copysign(_MAX_ERROR, z)
     return mean + share * (bounded - mean)
-
-
-def forgetting_factor(chi2: float, tuning: Tuning) -> float:
-    """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has mean 1 while the model is correct."""
-    if chi2 <= tuning.threshold:
-        return 1.0
-    # [10] Eq. (6) with chi2 - threshold instead of the squared error.
-    return max(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low)

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from test.estimators.makers import stepped
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
-from trainid_ros.resistance.speed_states import A, B, C
+from trainid_ros.resistance.hypotheses import A, B, C
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
@@ -130,10 +131,7 @@ def drive(seconds: float, world: World | None = None, *, seed: int = 0, period: 
 
 
 def run(samples: list[Sample], file: TrainFile = FILE, config: FilterBankConfig = SMALL) -> FilterBank:
-    bank = FilterBank(file, config)
-    for item in samples:
-        bank.step(item)
-    return bank
+    return stepped(FilterBank(file, config), samples)
 
 
 def check_finite(estimate: ResistanceEstimate) -> None:
@@ -199,8 +197,7 @@ def coverage(seeds: range, seconds: float, config: FilterBankConfig) -> tuple[Ar
 
 def check_recovers(bank: FilterBank, seed: int = 12, sigmas: float = 3.0) -> None:
     """Check that after good driving w is within, or near, its stated band again."""
-    for item in shifted(drive(100.0, seed=seed), 10_000.0):
-        bank.step(item)
+    stepped(bank, shifted(drive(100.0, seed=seed), 10_000.0))
     found = bank.estimate(12.0)
     check_finite(found)
     assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=max(0.5, sigmas * found.resistance_std))

@@ -10,16 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.hypotheses import Bank, BankPlan
-from trainid_ros.resistance.speed_states import (
-    KAPPA,
-    STATES,
-    A,
-    B,
-    C,
-    Interval,
-    ProcessNoise,
-)
+from test.resistance.bank_rows import covariance
+from trainid_ros.resistance.hypotheses import KAPPA, STATES, A, B, Bank, BankPlan, C, Interval, ProcessNoise
 
 Array = NDArray[np.float64]
 INERTIA, DT, SPEED_STD = 110.0, 0.2, 0.02
@@ -37,7 +29,6 @@ PLAN = BankPlan(
     branch_interval=10.0,
     hypotheses=20,
     min_age=10.0,
-    young_age=120.0,
     young_weight=20.0,
     wrong_prior=0.0,
     drift=np.zeros(STATES),
@@ -136,6 +127,6 @@ def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
             innovation = bank.advance(interval)
             nis.append(innovation.value**2 / innovation.variance)
         only = bank.hypotheses[0].filter
-        error = only.mean()[states] - truth
-        nees.append(error @ np.linalg.solve(only.covariance()[np.ix_(states, states)], error) / 4.0)
+        error = np.array(list(only.x))[states] - truth
+        nees.append(error @ np.linalg.solve(covariance(only)[np.ix_(states, states)], error) / 4.0)
     return float(np.mean(nees)), float(np.mean(nis))

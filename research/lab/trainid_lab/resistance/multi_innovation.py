@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from trainid_ros.resistance.change_points import weigh
 from trainid_ros.resistance.davis_posterior import DavisPosterior
-from trainid_ros.resistance.normal import weigh
 
 Information = tuple[float, ...]
 MilsState = tuple[float, ...]
@@ -30,7 +30,7 @@ NOTHING: Final[Information] = (0.0,) * 9
 def mils_step(
     state: MilsState, oldest: Information, v: float, s: float, y: float, R: float, slow: float, eps: float, p: int
 ) -> tuple[MilsState, Information, float, float]:
-    """Make one step of multi-innovation least squares with the soft gate of :mod:`normal`.
+    """Make one step of multi-innovation least squares with the soft gate of :func:`weigh`.
 
     Args:
         state: Information before the step, then the mean information of the last p observations: 18 floats.

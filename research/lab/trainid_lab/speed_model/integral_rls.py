@@ -19,10 +19,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from trainid_lab.speed_model.rls import MethodNumbers, output, regressor, times, updated
+from trainid_lab.speed_model.rls import MethodNumbers, Numbers, output, regressor, times, updated
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
-from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
+from trainid_ros.speed_model.am_vff_rls import Learned, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 

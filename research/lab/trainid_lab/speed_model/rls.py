@@ -21,12 +21,14 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, TypeAlias
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
 from trainid_ros.interface.state import State, declare
-from trainid_ros.speed_model.am_vff_rls import Learned, Numbers, Symmetric, Theta
+from trainid_ros.speed_model.am_vff_rls import Learned, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
+Numbers: TypeAlias = tuple[float, ...]
+"""State of an algorithm as it is saved: its speed x, then theta, then what else it stores."""
 Recursion: TypeAlias = tuple[
     float, float, float, float, float,
     float, float, float, float, float, float, float, float, float, float,

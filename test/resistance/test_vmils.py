@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""V-MILS with a wrong mass, a late force or a wrong curve resistance; coverage of the stated band."""
+"""V-MILS on simulated journeys: resistance, jumps, bad samples; wrong mass, late force, wrong curves; coverage."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,17 +11,157 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from test.resistance.vmils.drives import after, saw_tooth, w
+from benchmarks.stepping import step_and_estimate
+from test.estimators.makers import stepped
 from trainid_ros.estimators.settings import VMilsConfig
+from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.resistance.change_points import gate
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
-CONFIG = VMilsConfig()
 TRUTH = Davis(1.8, 0.02, 0.005)
+CONFIG = VMilsConfig()
+
+
+def saw_tooth(t: float) -> float:
+    """Power for 40 s, coast for 100 s [N/kN]: uphill the speed stays between 7 and 18 m/s."""
+    return 30.0 if t % 140.0 < 40.0 else 0.0
+
+
+def after(train_file: TrainFile, samples: list[Sample], config: VMilsConfig = CONFIG) -> VMils:
+    return stepped(VMils(train_file, config), samples)
+
+
+def w(davis: Davis, v: float) -> float:
+    return davis.a + davis.b * v + davis.c * v * v
+
+
+def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey) -> None:
+    """Ten minutes of stops: between the start of braking and the next departure only kappa may step."""
+    samples = journey(
+        600.0,
+        traction=lambda t: 40.0 if t % 150.0 < 35.0 else 0.0,
+        brake=lambda t: -0.7 if t % 150.0 > 90.0 else 0.0,
+        speed=0.0,
+    )
+    estimator = VMils(train_file, CONFIG)
+    learned = 0
+    for item in samples:
+        before, observations = estimator.learner.tracker.estimate, estimator.learner.driven.count
+        estimator.step(item)
+        if item.brake_command < 0.0 or item.speed < CONFIG.min_speed:
+            now = estimator.learner.tracker.estimate
+            std = np.sqrt(np.diag(before.P))
+            assert np.max(np.abs(now.theta - before.theta) / std) < 1e-6
+            assert np.max(np.abs((now.P - before.P)[:3] / np.outer(std, std)[:3])) < 1e-6
+            assert estimator.learner.driven.count == observations
+        learned += estimator.learner.driven.count != observations
+    assert learned > 20
+
+
+def test_it_estimates_the_resistance_over_the_observed_speeds(train_file: TrainFile, journey: Journey) -> None:
+    estimator = after(train_file, journey(840.0, traction=saw_tooth, speed=8.0))
+    found = estimator.estimate(12.0)
+    assert estimator.converged
+    assert found.speed_max - found.speed_min > 4.0
+    for v in np.linspace(found.speed_min, found.speed_max, 5).tolist():
+        here = estimator.estimate(v)
+        # 180 unbiased observations of about 0.1 N/kN: 0.03 N/kN, and within the stated standard deviation.
+        assert here.resistance == pytest.approx(w(TRUTH, v), abs=max(0.05, 3.0 * here.resistance_std))
+        assert here.resistance_std < 0.1
+
+
+def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey: Journey) -> None:
+    estimator = after(train_file, journey(120.0, traction=saw_tooth))
+    e = estimator.estimate(13.0)
+    P = np.array(e.covariance).reshape(3, 3)
+    phi = np.array([1.0, 13.0, 169.0])
+    assert e.resistance == pytest.approx(e.a + 13.0 * e.b + 169.0 * e.c, rel=1e-12)
+    assert e.resistance_std == pytest.approx(math.sqrt(phi @ P @ phi), rel=1e-9)
+    assert e.test_ratio == pytest.approx(
+        e.innovation**2 / (gate(CONFIG.outlier_share) ** 2 * e.innovation_variance), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('step', [5.0, -1.2])
+def test_it_recovers_after_a_jump_of_the_resistance(
+    train_file: TrainFile, journey: Journey, step: float, seed: int
+) -> None:
+    """A hard gate alone would never recover: +5 N/kN is far beyond it."""
+    jump_s = 420.0
+    samples = journey(
+        840.0,
+        speed=10.0,
+        traction=lambda t: saw_tooth(t) + (max(0.0, step) if t > jump_s else 0.0),
+        resistance=lambda t: replace(TRUTH, a=TRUTH.a + (step if t > jump_s else 0.0)),
+        seed=seed,
+    )
+    estimator = stepped(VMils(train_file, CONFIG), samples[: round(5 * (jump_s + 120.0))])
+    truth = replace(TRUTH, a=TRUTH.a + step)
+    # Two minutes later most of the step is followed, a few minutes later all of it.
+    assert abs(estimator.estimate(14.0).resistance - w(truth, 14.0)) < 0.35 * abs(step)
+    stepped(estimator, samples[round(5 * (jump_s + 120.0)) :])
+    assert estimator.estimate(14.0).resistance == pytest.approx(w(truth, 14.0), abs=0.25)
+    assert estimator.learner.tracker.steps_found >= 1
+
+
+def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Journey) -> None:
+    found = 0
+    for seed in range(3):
+        estimator = VMils(train_file, CONFIG)
+        run = journey(560.0, traction=saw_tooth, speed=10.0, seed=seed, resistance=lambda _: Davis(1.5, 0.03, 0.004))
+        stepped(estimator, run)
+        found += estimator.learner.tracker.steps_found
+    assert found <= 1
+
+
+def test_windows_with_slip_are_rejected(train_file: TrainFile, journey: Journey) -> None:
+    samples = journey(400.0, traction=saw_tooth)
+    slipping = [
+        replace(item, speed=item.speed + 2.0) if i >= 1000 and i % 25 < 11 else item for i, item in enumerate(samples)
+    ]
+    estimator = VMils(train_file, CONFIG)
+    reasons = [r.reason for r in map(estimator.step, slipping) if isinstance(r, Rejection)]
+    assert reasons.count(Reason.SPEED_INCONSISTENT) + reasons.count(Reason.OUTLIER) > 20
+    assert estimator.estimate(14.0).resistance == pytest.approx(w(TRUTH, 14.0), abs=0.4)
+
+
+def test_accepted_samples_give_an_observation_every_hop(train_file: TrainFile, journey: Journey) -> None:
+    estimator = VMils(train_file, CONFIG)
+    results = [step_and_estimate(estimator, item) for item in journey(100.0, speed=20.0)]
+    accepted = sum(isinstance(r, ResistanceEstimate) for r in results)
+    # The first sample has no dt; the first window has 25, then one every 6.
+    assert accepted == 499
+    assert estimator.learner.driven.count == 1 + (499 - 25) // 6
+
+
+@pytest.mark.parametrize('key', ['tracker', '_speed_noise', '_windows', '_slow', 'inflation'])
+def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str) -> None:
+    estimator = after(train_file, journey(60.0, traction=saw_tooth))
+    data = json.loads(estimator.save())
+    data['state']['learner'][key] = 7
+    with pytest.raises(InputError):
+        estimator.restore(json.dumps(data))
+
+
+def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None:
+    with pytest.raises(InputError, match=r'hop = 6 s must not exceed window = 4.8 s'):
+        VMils(train_file, VMilsConfig(hop=6.0))
+
+
+@pytest.mark.parametrize('v', [8.0, 12.0, 20.0])
+def test_the_model_error_is_a_share_of_w_at_every_speed(train_file: TrainFile, journey: Journey, v: float) -> None:
+    config = replace(CONFIG, drift_share=0.0, model_error=0.2)
+    estimator = after(train_file, journey(200.0, traction=saw_tooth), config)
+    posterior, found, phi = estimator.learner.tracker.stated, estimator.estimate(v), np.array([1.0, v, v * v])
+    variance = estimator.learner.inflation.factor * float(phi @ posterior.P[:3, :3] @ phi)
+    assert found.resistance_std**2 - variance == pytest.approx((0.2 * found.resistance) ** 2, rel=1e-6)
 
 
 def known_file(train_file: TrainFile) -> TrainFile:
