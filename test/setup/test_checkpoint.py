@@ -50,6 +50,24 @@ def test_a_checkpoint_reads_back_unchanged(tmp_path: Path) -> None:
     assert names(path.parent) == ['state.json']
 
 
+def test_an_interrupted_write_leaves_the_old_file_and_a_part_that_the_next_start_removes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'fsync', killed)
+        patch.setattr(Path, 'unlink', lambda *_, **__: None)
+        with pytest.raises(KeyboardInterrupt):
+            CheckpointFile(path).write(replace(SAVED, saved_ns=13))
+    assert [is_part(name) for name in names(tmp_path)] == [True, False]
+    assert CheckpointFile(path).read(LEARNED) == SAVED
+    assert names(tmp_path) == ['state.json']
+
+
 def is_part(name: str) -> bool:
     return name.startswith('.state.json.') and name.endswith('.part')
 
