@@ -264,9 +264,7 @@ class InputBlocks:
         self.position_var += max(_LEARNED, 1.0 / (_FIRST + self._compared)) * (square - self.position_var)
 
     def learn_place(self, block: Block, *, is_line_right: bool) -> None:
-        """Learn the place on the line from the gradient of the topic, and its error where that of the line is right."""
-        if not is_finite(block.line):
-            return
+        """Learn the place on a line with a known gradient, and the error of the topic where the line is right."""
         off = max(block.gradient - block.most, block.least - block.gradient, 0.0)
         square = off * off / self.gradient_var
         if square < _FITS:

@@ -128,6 +128,7 @@ class InputCheck:
         self._waited_s = self._usual_s = 0.0
         self._scratch = vec[float]([0.0] * STATES)
         self._mismatch = self._distance_score = self._line_score = 0.0
+        self._now = self._last = Block()  # The last block, and the one before
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
         self._braked_s = math.nan  # Time for which the brake has acted on a moving train [s], NaN at a stand
         self.is_brake_confirmed = False
@@ -167,6 +168,7 @@ class InputCheck:
     def _judge(self) -> None:
         """Score the last block by the accepted row, by those that are followed, and decide."""
         block, accepted = self.blocks.block(0), self._accepted
+        self._now, self._last = block, self.blocks.block(1)
         if block.seconds != self._decay_s and block.seconds > 0.0:
             self._decay_s = block.seconds
             self._decay[V] = math.exp(-block.seconds / LASTING_S)
@@ -186,9 +188,10 @@ class InputCheck:
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
         """Correct the inputs as a row says; return the block of its speed, None if they cannot be compared."""
-        now = self.blocks.block(0)
+        now = self._now
         then = self.blocks.block(shift) if shift else now
-        at, before = then if prior.delays_speed else now, self.blocks.block(shift + 1 if prior.delays_speed else 1)
+        at = then if prior.delays_speed else now
+        before = self.blocks.block(shift + 1) if shift and prior.delays_speed else self._last
         force = then if prior.delays_force else now
         command = then if prior.delays_command else now
         slope = then if prior.delays_gradient else now
@@ -205,7 +208,7 @@ class InputCheck:
         It is that of the block ``at``, which is so far back.
         """
         factor, forces = prior.row.speed, self._forces
-        v = factor * self.blocks.block(back + 1).speed
+        v = factor * (self.blocks.block(back + 1) if back else self._last).speed
         return factor * at.speed - v - at.seconds / forces.inertia * forces.balance(known, v)
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
@@ -358,7 +361,7 @@ class InputCheck:
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
             blocks.learn_position(block, prior.row.position * block.by_position, by_speed)
-        if not prior.is_of_line:
+        if is_finite(block.line) and not prior.is_of_line:
             # What may be a fault is not learned as noise.
             is_line_odd = any(PRIORS[other.row].is_of_line and other.sum > 1.0 for other in self._others)
             blocks.learn_place(block, is_line_right=not is_line_odd)
