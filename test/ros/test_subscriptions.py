@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -16,36 +15,15 @@ import pytest
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from test.ros import published_estimates
 from test.ros.graph import NARROW, Graph, coasting, feed
+from test.ros.published_estimates import Estimates
 from trainid_ros.client import TrainModel
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.ros.topics import fill_estimate, latched_qos, message_class, offered_estimate_qos
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC
+from trainid_ros.interface.results import Status
+from trainid_ros.ros.topics import message_class
 
 pytestmark = pytest.mark.ros
-
-W = ResistanceEstimate(2.0, 0.03, 0.0012, (0.01, *[0.0] * 8), 2.4, 0.1, 10.0, 0.1, 0.01, 0.2, 3.0, 18.0, 0.1)
-F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.01, 0.1)
-
-
-class Estimates:
-    """Publishes resistance and brake rate with the quality of service of the nodes."""
-
-    def __init__(self, node: Any) -> None:
-        topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
-        self.live = [node.create_publisher(message_class(x), x.name, offered_estimate_qos()) for x in topics]
-        self._latched = [node.create_publisher(message_class(x), x.last_valid, latched_qos()) for x in topics]
-
-    def publish(self, status: Status = Status.VALID, *, latched: bool = True, live: bool = True) -> None:
-        for k, (topic, estimate) in enumerate(((RESISTANCE_TOPIC, W), (BRAKE_RATE_TOPIC, F))):
-            message = self._message(topic, estimate, status)
-            for publisher, wanted in ((self.live[k], live), (self._latched[k], latched)):
-                if wanted:
-                    publisher.publish(message)
-
-    @staticmethod
-    def _message(topic: OutputTopic, estimate: Any, status: Status) -> Any:
-        return fill_estimate(message_class(topic)(), Output(10**18, estimate, status, 5, 0, None))
 
 
 def member(graph: Graph, namespace: str) -> Any:
@@ -55,7 +33,7 @@ def member(graph: Graph, namespace: str) -> Any:
 @pytest.fixture
 def publisher(graph: Graph) -> Iterator[subprocess.Popen[bytes]]:
     environment = os.environ | {'ROS_DOMAIN_ID': str(graph.domain)}
-    process = subprocess.Popen([sys.executable, __file__], env=environment)
+    process = subprocess.Popen([sys.executable, published_estimates.__file__], env=environment)
     yield process
     process.kill()
     process.wait()
@@ -143,11 +121,3 @@ def test_a_publisher_that_offers_less_is_named(graph: Graph, train_file: str) ->
     )
     graph.until(lambda: 'incompatible' in model.brake_rate().reason)
     assert model.brake_rate().reason.endswith('incompatible quality of service (RELIABILITY)')
-
-
-if __name__ == '__main__':  # publishes like the nodes, until it is killed
-    rclpy.init()
-    own = Estimates(rclpy.create_node('estimator', namespace='train_7'))
-    while True:
-        own.publish()
-        time.sleep(0.2)
