@@ -215,8 +215,8 @@ def test_a_quantity_at_the_limit_of_what_is_usual_is_named() -> None:
     assert check.at_limit((BRAKE,)) == ''
 
 
-@pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, ' after it should')])
-def test_a_force_that_brakes_before_or_after_the_command_is_told(late_s: float, expected: str) -> None:
+@pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, '')])
+def test_a_force_that_brakes_before_its_command_is_told(late_s: float, expected: str) -> None:
     """The balance of forces is the same for all three: the reported force is right."""
     drive, check = driven(300.0), InputCheck(KnownForce(FILE))
     drive.command = np.roll(drive.command, round(late_s / DT))

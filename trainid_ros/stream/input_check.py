@@ -156,12 +156,14 @@ class InputCheck:
         return self._accepted.odd_s > 0.0
 
     def timing_objection(self) -> str:
-        """Return how force and brake command are apart in time, empty if no more than on healthy trains."""
+        """Return by how much the force is ahead of the brake command, empty if no more than on healthy trains.
+
+        Brakes later than stated are frequent, and states of the filter. None acts before its command.
+        """
         lead = self._lead
-        if abs(lead.mean - lead.usual) < _CREDIBLE * lead.std:
+        if lead.mean - lead.usual < _CREDIBLE * lead.std:
             return ''
-        order = 'before' if lead.mean > 0.0 else 'after'
-        return f'ato/force brakes {abs(lead.mean):.1f} s {order} it should by ato/brake_command and brake.delay'
+        return f'ato/force brakes {lead.mean:.1f} s before it should by ato/brake_command and brake.delay'
 
     # Scores
 
