@@ -57,7 +57,7 @@ PARTS: Final[Mapping[str, Part]] = {
     'integrity': Part('benchmarks.scenario_parts:integrity', 12, 5.0),
     'explain': Part('benchmarks.explain:measure', 12, 2.5),
     'fleet': Part('benchmarks.fleet:measure', 1, 4.0),
-    'closed_loop': Part('benchmarks.closed_loop:measure', 3, 4.0),
+    'closed_loop': Part('benchmarks.closed_loop:measure', 6, 7.0),
     'drives': Part('benchmarks.drives:measure', 1, 1.0),
     # Experiments of the four papers, and comparisons with other libraries.
     'liu2018': Part('research.papers.liu2018:measure', 3, 1.0),
