@@ -225,11 +225,12 @@ class InputFaults:
         row, suspect = TABLE[verdict.row], TABLE[verdict.suspect]
         # What condemns inputs of the resistance condemns those of the brake rate, which uses the command too.
         found, suspected = self._mass.finding, ''
-        found, suspected = _or(self._force_spikes, found, suspected)
-        found, suspected = _or(self._gradient_spikes, found, suspected)
-        of_command, command_suspected = _or(self._commands, found, suspected)
-        of_command, command_suspected = _or(self._command_spikes, of_command, command_suspected)
-        of_command, command_suspected = _or(self._releases, of_command, command_suspected)
+        for spikes in (self._force_spikes, self._gradient_spikes):
+            found, suspected = found or spikes.finding, suspected or spikes.suspicion
+        of_command, command_suspected = found, suspected
+        checks: tuple[MessageCheck, ...] = (self._commands, self._command_spikes, self._releases)
+        for check in checks:
+            of_command, command_suspected = of_command or check.finding, command_suspected or check.suspicion
         self.resistance.update(
             found or (verdict.finding if row.holds_resistance else ''),
             suspected or (verdict.suspicion if suspect.holds_resistance else ''),
@@ -283,8 +284,3 @@ class InputFaults:
             sample.brake_rejection = found
             if self.resistance.finding:
                 sample.rejection = found
-
-
-def _or(check: MessageCheck, finding: str, suspicion: str) -> tuple[str, str]:
-    """Return finding and suspicion, or those of a check where they are empty."""
-    return finding or check.finding, suspicion or check.suspicion
