@@ -152,7 +152,7 @@ class InputCheck:
 
     @property
     def is_speed_odd(self) -> bool:
-        """True while the wheels seem to slip or slide, and for as long after it."""
+        """True while the wheels seem to slip or slide, and for twice as long after it."""
         return self._accepted.odd_s > 0.0
 
     def timing_objection(self) -> str:
@@ -329,7 +329,7 @@ class InputCheck:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
         others, accepted, theirs = self._others, self._accepted.row, PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
-        last = self.blocks.block(1)
+        last = self._last
         scale = theirs.row.speed
         off = self._before.x[V] - scale * last.speed
         is_lost = theirs.delays_speed or off * off > _LOST * _LOST * scale * scale * last.variance
@@ -359,7 +359,7 @@ class InputCheck:
         trial, blocks = self._accepted, self.blocks
         prior = PRIORS[trial.row]
         if trial.row == 0:
-            self._lead.add(blocks.block(2), blocks.block(1), block)
+            self._lead.add(blocks.block(2), self._last, block)
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
             blocks.learn_position(block, prior.row.position * block.by_position, by_speed)
