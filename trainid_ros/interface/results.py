@@ -182,23 +182,12 @@ class ResistanceEstimate:
         force_delay: float = math.nan,
         force_delay_std: float = math.nan,
     ) -> None:
-        self.a = a
-        self.b = b
-        self.c = c
-        self.covariance = covariance
-        self.resistance = resistance
-        self.resistance_std = resistance_std
-        self.speed = speed
-        self.innovation = innovation
-        self.innovation_variance = innovation_variance
-        self.test_ratio = test_ratio
-        self.speed_min = speed_min
-        self.speed_max = speed_max
-        self.resistance_std_max = resistance_std_max
-        self.force_scale = force_scale
-        self.force_scale_std = force_scale_std
-        self.force_delay = force_delay
-        self.force_delay_std = force_delay_std
+        self.a, self.b, self.c, self.covariance = a, b, c, covariance
+        self.resistance, self.resistance_std, self.speed = resistance, resistance_std, speed
+        self.innovation, self.innovation_variance, self.test_ratio = innovation, innovation_variance, test_ratio
+        self.speed_min, self.speed_max, self.resistance_std_max = speed_min, speed_max, resistance_std_max
+        self.force_scale, self.force_scale_std = force_scale, force_scale_std
+        self.force_delay, self.force_delay_std = force_delay, force_delay_std
 
 
 @dataclass(slots=True)
@@ -237,19 +226,10 @@ class SpeedModelEstimate:
         mass_factor: float,
         prediction_variance: float = 0.0,
     ) -> None:
-        self.a1 = a1
-        self.a2 = a2
-        self.b1 = b1
-        self.d0 = d0
-        self.covariance = covariance
-        self.forgetting_factor = forgetting_factor
-        self.predicted_speed = predicted_speed
-        self.prediction_error = prediction_error
-        self.a = a
-        self.b = b
-        self.c = c
-        self.mass_factor = mass_factor
-        self.prediction_variance = prediction_variance
+        self.a1, self.a2, self.b1, self.d0, self.covariance = a1, a2, b1, d0, covariance
+        self.forgetting_factor, self.predicted_speed = forgetting_factor, predicted_speed
+        self.prediction_error, self.prediction_variance = prediction_error, prediction_variance
+        self.a, self.b, self.c, self.mass_factor = a, b, c, mass_factor
 
 
 @dataclass(slots=True)
@@ -283,17 +263,11 @@ class BrakeRateEstimate:
         innovation_variance: float,
         test_ratio: float,
     ) -> None:
-        self.brake_rate = brake_rate
-        self.brake_rate_std = brake_rate_std
-        self.position = position
-        self.speed = speed
-        self.control_acceleration = control_acceleration
-        self.filtered_target = filtered_target
-        self.effective_particles = effective_particles
-        self.observable = observable
-        self.innovation = innovation
-        self.innovation_variance = innovation_variance
-        self.test_ratio = test_ratio
+        self.brake_rate, self.brake_rate_std = brake_rate, brake_rate_std
+        self.position, self.speed = position, speed
+        self.control_acceleration, self.filtered_target = control_acceleration, filtered_target
+        self.effective_particles, self.observable = effective_particles, observable
+        self.innovation, self.innovation_variance, self.test_ratio = innovation, innovation_variance, test_ratio
 
 
 Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
@@ -301,18 +275,16 @@ Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
 EstimateT = TypeVar('EstimateT', bound=Estimate)
 
 
+@dataclass(eq=False)
 class Output(Generic[EstimateT]):
-    """What a driver publishes for one sample.
+    """What a driver publishes for one sample."""
 
-    Attributes:
-        stamp_ns: Stamp of the newest sample used [ns].
-        estimate: The estimate after that sample.
-        status: Its status.
-        used: Samples taken in by the estimator since the last reset.
-        rejected: Records and samples not used since the last reset.
-        last_rejection: The newest rejection, None if there was none.
-
-    """
+    stamp_ns: int  # Stamp of the newest sample used [ns]
+    estimate: EstimateT  # The estimate after that sample
+    status: Status  # Its status
+    used: int  # Samples taken in by the estimator since the last reset
+    rejected: int  # Records and samples not used since the last reset
+    last_rejection: Rejection | None  # The newest rejection, None if there was none
 
     def __init__(
         self,
@@ -323,16 +295,5 @@ class Output(Generic[EstimateT]):
         rejected: int,
         last_rejection: Rejection | None,
     ) -> None:
-        self.stamp_ns = stamp_ns
-        self.estimate = estimate
-        self.status = status
-        self.used = used
-        self.rejected = rejected
-        self.last_rejection = last_rejection
-
-    def __repr__(self) -> str:
-        """Return all fields."""
-        return (
-            f'Output(stamp_ns={self.stamp_ns}, estimate={self.estimate!r}, status={self.status!r}, used={self.used}, '
-            f'rejected={self.rejected}, last_rejection={self.last_rejection!r})'
-        )
+        self.stamp_ns, self.estimate, self.status = stamp_ns, estimate, status
+        self.used, self.rejected, self.last_rejection = used, rejected, last_rejection

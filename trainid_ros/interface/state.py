@@ -21,7 +21,7 @@ import typing
 from collections import Counter, deque
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -44,6 +44,7 @@ _BYTES: Final = '<f8'
 _DECLARED: Final = 'STATE'
 # Vectors are lists where the modules are not compiled.
 _VECTOR: Final[Any] = list if uses_sources() else vec[float]
+_COLLECTIONS: Final = (list, tuple, set, deque)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,15 +165,13 @@ def restore(state: object, text: str) -> None:
         InputError: The text does not fit; the message names the field, and the object is unchanged.
     """
     restoring = _Restoring()
-    restoring.read(text, type(state).__name__, lambda data, name: restoring.fill(state, data, name))
-    restoring.finish()
+    restoring.read(text, type(state).__name__, partial(restoring.fill, state))
 
 
 def decode(text: str, kind: type[T]) -> T:
     """Return the dataclass in a text of :func:`encode`; InputError, naming the field, if it does not fit."""
     restoring = _Restoring()
-    restored: T = restoring.read(text, kind.__name__, lambda data, name: restoring.make(kind, data, name))
-    restoring.finish()
+    restored: T = restoring.read(text, kind.__name__, partial(restoring.make, kind))
     return restored
 
 
@@ -180,84 +179,69 @@ class _Restoring:
     """Reads a state. What it changes in objects that are restored in place is changed when all of it has been read."""
 
     def __init__(self) -> None:
-        self._texts: list[tuple[Any, str]] = []
-        self._generators: list[tuple[np.random.Generator, Any]] = []
-        self._values: list[tuple[object, str, Any]] = []
+        self._texts: list[Callable[[], object]] = []  # these may fail, and come before the other changes
+        self._changes: list[Callable[[], object]] = []
 
     def read(self, text: str, kind: str, build: Callable[[Any, str], Any]) -> Any:
         try:
             data = json.loads(text)
             if data['type'] != kind:
-                _refuse(f'{kind}', f'is a {data["type"]}')
-            return build(data['state'], kind)
+                raise _unfit(kind, f'is a {data["type"]}')
+            built = build(data['state'], kind)
         # Integers too large for a float overflow; deeply nested lists exhaust the stack.
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise _unfit(kind, f'cannot be read: {error}') from None
-
-    def finish(self) -> None:
-        """Change the objects."""
-        for saved, text in self._texts:
-            saved.restore(text)
-        for generator, state in self._generators:
-            generator.bit_generator.state = state
-        for owner, name, value in self._values:
-            setattr(owner, name, value)
+        for change in (*self._texts, *self._changes):
+            change()
+        return built
 
     def fill(self, owner: Any, data: Any, name: str) -> None:
         """Read the state of an object that is restored in place."""
-        state = _declared(owner) or ()
-        _check_names(state, data, name)
-        for item in state:
-            like, at = getattr(owner, item.name), f'{name}.{item.name}'
-            value = self.value(item, like, data[item.name], at)
+        for item in _checked(type(owner), data, name):
+            like = getattr(owner, item.name)
+            value = self._value(item, type(like), like, data[item.name], f'{name}.{item.name}')
             if value is not like:
-                self._values.append((owner, item.name, value))
+                self._changes.append(partial(setattr, owner, item.name, value))
 
     def make(self, kind: Any, data: Any, name: str) -> Any:
-        """Return a new dataclass."""
-        state = _state_of(kind) or ()
-        _check_names(state, data, name)
-        hints = _hints(kind)
-        values = {
-            item.name: self._typed(item, hints[item.name], data[item.name], f'{name}.{item.name}') for item in state
-        }
+        """Return a new dataclass, whose fields have the types of their annotations."""
+        values = {}
+        for item in _checked(kind, data, name):
+            hint = _hints(kind)[item.name]
+            of = typing.get_origin(hint) or hint
+            like = () if of is tuple else None
+            values[item.name] = self._value(item, of, like, data[item.name], f'{name}.{item.name}')
         return kind(**values)
 
-    def _typed(self, item: Field, hint: Any, data: Any, name: str) -> Any:
-        """Return the value of a field of a dataclass, whose type is known by its annotation."""
-        kind = typing.get_origin(hint) or hint
-        if item.kind is not None:
-            return self._several(item, () if kind is tuple else None, data, name)
-        if is_dataclass(kind):
-            return self.make(kind, data, name)
-        if kind is np.ndarray:
-            return _array(item, None, data, name)
-        if kind is tuple:
-            return _plain_items(item, data, name)
-        return _scalar(item, kind, data, name)
-
-    def value(self, item: Field, like: Any, data: Any, name: str) -> Any:
-        """Return what takes the place of a value, which may be the same, restored in place."""
+    def _value(self, item: Field, kind: Any, like: Any, data: Any, name: str) -> Any:
+        """Return what takes the place of a value: a new one of a type, or the same if it is restored in place."""
         if item.kind is not None:
             return self._several(item, like, data, name)
         if self._is_restored_in_place(like, data, name):
             return like
-        return self.make(type(like), data, name) if is_dataclass(like) else _plain(item, like, data, name)
+        if kind is np.ndarray:
+            return _array(item, None if like is None else like.shape, data, name)
+        if isinstance(like, _VECTOR):
+            return _vector(item, like, data, name)
+        if isinstance(like, _COLLECTIONS):
+            return _collected(like, _plain_items(item, data, name))
+        return self.make(kind, data, name) if is_dataclass(kind) else _scalar(item, kind, data, name)
 
     def _is_restored_in_place(self, like: Any, data: Any, name: str) -> bool:
         if hasattr(like, 'restore'):
             _check_is(data, str, name)
-            self._texts.append((like, data))
+            self._texts.append(partial(like.restore, data))
         elif hasattr(like, _DECLARED):
             self.fill(like, data, name)
         elif isinstance(like, np.random.Generator):
-            self._generators.append((like, _generator_state(like, data, name)))
+            _check_generator_state(like, data, name)
+            self._changes.append(partial(setattr, like.bit_generator, 'state', data))
         else:
             return False
         return True
 
     def _several(self, item: Field, like: Any, data: Any, name: str) -> Any:
-        if isinstance(like, list | tuple | set | deque):
+        if isinstance(like, _COLLECTIONS):
             _check_is(data, list, name)
             return _collected(like, [self._one(item, part, f'{name}[{k}]') for k, part in enumerate(data)])
         if isinstance(like, Counter):
@@ -268,11 +252,10 @@ class _Restoring:
 
     def _one(self, item: Field, data: Any, name: str) -> Any:
         kind: Any = item.kind
-        if isinstance(kind, type) and issubclass(kind, Enum):
-            return _scalar(item, kind, data, name)
-        if is_dataclass(kind) and not hasattr(kind, _DECLARED):
-            return self.make(kind, data, name)
-        return self.value(replace(item, kind=None), kind(), data, name)
+        is_enum = isinstance(kind, type) and issubclass(kind, Enum)
+        is_new = is_enum or (is_dataclass(kind) and not hasattr(kind, _DECLARED))
+        like = None if is_new else kind()
+        return self._value(replace(item, kind=None), kind if is_new else type(like), like, data, name)
 
 
 @cache
@@ -284,24 +267,13 @@ def _collected(like: Any, items: Any) -> Any:
     return deque(items, like.maxlen) if isinstance(like, deque) else type(like)(items)
 
 
-def _plain(item: Field, like: Any, data: Any, name: str) -> Any:
-    """Return numbers, or another plain value, of the type of another one."""
-    if isinstance(like, np.ndarray):
-        return _array(item, like.shape, data, name)
-    if isinstance(like, _VECTOR):
-        return _vector(item, like, data, name)
-    if isinstance(like, list | tuple | set | deque):
-        return _collected(like, _plain_items(item, data, name))
-    return _scalar(item, type(like), data, name)
-
-
 def _plain_items(item: Field, data: Any, name: str) -> Any:
     """Return a list of plain values; inner lists become tuples."""
     if isinstance(data, dict):
         return _array(item, None, data, name).tolist()
     _check_is(data, list, name)
     if any(isinstance(part, dict) for part in data):
-        _refuse(name, 'holds objects that are not declared')
+        raise _unfit(name, 'holds objects that are not declared')
     return tuple(
         _plain_items(item, part, name) if isinstance(part, list) else _scalar(item, type(part), part, name)
         for part in data
@@ -313,12 +285,12 @@ def _vector(item: Field, like: Any, data: Any, name: str) -> Any:
     if isinstance(data, list):  # an empty one, or a list of something else where modules are not compiled
         items = _plain_items(item, data, name)
         if not (isinstance(like, list) or all(isinstance(x, int | float) for x in items)):
-            _refuse(name, 'holds something else than numbers')
+            raise _unfit(name, 'holds something else than numbers')
         return list(items) if isinstance(like, list) else vec[float](items)
     numbers = _array(item, None, data, name)
     is_sized = bool(like) and type(like[0]) is float
     if numbers.ndim != 1 or (is_sized and numbers.size != len(like)):
-        _refuse(name, f'has the shape {numbers.shape}, not ({len(like)},)')
+        raise _unfit(name, f'has the shape {numbers.shape}, not ({len(like)},)')
     return vec[float](numbers.tolist())
 
 
@@ -328,11 +300,11 @@ def _array(item: Field, shape: tuple[int, ...] | None, data: Any, name: str) -> 
     except (ValueError, KeyError, TypeError):
         raise _unfit(name, f'= {_shown(data)} is not an array with its shape and its bytes') from None
     if shape is not None and numbers.shape != shape:
-        _refuse(name, f'has the shape {numbers.shape}, not {shape}')
+        raise _unfit(name, f'has the shape {numbers.shape}, not {shape}')
     if not (item.may_be_nan or bool(np.isfinite(numbers).all())):
-        _refuse(name, 'is not finite')
+        raise _unfit(name, 'is not finite')
     if item.is_covariance and not is_covariance(numbers):
-        _refuse(name, 'is not a covariance')
+        raise _unfit(name, 'is not a covariance')
     return numbers
 
 
@@ -345,31 +317,33 @@ def _scalar(item: Field, kind: Any, data: Any, name: str) -> Any:
             raise _unfit(name, f'= {_shown(data)} is no {kind.__name__}') from None
     _check_is(data, kind, name)
     if isinstance(data, int) and abs(data) > _MAX_INT:
-        _refuse(name, 'is an integer out of range')
+        raise _unfit(name, 'is an integer out of range')
     value = float(data) if kind is float else data
     if isinstance(value, float) and not (item.may_be_nan or math.isfinite(value)):
-        _refuse(name, f'= {value} is not finite')
+        raise _unfit(name, f'= {value} is not finite')
     return value
 
 
-def _generator_state(like: np.random.Generator, data: Any, name: str) -> Any:
-    """Return the state of a random generator; it is tried on another one first."""
+def _check_generator_state(like: np.random.Generator, data: Any, name: str) -> None:
+    """Try the state of a random generator on another one."""
     try:
         type(like.bit_generator)().state = data
     except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise _unfit(name, f'is not a state of a random generator: {error}') from None
-    return data
 
 
-def _check_names(state: State, data: Any, name: str) -> None:
+def _checked(kind: Any, data: Any, name: str) -> State:
+    """Return what a class declares, if these are data of all of it."""
+    state = _state_of(kind) or ()
     _check_is(data, dict, name)
     if set(data) != {item.name for item in state}:
-        _refuse(name, f'has other fields than in this version: {sorted(data)}')
+        raise _unfit(name, f'has other fields than in this version: {sorted(data)}')
+    return state
 
 
 def _check_is(data: Any, kind: Any, name: str) -> None:
     if not isinstance(data, int | float) if kind is float else type(data) is not kind:
-        _refuse(name, f'= {_shown(data)} must be of type {kind.__name__}')
+        raise _unfit(name, f'= {_shown(data)} must be of type {kind.__name__}')
 
 
 def _shown(data: Any) -> str:
@@ -379,10 +353,6 @@ def _shown(data: Any) -> str:
 
 def _unfit(name: str, reason: str) -> InputError:
     return InputError(f'saved {name} {reason}')
-
-
-def _refuse(name: str, reason: str) -> typing.NoReturn:
-    raise _unfit(name, reason)
 
 
 # Rounding errors make a correlation exceed one by less than this.
