@@ -28,8 +28,7 @@ from trainid_ros.interface.records import (
     output_values,
 )
 from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.trains import Report, Trains
-from trainid_ros.monitor.view import Level
+from trainid_ros.monitor.trains import Level, Report, Trains
 from trainid_ros.ros.diagnostics import NodeHealth, estimator_status
 from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.input_monitor import InputMonitors, StepTimes

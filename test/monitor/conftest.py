@@ -26,8 +26,7 @@ from trainid_ros.interface.records import (
     output_values,
 )
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.monitor.trains import Report, Train, Trains
-from trainid_ros.monitor.view import Level
+from trainid_ros.monitor.trains import Level, Report, Train, Trains
 
 START_NS = 1_700_000_000 * NS_PER_S
 VARIANCES = (0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-6)

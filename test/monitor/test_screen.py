@@ -15,8 +15,7 @@ from test.monitor.conftest import START_NS, feed
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.screen import ASCII, Lines, Screen, chart
-from trainid_ros.monitor.trains import Report, Trains
-from trainid_ros.monitor.view import Level, Point
+from trainid_ros.monitor.trains import Level, Point, Report, Trains
 
 Driven = Callable[..., Trains]
 LONG = 'no message for 3.0 s, no publisher, since 2023-11-14 22:13:27 UTC: start the node that publishes it'

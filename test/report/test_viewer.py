@@ -26,7 +26,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.monitor.view import SHOWN, resistance_at
+from trainid_ros.monitor.trains import SHOWN, resistance_at
 from trainid_ros.report.recording import input_panels
 from trainid_ros.report.viewer import SHARES, USED, ViewRecorder, estimate_panel, switch_off_telemetry, time_range
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings

@@ -16,10 +16,11 @@ from rich.text import Text
 
 from trainid_ros.interface.results import Status
 from trainid_ros.interface.text import in_ascii, printable
-from trainid_ros.monitor.view import (
+from trainid_ros.monitor.trains import (
     EstimateView,
     InputView,
     Level,
+    Point,
     TrainView,
     duration,
     number,
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
-
-    from trainid_ros.monitor.view import Point
 
 BAND_STD: Final = 2.0
 # Bands that are wider than this many of the narrowest one are cut off [1].

@@ -13,7 +13,7 @@ import numpy as np
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.results import Status
-from trainid_ros.monitor.view import SHOWN, ShownEstimate
+from trainid_ros.monitor.trains import SHOWN, ShownEstimate
 from trainid_ros.report.recording import Labels, Panel, Recorder, Recording, Track, input_panels
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, record_from_message
-from trainid_ros.monitor.trains import Report, Trains
-from trainid_ros.monitor.view import Level
+from trainid_ros.monitor.trains import Level, Report, Trains
 from trainid_ros.ros.node import creation_of
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, estimate_qos, input_qos, message_class, type_name
 
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from trainid_ros.interface.records import InputTopic, OutputTopic
-    from trainid_ros.monitor.trains import Train
-    from trainid_ros.monitor.view import TrainView
+    from trainid_ros.monitor.trains import Train, TrainView
 
 _TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
 
