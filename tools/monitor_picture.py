@@ -29,9 +29,8 @@ from trainid_ros.interface.records import (
 )
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Level, Report, Trains
-from trainid_ros.ros.diagnostics import NodeHealth, estimator_status
+from trainid_ros.ros.diagnostics import InputMonitors, NodeHealth, StepTimes, estimator_status
 from trainid_ros.ros.estimator_node import SPECS
-from trainid_ros.ros.input_monitor import InputMonitors, StepTimes
 from trainid_ros.ros.topics import Publishers
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.stream.alignment import AlignmentConfig

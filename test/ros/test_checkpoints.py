@@ -182,14 +182,14 @@ def test_a_full_disk_is_a_warning_once_and_never_more(
         for k in range(0, 160, 4):
             feed(node, records[k : k + 4])
             graph.executor.spin_once(timeout_sec=0.02)
-        graph.until(lambda: node.checkpoints.problem)
+        graph.until(lambda: node.shared.unsaved)
         node._diagnostics.publish()
         message = diagnosed.until(OWN, 'not saved')
     assert diagnosed.level(OWN) >= DiagnosticStatus.WARN
     assert 'state.json: checkpoint cannot be written: No space left on device' in message
     feed(node, records[160:])
     node.trigger_deactivate()
-    assert (node.checkpoints.problem, path.exists()) == ('', True)
+    assert (node.shared.unsaved, path.exists()) == ('', True)
     log = capfd.readouterr().err
     assert log.count('No space left on device') == 1
     assert log.count('checkpoints are saved again') == 1
@@ -206,9 +206,9 @@ def test_of_two_nodes_with_one_file_the_first_saves_and_the_other_warns(
     content = path.read_bytes()
     feed(right, coasting(20))
     right.trigger_deactivate()
-    assert (left.checkpoints.problem, path.read_bytes()) == ('', content)
+    assert (left.shared.unsaved, path.read_bytes()) == ('', content)
     reason = f'{path}: was written by another node: each node needs a checkpoint file of its own'
-    assert right.checkpoints.problem == reason
+    assert right.shared.unsaved == reason
     assert f'[right]: {reason}; what is learned from now on would be lost' in capfd.readouterr().err
 
 

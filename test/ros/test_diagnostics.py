@@ -19,8 +19,8 @@ from test.ros.graph import OWN, START_NS, Changed, Diagnosed, Graph, Simulated, 
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Status
+from trainid_ros.ros.diagnostics import clock_time
 from trainid_ros.ros.estimator_node import BRAKE_RATE
-from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.stream.brake_shape import ShapeChange
 
@@ -156,7 +156,7 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
 
     begins = [clock_time(clock_ns(seconds)) for seconds in (100, 200)]
     status = message_at(90)
-    node.checkpoints.problem = 'disk is full'
+    node.shared.unsaved = 'disk is full'
     unsaved = f'not saved: disk is full, since {begins[0]}: make room on the disk, or correct checkpoint_file; '
     assert message_at(100) == unsaved + status
     for k in range(2 * WINDOW):
@@ -165,7 +165,7 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
     message = message_at(300)
     assert message.startswith('errors exceed the stated uncertainty: optimistic')
     assert message.endswith(f', since {begins[1]}: compare train file and inputs with the train; {unsaved}{status}')
-    node.checkpoints.problem = ''
+    node.shared.unsaved = ''
     assert 'not saved' not in message_at(301)
     stale = Changed(node.pipeline.current(), status=Status.STALE)
     stream, original = SimpleNamespace(finding='ato/speed is in km/h'), node.pipeline

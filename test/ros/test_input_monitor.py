@@ -18,7 +18,7 @@ from trainid_ros.interface.records import (
     InputTopic,
 )
 from trainid_ros.interface.results import Reason, Rejection
-from trainid_ros.ros.input_monitor import Finding, InputMonitor, InputMonitors
+from trainid_ros.ros.diagnostics import Finding, InputMonitor, InputMonitors
 from trainid_ros.ros.topics import Publishers
 from trainid_ros.stream.alignment import AlignmentConfig
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.input_monitor import NUMERICAL_ERRORS, shown_time
+from trainid_ros.ros.diagnostics import NUMERICAL_ERRORS, shown_time
 from trainid_ros.setup.checkpoint import (
     Checkpoint,
     CheckpointFile,
@@ -26,7 +26,7 @@ from trainid_ros.setup.checkpoint import (
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.ros.input_monitor import NodeContext
+    from trainid_ros.ros.diagnostics import NodeContext
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
@@ -35,7 +35,6 @@ class Checkpoints:
     """Keeps the state of a node's pipeline.
 
     Attributes:
-        problem: Why the state cannot be saved now, empty if it can.
         is_due: Whether the period is over.
         saved_at: When it was last saved, or nothing had changed, by a steady clock [s].
         is_wiped: Whether a jump of the stamps or the clock has reset the state: until it is usable again, or a user
@@ -44,7 +43,6 @@ class Checkpoints:
 
     def __init__(self, context: NodeContext) -> None:
         self._context, self._node = context, context.node
-        self.problem = ''
         self.is_due = self.is_wiped = False
         self.saved_at = 0.0
         self._provenance: Provenance | None = None
@@ -62,7 +60,7 @@ class Checkpoints:
         path = str(self._context.parameters.value('checkpoint_file'))
         self._provenance = provenance_of(self._context.kind.name, train_file, settings)
         self._file = CheckpointFile(Path(path).expanduser()) if path else None
-        kept, self._kept, self.problem, self._saved, self.is_wiped = self._kept, None, '', None, False
+        kept, self._kept, self._context.unsaved, self._saved, self.is_wiped = self._kept, None, '', None, False
         if kept is not None and not kept.provenance.mismatch(self._provenance):
             self._restore(pipeline, kept)
         elif self._file is not None:
@@ -151,12 +149,12 @@ class Checkpoints:
         if self._writing is None:
             return
         error = self._writing.exception()
-        before, self.problem, self._writing = self.problem, str(error or ''), None
-        if self.problem:
+        before, self._context.unsaved, self._writing = self._context.unsaved, str(error or ''), None
+        if self._context.unsaved:
             self._saved = None
-        if self.problem and self.problem != before:
-            self._node.get_logger().warning(f'{self.problem}; what is learned from now on would be lost')
-        elif before and not self.problem:
+        if self._context.unsaved and self._context.unsaved != before:
+            self._node.get_logger().warning(f'{self._context.unsaved}; what is learned from now on would be lost')
+        elif before and not self._context.unsaved:
             self._node.get_logger().info('checkpoints are saved again')
 
     # On request

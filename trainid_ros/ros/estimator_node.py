@@ -24,13 +24,19 @@ from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, ResistanceEstimate, SpeedModelEstimate, Status, parameters
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.ros.checkpoints import Checkpoints
-from trainid_ros.ros.diagnostics import DiagnosticsPublisher, EstimatorSpec
+from trainid_ros.ros.diagnostics import (
+    NUMERICAL_ERRORS,
+    DiagnosticsPublisher,
+    EstimatorSpec,
+    InputMonitors,
+    NodeContext,
+    StepTimes,
+)
 from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
-from trainid_ros.ros.input_monitor import NUMERICAL_ERRORS, InputMonitors, NodeContext, StepTimes
 from trainid_ros.ros.inputs import NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
-from trainid_ros.setup.parameter_specs import (
+from trainid_ros.setup.params_file import (
     ALGORITHM,
     TRAIN_PARAMETERS,
     build_settings,
@@ -93,7 +99,7 @@ class EstimatorNode(ManagedNode):
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = DiagnosticsPublisher(self.shared, spec, self.checkpoints, self.status_changes)
+        self._diagnostics = DiagnosticsPublisher(self.shared, spec, self.status_changes)
         self._diagnostic_timer = self._make_diagnostic_timer()
         services = {
             'reset': self.reset_on_request,

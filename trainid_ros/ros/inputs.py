@@ -48,7 +48,7 @@ from trainid_ros.ros.topics import (
     overridable,
     type_name,
 )
-from trainid_ros.setup.parameter_specs import MAPPING_FILE
+from trainid_ros.setup.params_file import MAPPING_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

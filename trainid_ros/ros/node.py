@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.setup.parameter_specs import (
+from trainid_ros.setup.params_file import (
     LIVE,
     TAKEN,
     TRAIN_FILE,
@@ -37,12 +37,13 @@ from trainid_ros.setup.parameter_specs import (
     Values,
     check_fallback,
     check_problems,
+    check_sections,
     describe_differences,
     find_taken,
+    params_files,
     taken_values,
     validate_overrides,
 )
-from trainid_ros.setup.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -223,13 +224,10 @@ class NodeParameters:
         """Find parameter files among ROS arguments whose sections do not match this node."""
         node = self._node.get_fully_qualified_name()
         for path in params_files(arguments):
-            if (found := find_mismatch(path, node, usual_name)) is None:
-                continue
-            message, certain = found
-            if certain:
-                self._problems[str(path)] = message
-            else:
-                self._node.get_logger().warning(message)
+            try:
+                check_sections(path, node, usual_name, self._node.get_logger().warning)
+            except InputError as error:
+                self._problems[str(path)] = str(error)
 
     def report(self) -> None:
         """Log every problem as an error, and the sources of all values in one line."""

@@ -26,7 +26,7 @@ from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.interface.text import pluralise
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import foreign_class, is_hash, message_class, message_from_record, source_qos, time_message
-from trainid_ros.setup.parameter_specs import AUTOSTART, SEED, TRAIN_FILE, on_configure
+from trainid_ros.setup.params_file import AUTOSTART, SEED, TRAIN_FILE, on_configure
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, unknowns_of, world_train
 from trainid_ros.train.train_file import load_train_file
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.bag.types import StoredType
     from trainid_ros.interface.records import Record
-    from trainid_ros.setup.parameter_specs import ParameterSpec
+    from trainid_ros.setup.params_file import ParameterSpec
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts [ns].
 _TICK_NS: Final = NS_PER_S // 20

@@ -38,7 +38,7 @@ from trainid_ros.interface.records import (
     status_of,
 )
 from trainid_ros.interface.results import Output, Status
-from trainid_ros.setup.parameter_specs import QOS_POLICIES
+from trainid_ros.setup.params_file import QOS_POLICIES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
