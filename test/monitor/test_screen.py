@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The screen of a terminal, lines for terminals that cannot draw, and charts in characters."""
+"""The screen of a terminal, that of the documents, lines for terminals that cannot draw, and charts in characters."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import pytest
 from rich.console import Console
 
 from test.monitor.conftest import START_NS, feed
+from tools.documents import ROOT
+from tools.monitor_picture import picture
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.screen import ASCII, Lines, Screen, chart
@@ -251,3 +253,9 @@ def test_several_lines_show_the_band_around_the_value() -> None:
     points = [Point(9.0, 10.0, 1000.0), Point(1.0, 10.1, 0.1), Point(0.5, 10.0, 0.1)]
     drawn = chart(points, 10, 5, 10.0)
     assert drawn.high - drawn.low < 2.0
+
+
+def test_the_picture_of_the_documents_is_up_to_date() -> None:
+    drawn = picture()
+    assert drawn == (ROOT / 'docs' / 'monitor.svg').read_text(encoding='utf-8'), 'make golden draws it anew'
+    assert 'http' not in drawn.replace('http://www.w3.org', '').replace('https://www.textualize.io', '')

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from test.ros.graph import Graph
+from test.ros.graph import Diagnosed, Graph
 from trainid_ros.cli.processes import free_domain, local_environment
 
 PROFILE = Path(__file__).parents[2] / 'config' / 'fastdds_localhost.xml'
@@ -32,6 +32,11 @@ def _module_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 def graph(_module_graph: Graph) -> Iterator[Graph]:
     yield _module_graph
     _module_graph.drop()
+
+
+@pytest.fixture
+def diagnosed(graph: Graph) -> Diagnosed:
+    return Diagnosed(graph)
 
 
 @pytest.fixture

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnostics of a node: what is wrong, since when, and what to do."""
+"""The diagnostics of a node: what is wrong, since when, and what to do; see also benchmarks/faults_live."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
+import subprocess
+import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import TypeAlias
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -15,6 +21,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 
+from benchmarks.sender import Sending, write_rows
 from test.ros.graph import OWN, START_NS, Changed, Diagnosed, Graph, Simulated, coasting, feed
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
@@ -31,8 +38,7 @@ SPEED, FORCE, BRAKE, MASS = (
 )
 
 
-def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_diagnostics_show_status_counts_and_inputs(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     # Nothing gets stale, however long the diagnostics take to arrive.
     node = graph.make(train_file=train_file, diagnostic_period=0.1, stale_after=60.0)
     graph.until(lambda: OWN in diagnosed.by_name)
@@ -61,8 +67,9 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     assert diagnosed.level(MASS) == DiagnosticStatus.OK
 
 
-def test_diagnostics_name_a_stall_of_the_node_and_not_its_inputs(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_diagnostics_name_a_stall_of_the_node_and_not_its_inputs(
+    graph: Graph, diagnosed: Diagnosed, train_file: str
+) -> None:
     node = graph.active(train_file, diagnostic_period=0.1)
     odometer = graph.plain('odometer').create_publisher(AtoSpeed, 'ato/speed', 10)
     feed(node, coasting(20))
@@ -76,8 +83,7 @@ def test_diagnostics_name_a_stall_of_the_node_and_not_its_inputs(graph: Graph, t
     graph.until(lambda: 'this node was busy' not in diagnosed.message(OWN))
 
 
-def test_diagnostics_show_consistency_and_observability(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_diagnostics_show_consistency_and_observability(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
     feed(node, coasting(150))
     graph.until(lambda: diagnosed.values(OWN).get('used', '0') != '0')
@@ -94,8 +100,7 @@ def test_diagnostics_show_consistency_and_observability(graph: Graph, train_file
     assert diagnosed.level(OWN) == DiagnosticStatus.WARN
 
 
-def test_diagnostics_show_inputs_that_stopped(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_diagnostics_show_inputs_that_stopped(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     node = graph.active(train_file, diagnostic_period=0.1)
     feed(node, coasting(30))
     graph.until(lambda: diagnosed.level(OWN) == DiagnosticStatus.STALE)
@@ -104,8 +109,7 @@ def test_diagnostics_show_inputs_that_stopped(graph: Graph, train_file: str) -> 
     assert diagnosed.level(MASS) == DiagnosticStatus.OK
 
 
-def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
     records = coasting(120)
     records = [replace(item, speed=8.0) if isinstance(item, SpeedRecord) else item for item in records]
@@ -115,8 +119,7 @@ def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, train_f
     assert diagnosed.values(OWN)['last rejection'].startswith('SPEED_STUCK')
 
 
-def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
     records = coasting(20)
     feed(node, [replace(item, speed=math.nan) if isinstance(item, SpeedRecord) else item for item in records])
@@ -128,8 +131,9 @@ def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, train_fil
     assert 'not used' not in diagnosed.message(FORCE)
 
 
-def test_simulated_time_that_never_starts_or_has_stopped_is_reported(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_simulated_time_that_never_starts_or_has_stopped_is_reported(
+    graph: Graph, diagnosed: Diagnosed, train_file: str
+) -> None:
     node = graph.active(train_file, diagnostic_period=0.1, use_sim_time=True)
     graph.until(lambda: diagnosed.values(OWN).get('status'))
     assert 'no /clock has arrived' in diagnosed.message(OWN)
@@ -138,8 +142,9 @@ def test_simulated_time_that_never_starts_or_has_stopped_is_reported(graph: Grap
     assert diagnosed.level(OWN) == DiagnosticStatus.WARN
 
 
-def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(
+    graph: Graph, diagnosed: Diagnosed, train_file: str
+) -> None:
     node = graph.make(train_file=train_file, use_sim_time=True, diagnostic_period=60.0)
     clock = Simulated(graph, node)
     clock.go(START_NS)
@@ -180,8 +185,9 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
         assert (diagnosed.level(OWN) == DiagnosticStatus.ERROR) == bool(found)
 
 
-def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, train_file: str) -> None:
-    diagnosed = Diagnosed(graph)
+def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(
+    graph: Graph, diagnosed: Diagnosed, train_file: str
+) -> None:
     node = graph.active(train_file, BRAKE_RATE, diagnostic_period=60.0)
     own, messages = 'brake_rate_estimator: estimator', []
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
@@ -199,7 +205,7 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
 
 
 def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagnostics_and_log(
-    graph: Graph, others: Graph, train_file: str, capfd: pytest.CaptureFixture[str]
+    graph: Graph, diagnosed: Diagnosed, others: Graph, train_file: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     odometer, second = others.plain('odometer'), others.plain('second')
     odometer.create_publisher(Float64, 'ato/speed', 10)
@@ -207,7 +213,6 @@ def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagno
         publisher.create_publisher(AtoForce, 'ato/force', 10)
     best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     odometer.create_publisher(BrakeCommand, 'ato/brake_command', best_effort)
-    diagnosed = Diagnosed(graph)
     arguments = ('-p', 'qos_overrides./ato/brake_command.subscription.reliability:=reliable')
     node = graph.active(train_file, arguments=arguments, diagnostic_period=0.1)
     wrong_type = '/odometer publishes std_msgs/msg/Float64 instead of trainid_msgs/msg/AtoSpeed'
@@ -228,3 +233,51 @@ def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagno
         '/ato/force: more than one publisher',
     ):
         assert logged.count(text) == 1, logged
+
+
+Start: TypeAlias = Callable[[], 'subprocess.Popen[bytes]']
+
+
+@pytest.fixture
+def start(graph: Graph, tmp_path: Path) -> Iterator[Start]:
+    """Starts an odometer that publishes speeds at 5 Hz."""
+    begin_ns, path = time.time_ns(), tmp_path / 'speeds.json'
+    stamps = [begin_ns + k * NS_PER_S // 5 for k in range(3000)]
+    write_rows(path, [Sending(stamp_ns, SpeedRecord(stamp_ns, 20.0, 1.0).row()) for stamp_ns in stamps])
+    started = []
+
+    def start_one() -> subprocess.Popen[bytes]:
+        command = [sys.executable, '-m', 'benchmarks.sender', str(os.getpid()), 'odometer', str(path)]
+        started.append(subprocess.Popen(command, env=os.environ | {'ROS_DOMAIN_ID': str(graph.domain)}))
+        return started[-1]
+
+    yield start_one
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_a_publisher_killed_and_started_again_is_missed_but_never_called_two(
+    graph: Graph, diagnosed: Diagnosed, train_file: str, start: Start
+) -> None:
+    graph.active(train_file, diagnostic_period=0.1)
+    odometer = start()
+    graph.until(lambda: diagnosed.level(SPEED) == DiagnosticStatus.OK)
+    odometer.kill()
+    graph.until(lambda: diagnosed.level(SPEED) == DiagnosticStatus.STALE)
+    start()
+    graph.until(lambda: diagnosed.level(SPEED) != DiagnosticStatus.STALE)
+    count = len(diagnosed.said)
+    graph.until(lambda: len(diagnosed.said) > count + 100)
+    # The killed one is still in the graph.
+    assert not [text for text in diagnosed.said if SPEED in text and 'publishers' in text]
+
+
+def test_two_publishers_of_one_name_are_named(
+    graph: Graph, diagnosed: Diagnosed, train_file: str, start: Start
+) -> None:
+    graph.active(train_file, diagnostic_period=0.1)
+    start()
+    start()
+    # Those of other tests may still be in the graph.
+    diagnosed.until(SPEED, 'publishers, whose messages mix: /odometer')

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
-from trainid_ros.ros.estimate_publisher import StatusChanges, Watchdog, is_latched
+from trainid_ros.ros.estimator_node import StatusChanges, Watchdog, is_latched
 
 CONVERGING, VALID, HOLDING, STALE, FAULT = list(Status)[1:]
 
@@ -37,18 +38,21 @@ def test_valid_estimates_and_the_first_that_does_not_keep_them_up_are_latched(
 
 
 class Log:
-    """Collects log lines with their level."""
+    """Collects log lines with their level, as the context of a node whose inputs are missing."""
 
-    def __init__(self) -> None:
+    def __init__(self, missing: str) -> None:
         self.lines: list[tuple[str, str]] = []
+        self.since_ns = 0
+        self.node = SimpleNamespace(get_logger=lambda: self)
+        self.missing_inputs = lambda: missing
 
     def __getattr__(self, level: str) -> Any:
         return lambda text, **_: self.lines.append((level, text))
 
 
 def test_each_change_that_matters_is_logged_once_with_its_duration() -> None:
-    log = Log()
-    changes = StatusChanges(log, lambda: 'no ato/speed for 0.8 s')
+    log: Any = Log('no ato/speed for 0.8 s')
+    changes = StatusChanges(log)
     day = [CONVERGING, VALID, HOLDING, VALID, STALE, STALE, HOLDING, CONVERGING, FAULT, CONVERGING]
     for second, status in enumerate(day):
         changes.follow(status, (100 + second) * NS_PER_S)
@@ -59,12 +63,12 @@ def test_each_change_that_matters_is_logged_once_with_its_duration() -> None:
         ('warning', 'CONVERGING: the estimate is not fit to use any more'),
         ('info', 'CONVERGING: the estimator works again'),
     ]
-    assert changes.since_ns == 109 * NS_PER_S
+    assert log.since_ns == 109 * NS_PER_S
 
 
 def test_inputs_that_come_for_the_first_time_are_not_back() -> None:
-    log = Log()
-    changes = StatusChanges(log, lambda: 'no ato/speed')
+    log: Any = Log('no ato/speed')
+    changes = StatusChanges(log)
     changes.follow(STALE, 0)  # /clock has not started
     start_ns = 1_700_000_000 * NS_PER_S
     for second, status in enumerate([CONVERGING, STALE, CONVERGING]):
@@ -77,12 +81,12 @@ def test_inputs_that_come_for_the_first_time_are_not_back() -> None:
 
 @pytest.mark.parametrize('back_ns', [50 * NS_PER_S, 0])
 def test_after_a_jump_of_the_clock_nothing_is_said_of_how_long_inputs_were_missing(back_ns: int) -> None:
-    log = Log()
-    changes = StatusChanges(log, lambda: 'no ato/speed')
+    log: Any = Log('no ato/speed')
+    changes = StatusChanges(log)
     for second, status in enumerate([CONVERGING, STALE]):
         changes.follow(status, (100 + second) * NS_PER_S)
     if not back_ns:  # it has passed the time of the last change again
-        changes.since_ns = 0
+        log.since_ns = 0
     changes.follow(CONVERGING, 110 * NS_PER_S - back_ns)
     assert log.lines[-1] == ('info', 'CONVERGING: inputs are back')
 

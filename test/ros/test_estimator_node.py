@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
@@ -13,12 +16,14 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy
+from std_srvs.srv import Trigger
 from trainid_msgs.msg import AtoSpeed, TrainMass
 
-from test.ros.graph import Graph, coasting, collected, cycle, feed
-from trainid_ros.interface.records import InputTopic
-from trainid_ros.interface.results import Status
+from test.ros.graph import START_NS, Changed, Graph, Simulated, coasting, collected, cycle, feed
+from trainid_ros.interface.records import NS_PER_S, InputTopic, Record
+from trainid_ros.interface.results import Reason, Status
 from trainid_ros.ros.estimator_node import BRAKE_RATE, RESISTANCE, SPECS
+from trainid_ros.setup.checkpoint import default_path
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
@@ -304,3 +309,169 @@ def test_an_effect_that_raises_is_a_fault_with_its_reason(
         feed(node, coasting(30))
         assert published[-1].status is Status.FAULT
         assert 'effect bad: its resistance cannot be evaluated: ZeroDivisionError' in reasons[0]
+
+
+# Services
+
+
+def test_services_reset_save_and_load_the_state(graph: Graph, train_file: str, tmp_path: Path) -> None:
+    path = tmp_path / 'deep' / 'state.json'
+    node = graph.active(train_file, checkpoint_file=str(path))
+    caller = graph.plain('caller')
+    prior = node.pipeline.estimator.save()
+    feed(node, coasting(200))
+    learned = node.pipeline.estimator.save()
+    assert learned != prior
+    saved = graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint')
+    assert (saved.success, str(path) in saved.message) == (True, True)
+    assert graph.call(caller, Trigger, '/resistance_estimator/reset').success
+    assert (node.pipeline.estimator.save(), node.pipeline.resets) == (prior, 1)
+    loaded = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
+    assert (loaded.success, node.pipeline.estimator.save()) == (True, learned)
+
+
+def test_services_report_why_they_fail(graph: Graph, train_file: str, tmp_path: Path) -> None:
+    path = str(tmp_path / 'state.json')
+    first = graph.active(train_file, BRAKE_RATE, checkpoint_file=path)
+    caller = graph.plain('caller')
+    assert graph.call(caller, Trigger, f'/{first.get_name()}/save_checkpoint').success
+    second = graph.make(train_file=train_file)
+    early = graph.call(caller, Trigger, '/resistance_estimator/reset')
+    assert (early.success, early.message) == (False, 'resistance_estimator is unconfigured: configure it first')
+    second.bring_up()
+    before = second.pipeline.estimator.save()
+    default = default_path('/resistance_estimator')
+    missing = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
+    assert (missing.success, missing.message) == (False, f'{default}: there is no checkpoint')
+    default.parent.mkdir(parents=True, exist_ok=True)
+    Path(path).rename(default)
+    wrong = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
+    assert not wrong.success
+    assert 'is a checkpoint of GSMA: each node needs a checkpoint file of its own' in wrong.message
+    assert second.pipeline.estimator.save() == before
+
+
+BROKEN = (
+    ZeroDivisionError('float division'),
+    ValueError('math domain error'),
+    np.linalg.LinAlgError('Singular matrix'),
+)
+
+
+@pytest.mark.parametrize('error', BROKEN, ids=lambda error: type(error).__name__)
+def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(
+    graph: Graph, train_file: str, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    node = graph.active(train_file)
+    published, records = collected(node), coasting(80)
+    feed(node, records[:80])
+    last = published[-1].estimate
+
+    def broken(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(node.pipeline, 'estimator', Changed(node.pipeline.estimator, step=broken, estimate=broken))
+        feed(node, records[80:160])
+        node._diagnostics.publish()
+    assert (published[-1].status, published[-1].estimate) == (Status.FAULT, last)
+    feed(node, records[160:200])
+    assert node.pipeline.status is Status.FAULT
+    node.pipeline.reset()
+    feed(node, records[200:])
+    assert node.pipeline.current().status is Status.CONVERGING
+
+
+def test_a_numerical_error_on_loading_is_reported_and_the_node_keeps_running(
+    graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = graph.active(train_file, checkpoint_file=str(tmp_path / 'state.json'))
+    caller, published, records = graph.plain('caller'), collected(node), coasting(80)
+    feed(node, records[:80])
+    assert graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint').success
+
+    def broken(*_: object) -> None:
+        raise ValueError('math domain error')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(node.pipeline, 'estimator', Changed(node.pipeline.estimator, estimate=broken))
+        answer = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
+        node._diagnostics.publish()
+    assert (answer.success, answer.message) == (False, 'ValueError: math domain error')
+    assert node.pipeline.status is Status.FAULT
+    assert graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint').success
+    feed(node, records[80:])
+    assert published[-1].status is Status.CONVERGING
+
+
+# Missing inputs, and jumps of stamps and clock
+
+
+def shifted(records: Sequence[Record], seconds: float) -> list[Record]:
+    """The same records at another time."""
+    return [replace(record, stamp_ns=record.stamp_ns + round(seconds * NS_PER_S)) for record in records]
+
+
+def test_missing_inputs_are_reported_after_the_timeout(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file)
+    published = collected(node)
+    feed(node, coasting(30))
+    newest = published[-1].stamp_ns
+    count = len(published)
+    node._watch()
+    assert node._watchdog_timer.timer_period_ns < 0.9 * NS_PER_S  # it checks again within a second of the last input
+    graph.until(lambda: len(published) > count)
+    node._watch()
+    assert [(output.status, output.stamp_ns) for output in published[count:]] == [(Status.STALE, newest)]
+
+
+def test_missing_input_is_measured_on_simulated_time(graph: Graph, train_file: str) -> None:
+    # Longer than the test may take: only simulated time can have passed.
+    node = graph.active(train_file, use_sim_time=True, stale_after=60.0)
+    clock, published, records = Simulated(graph, node), collected(node), coasting(30)
+    clock.go(records[-1].stamp_ns)
+    feed(node, records)
+    graph.until(lambda: published)
+    assert published[-1].status is not Status.STALE
+    clock.go(records[-1].stamp_ns + 70 * NS_PER_S)
+    graph.until(lambda: published[-1].status is Status.STALE)
+
+
+@pytest.mark.parametrize(('policy', 'rejected'), [('reset', 0), ('ignore', 0), ('refuse', 4 * 189)])
+def test_a_looped_bag_follows_the_policy(graph: Graph, train_file: str, policy: str, rejected: int) -> None:
+    node = graph.active(train_file, use_sim_time=True, time_jump_policy=policy)
+    clock, records = Simulated(graph, node), coasting(200)
+    clock.go(START_NS)
+    feed(node, records)
+    clock.go(records[-1].stamp_ns)
+    used = node.pipeline.used
+    assert node.shared.since_ns >= START_NS
+    clock.go(START_NS)  # the bag starts over
+    assert node.running_pipeline() is node.pipeline
+    assert node.shared.since_ns == 0
+    feed(node, records)
+    # A step of less than an hour loses nothing. Stamps within max_jump_back of the end are late, not a jump.
+    assert (node.pipeline.resets, node.pipeline.rejections[Reason.STAMP_JUMP]) == (0, rejected)
+    assert (node.pipeline.used > used) == (policy != 'refuse')
+
+
+def test_stamps_that_jump_back_before_the_clock_reset_only_once(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file, use_sim_time=True)
+    clock, records = Simulated(graph, node), coasting(100)
+    clock.go(records[-1].stamp_ns + 7200 * NS_PER_S)
+    feed(node, shifted(records, 7200.0))
+    feed(node, records[:40])
+    assert node.pipeline.resets == 1
+    clock.go(START_NS)
+    feed(node, records[40:])
+    assert node.pipeline.resets == 1
+
+
+def test_a_small_step_back_of_the_clock_changes_nothing(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file, use_sim_time=True)
+    clock, records = Simulated(graph, node), coasting(100)
+    feed(node, records)
+    clock.go(records[-1].stamp_ns)
+    clock.go(records[-1].stamp_ns - NS_PER_S)
+    feed(node, shifted(records, 20.0))
+    assert node.pipeline.resets == 0

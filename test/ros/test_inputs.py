@@ -243,3 +243,14 @@ def test_a_subscription_promises_what_all_publishers_offer_only_where_values_hol
     ):
         profile = foreign_qos(topic, offered)
         assert (profile.reliability, profile.durability) == expected
+
+
+def test_counts_of_publishers_alternate_or_begin_again() -> None:
+    topic = ForeignTopic('/x', ('speed',))
+    unknown, one, again, two = (InputSubscription(topic, lambda *_: None, lambda _: None) for _ in range(4))
+    for k in range(50):
+        unknown.count(None)
+        one.count(100 + 2 * k)  # with losses
+        again.count(k % 45 + 1)
+        two.count(100 + k // 2 if k % 2 else 5 + k // 2)
+    assert [subscription.may_mix for subscription in (unknown, one, again, two)] == [True, False, False, True]

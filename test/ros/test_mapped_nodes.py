@@ -121,9 +121,9 @@ def test_played_messages_arrive_as_they_are_in_the_bag(
 
 
 def test_a_publisher_may_come_later_and_start_again_with_another_type(
-    graph: Graph, others: Graph, start: Callable[..., Any]
+    graph: Graph, diagnosed: Diagnosed, others: Graph, start: Callable[..., Any]
 ) -> None:
-    node, diagnosed = start(SPEED_ONLY), Diagnosed(graph)
+    node = start(SPEED_ONLY)
     assert subscribed(node) == {'/ato/force', '/ato/gradient', '/ato/brake_command', '/ato/mass'}
     assert diagnosed.until(SPEED, '').startswith('never received, no publisher, since ')
     publish = odometer(others, Float64)
@@ -141,22 +141,24 @@ def test_a_publisher_may_come_later_and_start_again_with_another_type(
 
 
 def test_a_type_whose_package_is_missing_is_named(
-    graph: Graph, others: Graph, start: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    diagnosed: Diagnosed, others: Graph, start: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(name: str) -> None:
         raise ModuleNotFoundError(name)
 
     monkeypatch.setattr('trainid_ros.ros.topics.import_module', fail)
     start(SPEED_ONLY)
-    diagnosed, publish = Diagnosed(graph), odometer(others)
+    publish = odometer(others)
     text = 'geometry_msgs/msg/TwistStamped: the package geometry_msgs is not installed here'
     assert diagnosed.until(SPEED, text, publish).endswith(': install it')
     assert diagnosed.level(SPEED) == DiagnosticStatus.ERROR
 
 
-def test_a_notch_that_is_not_in_the_table_is_named(graph: Graph, others: Graph, start: Callable[..., Any]) -> None:
+def test_a_notch_that_is_not_in_the_table_is_named(
+    graph: Graph, diagnosed: Diagnosed, others: Graph, start: Callable[..., Any]
+) -> None:
     start('brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}')
-    diagnosed, name = Diagnosed(graph), 'resistance_estimator: input /notch (brake_command)'
+    name = 'resistance_estimator: input /notch (brake_command)'
     publisher = others.plain('handle').create_publisher(Float64, '/notch', 10)
 
     text = '/notch: 7 is not in table'

@@ -92,10 +92,9 @@ def play(args: argparse.Namespace) -> int:
 
 def _refused(failure: str, nodes: Sequence[ManagedNode]) -> InputError:
     """Return the error of a node that cannot be brought up, and end ROS with all nodes."""
-    from trainid_ros.ros.node import close_nodes, stop_ros  # noqa: PLC0415
+    from trainid_ros.ros.node import close_nodes  # noqa: PLC0415
 
     close_nodes(nodes)
-    stop_ros()
     return InputError(failure)
 
 

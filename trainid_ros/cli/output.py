@@ -73,8 +73,13 @@ def to_plain(value: Any) -> Any:
 
 
 def _compound_to_plain(value: Any) -> Any:
+    from trainid_ros.interface.results import Output  # noqa: PLC0415
+
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, Output):
+        names = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
+        return {name: to_plain(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
         return {key.name if isinstance(key, Enum) else str(key): to_plain(item) for key, item in value.items()}
     if hasattr(value, 'tolist'):  # array or number of NumPy

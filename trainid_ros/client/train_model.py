@@ -183,7 +183,8 @@ class TrainModel:
             from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
             topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
-            self.subscriptions = tuple(item for topic in topics for item in subscribe_estimates(node, self, topic))
+            both = (subscribe_estimates(node, topic, self.take_message, self.mark_lost) for topic in topics)
+            self.subscriptions = tuple(item for pair in both for item in pair)
 
     @classmethod
     def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:

@@ -224,8 +224,11 @@ def record_values(record: Record) -> dict[str, Value]:
 def output_values(output: Output[Any]) -> dict[str, Value]:
     """Return the fields of the message of an output, but for its header; a number that is not finite makes it FAULT."""
     estimate, rejection = output.estimate, output.last_rejection
-    values: dict[str, Value] = {name: cast(getattr(estimate, name)) for name, cast in _FIELDS[type(estimate)]}
-    finite = all(_is_finite(value) or name in MAY_BE_UNKNOWN for name, value in values.items())
+    values: dict[str, Value] = {}
+    finite = True
+    for name, cast in _FIELDS[type(estimate)]:
+        values[name] = value = cast(getattr(estimate, name))
+        finite = finite and (name in MAY_BE_UNKNOWN or _is_finite(value))
     values['status'] = int(output.status if finite else Status.FAULT)
     values['used'] = int(output.used)
     values['rejected'] = int(output.rejected)

@@ -275,16 +275,17 @@ Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
 EstimateT = TypeVar('EstimateT', bound=Estimate)
 
 
-@dataclass(eq=False)
 class Output(Generic[EstimateT]):
-    """What a driver publishes for one sample."""
+    """What a driver publishes for one sample.
 
-    stamp_ns: int  # Stamp of the newest sample used [ns]
-    estimate: EstimateT  # The estimate after that sample
-    status: Status  # Its status
-    used: int  # Samples taken in by the estimator since the last reset
-    rejected: int  # Records and samples not used since the last reset
-    last_rejection: Rejection | None  # The newest rejection, None if there was none
+    Attributes:
+        stamp_ns: Stamp of the newest sample used [ns].
+        estimate: The estimate after that sample.
+        status: Its status.
+        used: Samples taken in by the estimator since the last reset.
+        rejected: Records and samples not used since the last reset.
+        last_rejection: The newest rejection, None if there was none.
+    """
 
     def __init__(
         self,
@@ -297,3 +298,10 @@ class Output(Generic[EstimateT]):
     ) -> None:
         self.stamp_ns, self.estimate, self.status = stamp_ns, estimate, status
         self.used, self.rejected, self.last_rejection = used, rejected, last_rejection
+
+    def __repr__(self) -> str:
+        """Return all fields."""
+        return (
+            f'Output(stamp_ns={self.stamp_ns}, estimate={self.estimate!r}, status={self.status!r}, used={self.used}, '
+            f'rejected={self.rejected}, last_rejection={self.last_rejection!r})'
+        )

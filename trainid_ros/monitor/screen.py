@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from rich.console import Group
@@ -178,9 +179,8 @@ _STYLES: Final = {
 }
 _BAD: Final = 'bold red'
 _LEVEL_STYLES: Final = {Level.ERROR: _BAD, Level.STALE: _BAD, Level.WARN: 'yellow'}
-_NARROW: Final = 72
+# An input that is silent for longer is shown as late [s].
 _SILENT_S: Final = 1.5
-_WITH_SPEED: Final = 60
 
 
 class _Layout(NamedTuple):
@@ -206,23 +206,22 @@ _LAYOUTS: Final = (
 )
 
 
+@dataclass(frozen=True, slots=True)
 class Screen:
     """A screen with one train in full, or with one line for each of several."""
 
-    def __init__(self, views: Sequence[TrainView], notice: str = '') -> None:
-        """Set what to show; the notice is shown where there is no train."""
-        self._views = views
-        self._notice = notice
+    views: Sequence[TrainView]
+    notice: str = ''  # What to show where there is no train
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw for the present size of the terminal."""
         size = _Size(options.max_width, options.height or console.height, ascii_only=options.ascii_only)
-        if not self._views:
-            yield Text(self._notice)
-        elif len(self._views) == 1:
-            yield _train(self._views[0], size, console)
+        if not self.views:
+            yield Text(self.notice)
+        elif len(self.views) == 1:
+            yield _train(self.views[0], size, console)
         else:
-            yield _overview(self._views, size)
+            yield _overview(self.views, size)
 
 
 class _Size(NamedTuple):
@@ -234,7 +233,7 @@ class _Size(NamedTuple):
 
     @property
     def is_narrow(self) -> bool:
-        return self.width < _NARROW
+        return self.width < 72
 
     @property
     def overflow(self) -> Literal['crop', 'ellipsis']:
@@ -382,7 +381,7 @@ def _table(views: Sequence[TrainView], size: _Size) -> list[Text]:
     speeds = [size.text('speed', 'dim'), *(size.text(f'{number(view.speed_kmh, 1)} km/h') for view in views)]
     # Names are needed to ask for one train in full.
     columns = [_padded(names, min(max(map(len, names)), size.width // 2), size)]
-    if size.width >= _WITH_SPEED:
+    if size.width >= 60:
         columns.append(_padded(speeds, max(map(len, speeds)), size))
     count = len(views[0].estimates)
     width = (size.width - sum(len(column[0]) + 2 for column in columns) - 2 * (count - 1)) // count

@@ -163,13 +163,6 @@ def rejections(estimate: EstimateView) -> str:
     return f'used {estimate.used}, rejected {estimate.rejected}{f": {reasons}" if reasons else ""}'
 
 
-_STEP_KMH: Final = 5.0
-_USUAL_KMH: Final = 50.0
-# Larger speeds [m/s] and covariances count as unknown: messages may hold any number.
-_MAX_SPEED: Final = 1000.0
-_LARGEST: Final = 1e280
-
-
 class ShownEstimate(NamedTuple):
     """How one estimate is shown."""
 
@@ -187,16 +180,17 @@ def reference_speed(message: Any) -> float:
 
     The present speed changes all the time, and w with it: a change of the estimate would not be seen.
     """
-    if not 0.0 <= message.speed_min <= message.speed_max < _MAX_SPEED or message.speed_max == 0.0:
-        return _USUAL_KMH / KM_H
+    # Messages may hold any number.
+    if not 0.0 <= message.speed_min <= message.speed_max < 1000.0 or message.speed_max == 0.0:
+        return 50.0 / KM_H
     middle = 0.5 * KM_H * float(message.speed_min + message.speed_max)
-    return max(round(middle / _STEP_KMH), 1) * _STEP_KMH / KM_H
+    return max(round(middle / 5.0), 1) * 5.0 / KM_H
 
 
 def resistance_at(message: Any, speed: float) -> tuple[float, float]:
     """Return w and its standard deviation [N/kN] at a speed [m/s]."""
     w = message.a + message.b * speed + message.c * speed * speed
-    is_known = all(abs(item) < _LARGEST for item in message.covariance)
+    is_known = all(abs(item) < 1e280 for item in message.covariance)
     return float(w), resistance_std(message.covariance, speed) if is_known else math.nan
 
 
@@ -385,17 +379,16 @@ class Reports:
 
 def _input(name: str, report: Report, unchanged_s: float) -> InputView:
     """Return an input that a node reports, whose count of messages has been the same for some time [s]."""
-    age_s, silent_s = report.number('age [s]'), report.number('time since last message [s]')
+    silent_s, heard = report.number('time since last message [s]'), report.values.get('heard', '')
     grows = unchanged_s < _GROWS_S
-    return InputView(
-        name=name,
-        value='',
-        rate=report.number('rate [Hz]') if grows else math.nan,
-        age_s=age_s if abs(age_s) < OTHER_CLOCK_S else math.nan,
-        silent_s=math.inf if math.isnan(silent_s) else silent_s if grows else max(silent_s, unchanged_s),
-        publishers=(report.values.get('heard', ''),),
-        optional=False,
-    )
+    rate = report.number('rate [Hz]') if grows else math.nan
+    silent_s = math.inf if math.isnan(silent_s) else silent_s if grows else max(silent_s, unchanged_s)
+    return InputView(name, '', rate, _known_age_s(report.number('age [s]')), silent_s, (heard,), optional=False)
+
+
+def _known_age_s(age_s: float) -> float:
+    """Return the age of a stamp [s], NaN if another clock set it."""
+    return age_s if abs(age_s) < OTHER_CLOCK_S else math.nan
 
 
 # Past values are kept at this step [s], as many as cover more than any chart.
@@ -507,16 +500,12 @@ class Train:
         yield from foreign
 
     def _input(self, item: _Input, now_s: float, clock_ns: int) -> InputView:
-        record = item.record
+        record, name = item.record, item.topic.name
         age_s = math.nan if record is None else (clock_ns - record.stamp_ns) / NS_PER_S
+        value, publishers = '' if record is None else _value(record), self._publishers.get(name, ())
+        rate, silent_s = item.arrivals.rate(now_s), item.arrivals.silent_s(now_s)
         return InputView(
-            name=item.topic.name,
-            value='' if record is None else _value(record),
-            rate=item.arrivals.rate(now_s),
-            age_s=age_s if abs(age_s) < OTHER_CLOCK_S else math.nan,
-            silent_s=item.arrivals.silent_s(now_s),
-            publishers=self._publishers.get(item.topic.name, ()),
-            optional=item.topic is MASS_TOPIC,
+            name, value, rate, _known_age_s(age_s), silent_s, publishers, optional=item.topic is MASS_TOPIC
         )
 
     def _estimate(self, item: _Estimate, now_s: float) -> EstimateView:

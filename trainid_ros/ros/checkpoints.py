@@ -45,7 +45,7 @@ class Checkpoints:
         self._context, self._node = context, context.node
         self.is_due = self.is_wiped = False
         self.saved_at = 0.0
-        self._provenance: Provenance | None = None
+        self._provenance = Provenance('', '', '', {})
         self._file: CheckpointFile | None = None
         self._kept: Checkpoint | None = None  # What the node had learned at the last cleanup
         self._timer: Any = None
@@ -64,12 +64,12 @@ class Checkpoints:
         if kept is not None and not kept.provenance.mismatch(self._provenance):
             self._restore(pipeline, kept)
         elif self._file is not None:
-            self._load_at_start(pipeline, self._file, self._provenance)
+            self._load_at_start(pipeline, self._file)
 
-    def _load_at_start(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile, provenance: Provenance) -> None:
+    def _load_at_start(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile) -> None:
         logger = self._node.get_logger()
         try:
-            checkpoint = file.read(provenance)
+            checkpoint = file.read(self._provenance)
             age = None if checkpoint is None else self._load(pipeline, file, checkpoint)
         except ForeignFileError:
             raise
@@ -165,7 +165,7 @@ class Checkpoints:
         file = self._file_or_default()
         if file is not self._file:
             try:
-                file.read(self._required_provenance())
+                file.read(self._provenance)
             except ForeignFileError:  # of another estimate
                 raise
             except InputError as error:  # of another train
@@ -178,7 +178,7 @@ class Checkpoints:
         """Load the file of the node, or the default one; return what was loaded; InputError if it does not fit."""
         self._report()
         file = self._file_or_default()
-        checkpoint = file.read(self._required_provenance())
+        checkpoint = file.read(self._provenance)
         if checkpoint is None:
             raise InputError(f'{file.path}: there is no checkpoint')
         age = self._load(pipeline, file, checkpoint)
@@ -192,7 +192,7 @@ class Checkpoints:
 
     def _checkpoint(self, pipeline: EstimatorPipeline[Any]) -> Checkpoint:
         now_ns = self._node.now_ns()
-        return Checkpoint(self._required_provenance(), now_ns, pipeline.current().stamp_ns, pipeline.save())
+        return Checkpoint(self._provenance, now_ns, pipeline.current().stamp_ns, pipeline.save())
 
     def _load(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile, checkpoint: Checkpoint) -> str:
         """Continue from what a file holds; return its age as text; an InputError names the file."""
@@ -207,11 +207,6 @@ class Checkpoints:
         pipeline.restore(checkpoint.state, 86_400.0 if age_s is None else age_s)  # as uncertain as after a day
         pipeline.current()  # An invalid state must raise here, not when it is published.
         return 'at an unknown time' if age_s is None else f'{shown_time(age_s)} ago'
-
-    def _required_provenance(self) -> Provenance:
-        if self._provenance is None:
-            raise InputError('configure first')
-        return self._provenance
 
 
 def _mark(pipeline: EstimatorPipeline[Any]) -> object:

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import Output, Rejection
-    from trainid_ros.ros.estimate_publisher import StatusChanges
     from trainid_ros.ros.inputs import AnyTopic, InputGroup, NodeMapping
     from trainid_ros.ros.node import ManagedNode, NodeParameters
     from trainid_ros.setup.pipelines import EstimatorKind
@@ -51,8 +50,6 @@ NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
 _WINDOW_NS: Final = 5 * NS_PER_S
 # Difference of stamps from the clock of the node above which another clock set them, or messages were buffered [s].
 _MAX_AGE_S: Final = 2.0
-# Messages kept of each input: 5 s at 800 Hz.
-_MAX_KEPT: Final = 4096
 # Inputs that are silent for longer are missing, and not compared [s].
 _MAX_SILENCE_S: Final = 2.5
 _MESSAGE_REJECTED: Final = {
@@ -85,31 +82,25 @@ def clock_time(time_ns: int) -> str:
     return f'{datetime.fromtimestamp(time_ns // NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC'
 
 
+def _kept() -> deque[Any]:
+    return deque(maxlen=4096)  # messages of an input: 5 s at 800 Hz
+
+
+@dataclass(eq=False)
 class InputMonitor:
-    """Arrivals on one input topic, timed with the node's clock.
+    """Arrivals on one input topic, timed with the node's clock."""
 
-    Attributes:
-        topic: The topic.
-        label: Its name, with what is read from it if it is not our own.
-        longest_s: Longest time between messages that the estimators can bridge at any rate [s].
-        slowest_s: Longest acceptable interval between messages [s].
-        optional: True if the estimators can run without it.
-        count: Messages received.
-        newest_ns: Stamp of the last message [ns], 0 before the first.
-        publishers: Who publishes on it.
-    """
-
-    def __init__(self, topic: AnyTopic, longest_s: float, slowest_s: float, *, optional: bool) -> None:
-        self.topic = topic
-        self.label = label_of(topic)
-        self.longest_s = longest_s
-        self.slowest_s = max(longest_s, slowest_s)
-        self.optional = optional
-        self.count = self.newest_ns = self._last_ns = 0
-        self.publishers = Publishers()
-        self._arrivals: deque[int] = deque(maxlen=_MAX_KEPT)
-        self._delays: deque[int] = deque(maxlen=_MAX_KEPT)
-        self._rejected: deque[tuple[int, Rejection]] = deque(maxlen=_MAX_KEPT)
+    topic: AnyTopic
+    longest_s: float  # Longest time between messages that the estimators can bridge at any rate [s]
+    slowest_s: float  # Longest acceptable interval between messages [s]
+    optional: bool  # True if the estimators can run without it
+    count: int = 0  # Messages received
+    newest_ns: int = 0  # Stamp of the last message [ns], 0 before the first
+    publishers: Publishers = field(default_factory=Publishers)  # Who publishes on it
+    _last_ns: int = 0
+    _arrivals: deque[int] = field(default_factory=_kept)
+    _delays: deque[int] = field(default_factory=_kept)
+    _rejected: deque[tuple[int, Rejection]] = field(default_factory=_kept)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
         """Record a message with this stamp [ns] that arrived now [ns]."""
@@ -235,13 +226,13 @@ class InputMonitors:
             GRADIENT_TOPIC: alignment.max_gap,
             BRAKE_TOPIC: alignment.command_hold or alignment.command_timeout,
         }
-        slowest_s = alignment.max_interval
         self._max_skew_s = alignment.max_lag + 0.1  # by jitter
-        self.by_topic = {
-            topic: InputMonitor(topic, min(required, default=0.0), slowest_s, optional=not required)
-            for topic in topics
-            for required in [[longest[item] for item in required_inputs(topic)]]
-        }
+        self.by_topic: dict[AnyTopic, InputMonitor] = {}
+        for topic in topics:
+            times = [longest[item] for item in required_inputs(topic)]
+            longest_s = min(times, default=0.0)
+            slowest_s = max(longest_s, alignment.max_interval)
+            self.by_topic[topic] = InputMonitor(topic, longest_s, slowest_s, optional=not times)
 
     def arrived(self, topic: AnyTopic, stamp_ns: int, now_ns: int, rejected: Iterable[Rejection]) -> None:
         """Record a message and the messages that were rejected with it.
@@ -271,11 +262,13 @@ class InputMonitors:
         found = []
         for topic, item in self.by_topic.items():
             if item.is_missing(now_ns, timeout_s(topic)):
-                found.append(f'no {item.label} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}')
+                found.append(
+                    f'no {label_of(topic)} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
+                )
             elif not item.optional and (rejections := item.judge_rejections(now_ns)) is not None:
-                found.append(f'{item.label}: {rejections.text}')
+                found.append(f'{label_of(topic)}: {rejections.text}')
             elif skew_s := self.skew_s(topic, now_ns):
-                found.append(f'{item.label}: {_apart(skew_s)} those of the other inputs')
+                found.append(f'{label_of(topic)}: {_apart(skew_s)} those of the other inputs')
         return ', '.join(found)
 
 
@@ -306,18 +299,13 @@ def _names(names: Sequence[str]) -> str:
     return ', '.join(dict.fromkeys(names))
 
 
+@dataclass(eq=False)
 class StepTimes:
-    """Computing time of the estimator per sample.
+    """Computing time of the estimator per sample."""
 
-    Attributes:
-        longest: The longest step since the start [s].
-        overruns: Number of steps since then that delayed the next sample, at 5 Hz.
-    """
-
-    def __init__(self) -> None:
-        self._recent: deque[float] = deque(maxlen=3000)  # ten minutes at 5 Hz
-        self.longest = 0.0
-        self.overruns = 0
+    longest: float = 0.0  # The longest step since the start [s]
+    overruns: int = 0  # Steps since then that delayed the next sample, at 5 Hz
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=3000))  # ten minutes at 5 Hz
 
     def add(self, seconds: float) -> None:
         """Record the time of one step [s]."""
@@ -346,6 +334,8 @@ class NodeContext:
     prior: Any = None  # Estimate before the first record
     fault: str = ''  # Why the estimator cannot continue, '' if it can
     unsaved: str = ''  # Why the state cannot be saved now, '' if it can
+    # Since when the estimate has its status [ns], by the node's clock; 0 if not known, as after a jump of the clock
+    since_ns: int = 0
     step_times: StepTimes = field(default_factory=StepTimes)
 
     def forget(self) -> None:
@@ -513,7 +503,7 @@ def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, finding:
         ('heard', ', '.join(heard) or 'none'),
         ('not heard', '; '.join(unheard) or 'none'),
     )
-    return _status(f'{health.name}: input {monitor.label}', level, message, values)
+    return _status(f'{health.name}: input {label_of(monitor.topic)}', level, message, values)
 
 
 def _status(name: str, level: bytes, message: str, values: Iterable[tuple[str, object]]) -> Any:
@@ -524,9 +514,8 @@ def _status(name: str, level: bytes, message: str, values: Iterable[tuple[str, o
 class DiagnosticsPublisher:
     """Publishes the status of an estimator and of its inputs."""
 
-    def __init__(self, context: NodeContext, spec: EstimatorSpec, changes: StatusChanges) -> None:
+    def __init__(self, context: NodeContext, spec: EstimatorSpec) -> None:
         self._context, self._node, self._spec = context, context.node, spec
-        self._changes = changes
         self._publisher = context.node.create_publisher(
             DiagnosticArray, '/diagnostics', estimate_qos(), event_callbacks=NO_PUBLISHER_EVENTS
         )
@@ -579,7 +568,7 @@ class DiagnosticsPublisher:
             failure=node.failure,
             now_ns=now_ns,
             clock_problem=clock_problem,
-            since_ns=self._changes.since_ns,
+            since_ns=self._context.since_ns,
             missing=self._context.missing_inputs(),
             fault=self._context.fault,
             problems=self._problems,

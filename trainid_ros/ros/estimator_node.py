@@ -2,13 +2,15 @@
 """The three estimator nodes and their programs; a node converts messages and computes nothing itself.
 
 Estimates are published from the callback of the message that completes their sample; timers only detect
-missing input. They run on a steady clock, which a stopped ``/clock`` cannot stall.
+missing input. They run on a steady clock, which a stopped ``/clock`` cannot stall. Some estimates are also latched,
+logged, or repeated without new input.
 """
 
 from __future__ import annotations
 
 import time
 import traceback
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -32,10 +34,17 @@ from trainid_ros.ros.diagnostics import (
     NodeContext,
     StepTimes,
 )
-from trainid_ros.ros.estimate_publisher import HEARTBEAT_NS, REPEATED, EstimatePublisher, StatusChanges, Watchdog
 from trainid_ros.ros.inputs import NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
-from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
+from trainid_ros.ros.topics import (
+    SerializedEstimate,
+    fill_estimate,
+    latched_qos,
+    message_class,
+    offered_estimate_qos,
+    overridable,
+    publisher_events,
+)
 from trainid_ros.setup.params_file import (
     ALGORITHM,
     TRAIN_PARAMETERS,
@@ -63,6 +72,170 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 
+# Statuses that are published again without new samples, after this time [ns]: in time for the deadline of 1 s.
+REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
+HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
+_FIT: Final = frozenset({Status.VALID, Status.HOLDING})
+_NOT_FIT: Final = frozenset({Status.CONVERGING, *REPEATED})
+
+
+def is_latched(status: Status, latched: Status | None) -> bool:
+    """Return whether an estimate goes to the ``last_valid`` topic, after one of the status ``latched``, None before.
+
+    VALID estimates do. Once there was one, so does the first that withdraws it (CONVERGING: a change or contradiction
+    is suspected) or does not keep it up any more (STALE, FAULT), and the first that holds again.
+    """
+    if status is Status.VALID:
+        return True
+    if latched is None:
+        return False
+    return status is not latched if status in _NOT_FIT else status is Status.HOLDING and latched in _NOT_FIT
+
+
+class StatusChanges:
+    """Follows the status of the published estimates: since when it holds, and one log line for each change."""
+
+    def __init__(self, context: NodeContext) -> None:
+        self._context, self._logger = context, context.node.get_logger()
+        self._status = Status.UNINITIALIZED
+        self._had_inputs = False
+
+    def follow(self, status: Status, now_ns: int) -> None:
+        """Take in the status of a published estimate, at a time of the node's clock [ns]."""
+        if status is self._status:
+            return
+        before, self._status = self._status, status
+        if not {before, status} <= _FIT:  # VALID and HOLDING count as one: they take turns at every brake
+            self._log(before, now_ns)
+            self._context.since_ns = now_ns
+        self._had_inputs |= status is not Status.STALE
+
+    def _log(self, before: Status, now_ns: int) -> None:
+        # Each line at most once a second.
+        name, logger = self._status.name, self._logger
+        if self._status is Status.STALE:
+            why = self._context.missing_inputs() or 'stamps of an input are behind those of the others'
+            logger.warning(f'STALE, the last estimate stands: {why}', throttle_duration_sec=1.0)
+        elif before is Status.STALE:
+            text = 'inputs are back' if self._had_inputs else 'inputs have come'
+            if self._had_inputs and 0 < self._context.since_ns <= now_ns:
+                text += f', {(now_ns - self._context.since_ns) / NS_PER_S:.1f} s after STALE'
+            logger.info(f'{name}: {text}', throttle_duration_sec=1.0)
+        elif self._status in _FIT:
+            logger.info(f'{name}: the estimate is fit to use', throttle_duration_sec=1.0)
+        elif before in _FIT and self._status is not Status.FAULT:
+            logger.warning(f'{name}: the estimate is not fit to use any more', throttle_duration_sec=1.0)
+        elif before is Status.FAULT:
+            logger.info(f'{name}: the estimator works again', throttle_duration_sec=1.0)
+
+
+@dataclass(eq=False)
+class Watchdog:
+    """Finds whether no new input has arrived for too long."""
+
+    limit_ns: int  # How long inputs may be missing [ns]
+    _clock: tuple[int, int] = (0, 0)
+    _seen: tuple[int, int] | None = None
+    _newest_ns: int = 0
+
+    def restart(self) -> None:
+        """Begin to wait for input with the next check."""
+        self._seen, self._newest_ns = None, 0
+
+    def saw(self, newest_ns: int, now_ns: int, steady_ns: int) -> None:
+        """Record the newest stamp so far [ns]; only a changed stamp counts as new input."""
+        if newest_ns not in (0, self._newest_ns):
+            self._seen, self._newest_ns = (now_ns, steady_ns), newest_ns
+
+    def is_missing(self, now_ns: int, steady_ns: int) -> bool:
+        """Return whether inputs have been missing for too long.
+
+        The node's clock [ns] may be simulated, stop or jump; the steady one does none of this.
+        """
+        if now_ns != self._clock[0]:
+            self._clock = (now_ns, steady_ns)
+        if self._seen is None:
+            self._seen = (now_ns, steady_ns)
+        missing_for, missing_for_steady = now_ns - self._seen[0], steady_ns - self._seen[1]
+        stopped = steady_ns - self._clock[1] > self.limit_ns
+        # At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
+        return (missing_for > self.limit_ns and missing_for_steady > min(self.limit_ns, NS_PER_S // 4)) or (
+            stopped and missing_for_steady > self.limit_ns
+        )
+
+    def pause_ns(self, steady_ns: int, *, simulated: bool) -> int:
+        """Return how long to wait with the next check, by the steady clock [ns]: until the limit can be exceeded."""
+        if simulated:  # at any rate, so it has to be polled often
+            return NS_PER_S // 10
+        waited = 0 if self._seen is None else steady_ns - self._seen[1]
+        margin = NS_PER_S // 100  # by which a timer may fire early
+        return (self.limit_ns - waited if waited <= self.limit_ns else self.limit_ns) + margin
+
+
+class EstimatePublisher:
+    """The publishers of a configured node.
+
+    Attributes:
+        live: Publishes every estimate.
+        last_valid: Publishes latched ones, None where nothing is latched.
+        latched: Status of the estimate that is latched, None before the first.
+        published_ns: Steady time of the last estimate [ns], 0 before the first.
+    """
+
+    def __init__(self, context: NodeContext) -> None:
+        self._node, self._changes = context.node, StatusChanges(context)
+        context.since_ns = self._node.now_ns()
+        topic = context.kind.topic
+        kind = message_class(topic)
+        self.live = self._offer(kind, topic.name, offered_estimate_qos())
+        self.last_valid = self._offer(kind, topic.last_valid, latched_qos()) if topic.last_valid else None
+        self.latched: Status | None = None
+        self.published_ns = 0
+        self._sent: list[SerializedEstimate] = []
+
+    def _offer(self, kind: Any, topic: str, profile: Any) -> Any:
+        return self._node.create_lifecycle_publisher(
+            kind,
+            topic,
+            profile,
+            event_callbacks=publisher_events(self._node.get_logger(), topic),
+            qos_overriding_options=overridable('publisher'),
+        )
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        for publisher in (self.live, self.last_valid):
+            if publisher is not None:
+                self._node.destroy_lifecycle_publisher(publisher)
+
+    def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
+        """Publish estimates; what follows from them is done by :meth:`conclude`, after those of other nodes."""
+        for estimate in estimates:
+            self.live.publish(estimate.data)
+        self._sent += estimates
+
+    def conclude(self, now_ns: int) -> None:
+        """Latch and log what was published, at a time of the node's clock [ns]."""
+        if not self._sent:
+            return
+        sent, self._sent = self._sent, []
+        for estimate in sent:
+            if is_latched(estimate.status, self.latched):
+                self._latch(estimate)
+            self._changes.follow(estimate.status, now_ns)
+        self.published_ns = self._node.steady_ns()
+
+    def latch_loaded(self, estimate: SerializedEstimate) -> None:
+        """Latch the estimate of a loaded state, if it is worth it."""
+        if estimate.status in _FIT or estimate.status is Status.STALE:
+            self._latch(estimate)
+
+    def _latch(self, estimate: SerializedEstimate) -> None:
+        if self.last_valid is not None:
+            self.last_valid.publish(estimate.data)
+            self.latched = estimate.status
+
+
 class EstimatorNode(ManagedNode):
     """Lifecycle node that runs one estimator pipeline."""
 
@@ -83,8 +256,7 @@ class EstimatorNode(ManagedNode):
         mapping = NodeMapping(self)
         specs = estimator_parameters(spec.kind.algorithms, requested_algorithm(self.overrides, spec.kind.algorithms))
         expected = qos_overrides(spec.kind.topic, self.resolve_topic_name, mapping.topics)
-        parameters = NodeParameters(self, specs, expected=expected)
-        parameters.check_sections(arguments, spec.kind.node_name)
+        parameters = NodeParameters(self, specs, arguments, expected)
         self._settings = EstimatorSettings()
         self.shared = NodeContext(self, spec.kind, parameters, mapping, InputMonitors(self._settings.alignment))
         try:  # to show the values of the train file from the start; an unusable one is only logged until configure
@@ -94,12 +266,11 @@ class EstimatorNode(ManagedNode):
         parameters.report()
         parameters.on_live_change = self._retune
         self.checkpoints = Checkpoints(self.shared)
-        self.status_changes = StatusChanges(self.get_logger(), self.shared.missing_inputs)
         self._publisher: EstimatePublisher | None = None
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = DiagnosticsPublisher(self.shared, spec, self.status_changes)
+        self._diagnostics = DiagnosticsPublisher(self.shared, spec)
         self._diagnostic_timer = self._make_diagnostic_timer()
         services = {
             'reset': self.reset_on_request,
@@ -145,7 +316,6 @@ class EstimatorNode(ManagedNode):
         self.shared.pipeline = pipeline
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
         self.shared.step_times = StepTimes()
-        self.status_changes.restart(self.now_ns())
         self._open()
         return super().on_configure(state)
 
@@ -180,7 +350,7 @@ class EstimatorNode(ManagedNode):
         return train_file
 
     def _open(self) -> None:
-        self._publisher = EstimatePublisher(self, self.shared.kind.topic, self.status_changes)
+        self._publisher = EstimatePublisher(self.shared)
         alignment = self._settings.alignment
         self.shared.inputs = self._inputs.join(self, self, self.shared.mapping)
         self.shared.monitors = InputMonitors(alignment, self.shared.inputs.subscriptions)
@@ -361,7 +531,7 @@ class EstimatorNode(ManagedNode):
         if self._jumped_s == 0.0:
             return
         jumped_s, self._jumped_s = self._jumped_s, 0.0
-        self.status_changes.since_ns = 0
+        self.shared.since_ns = 0
         policy = self._settings.pipeline.time_jump_policy
         limit_ns = round(MAX_STEP_S * NS_PER_S)
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns

@@ -16,7 +16,7 @@ from bisect import bisect_left
 from collections import deque
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
@@ -124,30 +124,26 @@ def foreign_qos(topic: ForeignTopic, offered: Sequence[QoSProfile]) -> QoSProfil
     return profile
 
 
+@dataclass(eq=False)
 class InputSubscription:
-    """The subscription to one topic; that to a foreign one is made again when its publishers have another type.
+    """The subscription to one topic; that to a foreign one is made again when its publishers have another type."""
 
-    Attributes:
-        topic: The topic.
-        current: The subscription, None before there is a publisher whose messages can be read.
-        type: Name of the type subscribed to, '' without one.
-        problem: Why messages cannot be read, '' if they can.
-    """
+    topic: AnyTopic
+    _open: Callable[[Any, QoSProfile], Any]  # Subscribes with a message class and a profile
+    _close: Callable[[Any], Any]
+    current: Any = None  # The subscription, None before there is a publisher whose messages can be read
+    type: str = ''  # Name of the type subscribed to, '' without one
+    problem: str = ''  # Why messages cannot be read, '' if they can
+    _profile: QoSProfile = field(default_factory=input_qos)
+    _alive_ns: int = 0
+    _number: int = 0
+    _steps_back: deque[bool] = field(default_factory=lambda: deque(maxlen=20))
 
-    def __init__(self, topic: AnyTopic, open_: Callable[[Any, QoSProfile], Any], close: Callable[[Any], Any]) -> None:
-        """Subscribe with a function of message class and profile; to a foreign topic as soon as its type is known."""
-        self.topic = topic
-        self.current: Any = None
-        self.type = ''
-        self.problem = ''
-        self._open, self._close = open_, close
-        self._profile = input_qos()
-        self._alive_ns = 0
-        self._number = 0
-        self._steps_back: deque[bool] = deque(maxlen=20)
-        if isinstance(topic, InputTopic):
-            kind = message_class(topic)
-            self.current, self.type = open_(kind, input_qos()), type_name(kind)
+    def __post_init__(self) -> None:
+        """Subscribe; to a foreign topic as soon as its type is known."""
+        if isinstance(self.topic, InputTopic):
+            kind = message_class(self.topic)
+            self.current, self.type = self._open(kind, input_qos()), type_name(kind)
 
     @property
     def profile(self) -> QoSProfile:
@@ -284,13 +280,14 @@ class InputGroup:
     jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
 
     Attributes:
+        members: The nodes.
         subscriber: Name of the first node.
         subscriptions: The subscriptions by topic; a foreign one is made as soon as its type is known.
         mapped: What makes records of the messages of foreign topics, None without a mapping.
     """
 
     def __init__(self, node: ManagedNode, mapping: NodeMapping) -> None:
-        self._members: list[Consumer] = []
+        self.members: list[Consumer] = []
         self._node = node
         self.subscriber = str(node.get_name())
         self.mapped = mapping.inputs()
@@ -304,9 +301,6 @@ class InputGroup:
             self._discovery = node.create_timer(0.25, self._discover, clock=node.steady_clock)
             self._discover()
 
-    def __contains__(self, node: Consumer) -> bool:
-        return node in self._members
-
     @property
     def lacking(self) -> str:
         """Why an input that no topic carries is not there, '' if all are."""
@@ -314,14 +308,10 @@ class InputGroup:
             return ''
         return 'no gradient of the line, as the position is not known yet'
 
-    def add(self, node: Consumer) -> None:
-        """Let a node take in the inputs."""
-        self._members.append(node)
-
     def remove(self, node: Consumer) -> bool:
         """Let a node leave; return True, and destroy the subscriptions, if it was the last one."""
-        self._members.remove(node)
-        if self._members:
+        self.members.remove(node)
+        if self.members:
             return False
         for subscription in self.subscriptions.values():
             subscription.close()
@@ -412,7 +402,7 @@ class InputGroup:
             return
         if isinstance(topic, ForeignTopic) and self.mapped is not None:
             self.subscriptions[topic].arrived(self.mapped.problem(topic.name), self._node.steady_ns())
-        running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
+        running = [(node, pipeline) for node in self.members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
         made: list[tuple[Consumer, list[SerializedEstimate]]] = [(node, []) for node, _ in running]
@@ -423,7 +413,7 @@ class InputGroup:
         # Sent at once, so that a subscriber of all of them wakes up once.
         for node, estimates in made:
             node.publish(estimates)
-        for node in self._members:
+        for node in self.members:
             node.conclude(topic, stamp_ns)
         # One of them at a time: the next message may come soon.
         if due := [node.checkpoints for node, estimates in made if estimates and node.checkpoints.is_due]:
@@ -452,13 +442,13 @@ class SharedInputs:
         key = _wiring(node, mapping)
         group = self._groups.get(key) or InputGroup(node, mapping)
         self._groups[key] = group
-        group.add(consumer)
+        group.members.append(consumer)
         return group
 
     def leave(self, node: Consumer) -> None:
         """Let a node leave its group, if it is in one."""
         for key, group in list(self._groups.items()):
-            if node in group and group.remove(node):
+            if node in group.members and group.remove(node):
                 del self._groups[key]
 
 

@@ -108,13 +108,14 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
+        usual_name: Its name before remapping.
         steady_clock: The clock of the timers, which never jumps.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         with creation_of(name):
             super().__init__(name, **options)
-        self.failure = ''
+        self.failure, self.usual_name = '', name
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         change_state = self._service_change_state.callback
 
@@ -200,10 +201,13 @@ class NodeParameters:
         on_live_change: Called with the names of parameters that were set and take effect at once.
     """
 
-    def __init__(self, node: ManagedNode, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
+    def __init__(
+        self, node: ManagedNode, specs: Iterable[ParameterSpec], arguments: Sequence[str], expected: Iterable[str] = ()
+    ) -> None:
         """Declare the parameters; problems with the given values are kept for :meth:`check`.
 
-        Other code declares the ``expected`` names later.
+        Parameter files among the ROS arguments are searched for sections that do not match this node. Other code
+        declares the ``expected`` names later.
         """
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
@@ -219,13 +223,9 @@ class NodeParameters:
             node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._note)
-
-    def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
-        """Find parameter files among ROS arguments whose sections do not match this node."""
-        node = self._node.get_fully_qualified_name()
         for path in params_files(arguments):
             try:
-                check_sections(path, node, usual_name, self._node.get_logger().warning)
+                check_sections(path, node.get_fully_qualified_name(), node.usual_name, node.get_logger().warning)
             except InputError as error:
                 self._problems[str(path)] = str(error)
 
@@ -328,26 +328,19 @@ class _StopRequest:
 
     requested = False
 
-    def install(self) -> None:
-        self.requested = False
-        self._handle(self._note)
-
-    def ignore_more(self) -> None:
-        self._handle(signal.SIG_IGN)
-
-    @staticmethod
-    def _handle(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, handler)
-
-    def _note(self, _number: int, _frame: Any) -> None:
+    def note(self, _number: int, _frame: Any) -> None:
         if self.requested:
-            self.ignore_more()
+            _on_signals(signal.SIG_IGN)
             raise KeyboardInterrupt
         self.requested = True
 
 
 _STOP: Final = _StopRequest()
+
+
+def _on_signals(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def start_ros(ros_args: Sequence[str]) -> list[str]:
@@ -363,13 +356,9 @@ def _start(arguments: list[str]) -> list[str]:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RCLError, RuntimeError, ValueError) as error:
         raise InputError(f'ROS cannot start: {str(error).splitlines()[0]}') from error
-    _STOP.install()
+    _STOP.requested = False
+    _on_signals(_STOP.note)
     return arguments
-
-
-def stop_ros() -> None:
-    """Stop ROS."""
-    rclpy.try_shutdown()
 
 
 def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: False) -> None:
@@ -391,20 +380,20 @@ def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: Fal
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        _STOP.ignore_more()
+        _on_signals(signal.SIG_IGN)
         gc.unfreeze()
         if executor is not None:
             executor.shutdown()
         close_nodes(nodes)
-        stop_ros()
 
 
 def close_nodes(nodes: Sequence[Node]) -> None:
-    """Deactivate the active nodes and destroy all."""
+    """Deactivate the active nodes, destroy all, and stop ROS."""
     for node in nodes:
         if isinstance(node, ManagedNode) and node.state == 'active' and rclpy.ok():
             node.trigger_deactivate()
         node.destroy_node()
+    rclpy.try_shutdown()
 
 
 def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:

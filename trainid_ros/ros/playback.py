@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 import numpy as np
 from rclpy.duration import Duration
@@ -34,7 +34,6 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from trainid_ros.bag.reader import BagReader
     from trainid_ros.bag.types import StoredType
     from trainid_ros.interface.records import Record
     from trainid_ros.setup.params_file import ParameterSpec
@@ -55,11 +54,15 @@ class Timeline:
     entries: Callable[[], Iterator[Entry]]  # Returns an iterator over the records from the start
     foreign: Mapping[str, StoredType] = field(default_factory=dict)  # Types of the foreign topics among them
     replaced: frozenset[str] = OWN.replaced  # Our own topics that are not among them
+    close: Callable[[], object] = lambda: None  # Releases what it reads from
 
     @property
     def duration_s(self) -> float:
         """Length [s]."""
         return (self.last_ns - self.first_ns) / NS_PER_S
+
+
+_NOTHING: Final = Timeline(0, 0, lambda: iter(()))
 
 
 def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterator[Entry]:
@@ -81,12 +84,12 @@ def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterato
     yield end, '', None
 
 
+@dataclass
 class Pacer:
     """Maps recorded time to steady time, at a rate in recorded seconds per second [1]."""
 
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._anchor: tuple[int, int] | None = None
+    rate: float
+    _anchor: tuple[int, int] | None = None
 
     def release(self) -> None:
         """Drop the anchor: the next entry is due at once."""
@@ -96,9 +99,9 @@ class Pacer:
         """Return when an entry is due by the steady clock [ns], which now reads ``steady_ns``."""
         if self._anchor is None:
             self._anchor = (time_ns, steady_ns)
-        due = self._anchor[1] + round((time_ns - self._anchor[0]) / self._rate)
+        due = self._anchor[1] + round((time_ns - self._anchor[0]) / self.rate)
         # Catching up on more than a second of the record at once could overflow the queues of the subscribers.
-        if (steady_ns - due) * self._rate > NS_PER_S * max(self._rate, 1.0):
+        if (steady_ns - due) * self.rate > NS_PER_S * max(self.rate, 1.0):
             self._anchor = (time_ns, steady_ns)
             return steady_ns
         return due
@@ -134,30 +137,30 @@ class PlaybackNode(ManagedNode):
     """Base class of bag player and simulator: activating it plays, deactivating it pauses.
 
     Attributes:
+        NAME: Its usual name.
+        SPECS: Its parameters.
         finished: True once all records have been played and delivered.
         position_ns: Recorded time of the last entry published [ns], 0 before the start.
         played: Number of records published.
     """
 
-    def __init__(
-        self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
-    ) -> None:
+    NAME: ClassVar[str]
+    SPECS: ClassVar[tuple[ParameterSpec, ...]]
+
+    def __init__(self, arguments: Sequence[str] = (), **options: Any) -> None:
         """Declare all parameters; the ROS arguments of the process are searched for parameter files."""
-        super().__init__(name, **options)
-        self.parameters = NodeParameters(self, specs)
-        self.parameters.check_sections(arguments, name)
+        super().__init__(self.NAME, **options)
+        self.parameters = NodeParameters(self, self.SPECS, arguments)
         self.parameters.report()
         self._outputs: dict[str, Any] = {}  # By topic
         self._clock_output: Any = None
         self._timer: Any = None
+        self.timeline = _NOTHING
         self._release()
 
     def open_timeline(self) -> Timeline:
         """Return the timeline to play; called on configure. InputError if there is nothing to play."""
         raise NotImplementedError
-
-    def close_timeline(self) -> None:
-        """Release the resources of :meth:`open_timeline`."""
 
     @guarded
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -209,13 +212,13 @@ class PlaybackNode(ManagedNode):
         for publisher in (*self._outputs.values(), self._clock_output):
             if publisher is not None:
                 self.destroy_lifecycle_publisher(publisher)
-        self.close_timeline()
+        self.timeline.close()
         self._outputs = {}
         self._clock_output = None
         self._entries: Iterator[Entry] = iter(())
         self._next: Entry | None = None
         self._pacer = Pacer(1.0)
-        self.timeline = Timeline(0, 0, lambda: iter(()))
+        self.timeline = _NOTHING
         self.finished = False
         self._complete_ns = self._waiting_ns = self._blocked_ns = self._acknowledged = 0
         self._said = ''
@@ -325,21 +328,17 @@ class PlaybackNode(ManagedNode):
         return False
 
 
-_BAG_PARAMETERS: Final = (
-    on_configure('bag', '', 'rosbag2 directory, .mcap or .db3 file'),
-    on_configure('bag_namespace', '/', 'namespace of the topics in the bag'),
-    on_configure('mapping_file', '', 'mapping file, whose topics are played'),
-    on_configure('max_chunk', 64, 'largest chunk to unpack [MB]', 1, 4095),
-    *playback_parameters(live=False),
-)
-
-
 class BagPlayer(PlaybackNode):
     """Lifecycle node that plays a bag."""
 
-    def __init__(self, arguments: Any = (), **options: Any) -> None:
-        self._reader: BagReader | None = None
-        super().__init__('bag_player', _BAG_PARAMETERS, arguments=arguments, **options)
+    NAME: ClassVar = 'bag_player'
+    SPECS: ClassVar = (
+        on_configure('bag', '', 'rosbag2 directory, .mcap or .db3 file'),
+        on_configure('bag_namespace', '/', 'namespace of the topics in the bag'),
+        on_configure('mapping_file', '', 'mapping file, whose topics are played'),
+        on_configure('max_chunk', 64, 'largest chunk to unpack [MB]', 1, 4095),
+        *playback_parameters(live=False),
+    )
 
     def open_timeline(self) -> Timeline:
         """Open the bag; InputError if it cannot be read or has no inputs, or the packages for bags are missing."""
@@ -357,47 +356,38 @@ class BagPlayer(PlaybackNode):
             reader = BagReader(path, namespace, max_chunk, mapping=mapping).__enter__()
         except ModuleNotFoundError as error:
             raise missing_package_error(error) from None
-        self._reader = reader
         for warning in reader.warnings:
             self.get_logger().warning(warning)
         span = reader.time_range()
         if span is None or not reader.input_count:
-            self.close_timeline()
+            reader.close()
             raise InputError(f'{path}: no messages on the input topics')
-        return Timeline(*span, reader.stored, reader.mapped_types(), reader.mapping.replaced)
-
-    def close_timeline(self) -> None:
-        """Close the bag."""
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
-
-
-_SIMULATOR_PARAMETERS: Final = (
-    TRAIN_FILE,
-    on_configure(
-        'world',
-        '',
-        'type of railway, with its own train unless train_file is given, whose values are the stated ones, not true',
-        choices=('', *WORLDS),
-    ),
-    on_configure(
-        'realism',
-        'clean',
-        'with world only: clean, the train file is exact, or field, it has errors as on real trains',
-        choices=tuple(REALISMS),
-    ),
-    on_configure('runs', 4, 'runs from stop to stop', 1, 1000),
-    SEED,
-    *playback_parameters(live=True),
-)
+        return Timeline(*span, reader.stored, reader.mapped_types(), reader.mapping.replaced, reader.close)
 
 
 class TrainSimulator(PlaybackNode):
     """Lifecycle node that simulates on configure and publishes while active."""
 
-    def __init__(self, arguments: Any = (), **options: Any) -> None:
-        super().__init__('train_simulator', _SIMULATOR_PARAMETERS, arguments=arguments, **options)
+    NAME: ClassVar = 'train_simulator'
+    SPECS: ClassVar = (
+        TRAIN_FILE,
+        on_configure(
+            'world',
+            '',
+            'type of railway, with its own train unless train_file is given, whose values are the stated ones, '
+            'not true',
+            choices=('', *WORLDS),
+        ),
+        on_configure(
+            'realism',
+            'clean',
+            'with world only: clean, the train file is exact, or field, it has errors as on real trains',
+            choices=tuple(REALISMS),
+        ),
+        on_configure('runs', 4, 'runs from stop to stop', 1, 1000),
+        SEED,
+        *playback_parameters(live=True),
+    )
 
     def open_timeline(self) -> Timeline:
         """Simulate, and return the records; InputError if the train file is missing or cannot be simulated."""

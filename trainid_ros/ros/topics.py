@@ -7,14 +7,13 @@ import re
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import (
     DurabilityPolicy,
-    HistoryPolicy,
     LivelinessPolicy,
     QoSCompatibility,
     QoSPolicyKind,
@@ -41,7 +40,7 @@ from trainid_ros.interface.results import Output, Status
 from trainid_ros.setup.params_file import QOS_POLICIES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -89,15 +88,11 @@ LIFESPAN_S: Final = 2.0  # age at which an estimate that could not be delivered 
 _LEASE: Final = {'liveliness': LivelinessPolicy.AUTOMATIC, 'liveliness_lease_duration': Duration(seconds=LEASE_S)}
 
 
-# Each function returns a new profile: rclpy writes the overrides of a user into the profile that it is given.
-def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy, **more: Any) -> QoSProfile:
-    history = HistoryPolicy.KEEP_LAST
-    return QoSProfile(history=history, depth=depth, reliability=reliability, durability=durability, **more)
-
-
+# Each function returns a new profile: rclpy writes the overrides of a user into the profile that it is given. By
+# default a profile keeps the last messages, and is reliable and volatile.
 def input_qos() -> QoSProfile:
     """Return the profile of estimator inputs: best effort, compatible with every sensor; deep enough to lose none."""
-    return _keep_last(50, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+    return QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def source_qos() -> QoSProfile:
@@ -105,23 +100,23 @@ def source_qos() -> QoSProfile:
 
     Reliable subscribers that are slow lose nothing: what they have acknowledged is not kept.
     """
-    return _keep_last(10_000, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+    return QoSProfile(depth=10_000)
 
 
 def estimate_qos() -> QoSProfile:
     """Return the profile of ``/diagnostics``, and of subscribers of estimates: they also hear who promises less."""
-    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+    return QoSProfile(depth=10)
 
 
 def offered_estimate_qos() -> QoSProfile:
     """Return the profile of the estimates with what their publisher promises: deadline, liveliness and lifespan."""
-    promised = {'deadline': Duration(seconds=DEADLINE_S), 'lifespan': Duration(seconds=LIFESPAN_S), **_LEASE}
-    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, **promised)
+    deadline, lifespan = Duration(seconds=DEADLINE_S), Duration(seconds=LIFESPAN_S)
+    return QoSProfile(depth=10, deadline=deadline, lifespan=lifespan, **_LEASE)
 
 
 def latched_qos() -> QoSProfile:
     """Return the profile of the last valid estimates: a late joiner gets the newest one, however old it is."""
-    return _keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL, **_LEASE)
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, **_LEASE)
 
 
 def overridable(entity: str) -> QoSOverridingOptions:
@@ -223,19 +218,9 @@ def foreign_class(name: str) -> Any:
     raise InputError(f'{name}: {problem}')
 
 
-class Receiver(Protocol):
-    """Takes the messages of estimates, as ``trainid_ros.client`` does."""
-
-    def take_message(
-        self, topic: OutputTopic, status: Status, estimate: Any, stamp_ns: int, *, latched: bool = False
-    ) -> None:
-        """Take in an estimate."""
-
-    def mark_lost(self, topic: OutputTopic, reason: str) -> None:
-        """Take in why a topic sends nothing any more."""
-
-
-def subscribe_estimates(node: Any, receiver: Receiver, topic: OutputTopic) -> tuple[Any, Any]:
+def subscribe_estimates(
+    node: Any, topic: OutputTopic, receive: Callable[..., object], lose: Callable[[OutputTopic, str], object]
+) -> tuple[Any, Any]:
     """Subscribe to an estimate and its latched copy in the namespace of a node; return the subscriptions.
 
     The first asks for no deadline and no lease: a subscriber that asks for more than a publisher offers gets nothing
@@ -244,15 +229,15 @@ def subscribe_estimates(node: Any, receiver: Receiver, topic: OutputTopic) -> tu
     """
 
     def take(message: Any, *, latched: bool = False) -> None:
-        receiver.take_message(topic, status_of(message), message, stamp_of(message), latched=latched)
+        receive(topic, status_of(message), message, stamp_of(message), latched=latched)
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        receiver.mark_lost(topic, f'its publisher has an incompatible quality of service ({policy})')
+        lose(topic, f'its publisher has an incompatible quality of service ({policy})')
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:
-            receiver.mark_lost(topic, 'its node is gone')
+            lose(topic, 'its node is gone')
 
     kind = message_class(topic)
     events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)

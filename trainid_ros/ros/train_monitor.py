@@ -119,19 +119,20 @@ class TrainMonitor(Node):
 
     def _subscribe(self, namespace: str) -> None:
         train = self.trains.add(namespace)
-        self._listening[namespace] = [
-            *(self._listen(namespace, topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS),
-            *(
-                self._listen(namespace, topic, estimate_qos(), partial(self._on_estimate, train, topic))
-                for topic in OUTPUT_TOPICS
-            ),
+        wanted: list[tuple[InputTopic | OutputTopic, QoSProfile, Callable[[Any], None]]] = [
+            *((topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS),
+            *((topic, estimate_qos(), partial(self._on_estimate, train, topic)) for topic in OUTPUT_TOPICS),
         ]
-
-    def _listen(
-        self, namespace: str, topic: InputTopic | OutputTopic, profile: QoSProfile, receive: Callable[[Any], None]
-    ) -> Any:
-        kind, name = message_class(topic), _full(namespace, topic.name)
-        return self.create_subscription(kind, name, receive, profile, event_callbacks=NO_SUBSCRIPTION_EVENTS)
+        self._listening[namespace] = [
+            self.create_subscription(
+                message_class(topic),
+                _full(namespace, topic.name),
+                receive,
+                profile,
+                event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            )
+            for topic, profile, receive in wanted
+        ]
 
     def _on_estimate(self, train: Train, topic: OutputTopic, message: Any) -> None:
         train.on_estimate(topic, message, time.monotonic(), self.get_clock().now().nanoseconds)
