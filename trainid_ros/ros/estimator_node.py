@@ -47,10 +47,10 @@ from trainid_ros.ros.topics import (
 )
 from trainid_ros.setup.params_file import (
     ALGORITHM,
-    TRAIN_PARAMETERS,
     build_settings,
     build_train_file,
     estimator_parameters,
+    filed_values,
     qos_overrides,
     requested_algorithm,
 )
@@ -346,7 +346,7 @@ class EstimatorNode(ManagedNode):
         if not path:
             return None
         train_file = load_train_file(Path(path).expanduser())
-        self.shared.parameters.fall_back({item.name: item.of(train_file) for item in TRAIN_PARAMETERS}, path)
+        self.shared.parameters.fall_back(filed_values(train_file), path)
         return train_file
 
     def _open(self) -> None:

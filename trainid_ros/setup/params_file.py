@@ -16,6 +16,7 @@ import textwrap
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -54,7 +55,8 @@ class ParameterSpec:
 
     ``low`` and ``high`` are the inclusive bounds of a number, ``least`` the smallest one but 0; ``choices`` lists the
     permitted strings. ``look_up``, if given, decides instead of ``choices`` and raises InputError for a string that is
-    not permitted: plug-ins may add strings, and are only read when one is looked up.
+    not permitted: plug-ins may add strings, and are only read when one is looked up. A ``required`` one must be
+    given where there is no train file.
     """
 
     name: str
@@ -66,6 +68,7 @@ class ParameterSpec:
     look_up: Callable[[str], object] | None = None
     read_only: bool = False
     least: float = -math.inf
+    required: bool = False
 
     def coerce(self, value: object) -> Value:
         """Return a value from a file as the parameter's type; a whole number is accepted for a float.
@@ -101,32 +104,13 @@ def on_configure(
     return ParameterSpec(name, default, f'{text}; {_NEXT}', low, high, choices)
 
 
-@dataclass(frozen=True, slots=True)
-class TrainParameter:
-    """A parameter that overrides a field of the train file."""
-
-    section: str
-    field: str
-    spec: ParameterSpec
-    required: bool = False
-
-    @property
-    def name(self) -> str:
-        """Name of the parameter."""
-        return self.spec.name
-
-    def of(self, train_file: TrainFile) -> float:
-        """Return the value in a train file."""
-        return float(getattr(getattr(train_file, self.section), self.field))
-
-
 def _infos(config: Any, fixed: frozenset[str]) -> dict[str, SettingInfo]:
     """Return what is stated of the settings of a configuration that are parameters, by name."""
     infos = {item.name: setting_info(item) for item in fields(config)}
     return {name: info for name, info in infos.items() if info is not None and name not in fixed}
 
 
-def _train_parameters(section: str, kind: type[Any], *names: str) -> Iterator[TrainParameter]:
+def _train_parameters(section: str, kind: type[Any], *names: str) -> Iterator[ParameterSpec]:
     """Yield parameters for fields of a section; ranges and defaults are stated on the fields."""
     infos = _infos(kind, frozenset())
     defaults: dict[str, Any] = {item.name: item.default for item in fields(kind)}
@@ -134,9 +118,9 @@ def _train_parameters(section: str, kind: type[Any], *names: str) -> Iterator[Tr
         info, required = infos[name], defaults[name] is MISSING
         default = 0.0 if required else float(defaults[name])
         source = 'required without a train file' if required else 'default if set neither here nor in the train file'
-        text = f'{info.description} [{info.unit}]; overrides the train file ({source})'
-        spec = on_configure(f'{section}.{name}', default, text, min(info.low, default), info.high)
-        yield TrainParameter(section, name, spec, required)
+        text = f'{info.description} [{info.unit}]; overrides the train file ({source}); {_NEXT}'
+        low = min(info.low, default)
+        yield ParameterSpec(f'{section}.{name}', default, text, low, info.high, required=required)
 
 
 TRAIN_PARAMETERS: Final = (
@@ -145,6 +129,14 @@ TRAIN_PARAMETERS: Final = (
     *_train_parameters('brake', Brake, 'rate', 'time_constant', 'delay', 'timing_std'),
     *_train_parameters('line', Line, 'gradient_std'),
 )
+"""Parameters that override a field of the train file, of the same name."""
+
+
+def filed_values(train_file: TrainFile) -> dict[str, float]:
+    """Return the values of a train file that parameters override, by name."""
+    return {spec.name: float(attrgetter(spec.name)(train_file)) for spec in TRAIN_PARAMETERS}
+
+
 ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec(
     'train_file', '', 'path of the train file (YAML), read again on each configure', read_only=True
@@ -189,7 +181,7 @@ _OF_NODES: Final = (
     ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0),
     AUTOSTART,
     TAKEN,
-    *(item.spec for item in TRAIN_PARAMETERS),
+    *TRAIN_PARAMETERS,
 )
 
 
@@ -317,8 +309,8 @@ def build_train_file(values: Values, given: frozenset[str], base: TrainFile | No
     sections: dict[str, Any] = {}
     for item in TRAIN_PARAMETERS:
         if item.name in given:
-            section = sections.get(item.section, getattr(base, item.section))
-            sections[item.section] = replace(section, **{item.field: values[item.name]})
+            name, _, field = item.name.partition('.')
+            sections[name] = replace(sections.get(name, getattr(base, name)), **{field: values[item.name]})
     train_file = replace(base, **sections)
     if train_file.train.mass <= 0.0:
         raise InputError(f'train.mass = {train_file.train.mass:g} kg must be > 0')
@@ -539,7 +531,7 @@ def _setup(
     given, problems = validate_overrides(overrides, specs, others)
     for name in find_taken(given):
         del given[name]
-    fallback = {item.name: item.of(train_file) for item in TRAIN_PARAMETERS if item.name not in given}
+    fallback = {name: value for name, value in filed_values(train_file).items() if name not in given}
     try:
         check_problems(problems)
         check_fallback(fallback, specs, source)
@@ -590,13 +582,12 @@ def _other_algorithms(kind: EstimatorKind[Any]) -> Iterator[str]:
 
 
 def _section(specs: tuple[ParameterSpec, ...], *, commented: bool = False) -> Iterator[str]:
-    train = {item.name for item in TRAIN_PARAMETERS}
     group = ''
     for spec in specs:
         if spec is TAKEN:
             continue
         prefix, _, name = spec.name.rpartition('.')
-        mark = '# ' if commented or spec.name in train else ''
+        mark = '# ' if commented or spec in TRAIN_PARAMETERS else ''
         if prefix not in ('', group):
             yield f'    {mark}{prefix}:'
         group = prefix
