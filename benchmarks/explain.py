@@ -7,25 +7,39 @@ The workflow gets the bags and the assumed train file; only the scoring reads th
 from __future__ import annotations
 
 import math
+import time
+import traceback
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.explain_cases import CRASHED, draw_specs, try_case
+from benchmarks import hidden_cases, hidden_cases_b
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
+from trainid_ros.explain.dataset import RunCollector
+from trainid_ros.explain.workflow import explain
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import parse_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from benchmarks.explain_cases import Generator, Named, Outcome
+    from benchmarks.hidden_case import Answer, Case
+    from trainid_ros.explain.dataset import Run
+    from trainid_ros.interface.records import Record
+    from trainid_ros.train.train_file import NamedValues, TrainFile
 
-    Outcomes = Sequence[Outcome]
+    Outcomes = Sequence['Outcome']
 
+Generator = Literal['A', 'B']
+GENERATORS: Final[tuple[Generator, ...]] = ('A', 'B')
+CRASHED: Final = 'crashed'
+"""Verdict of a case on which the workflow raised an exception."""
 VISIBLE: Final = 20.0
 """Least rise of the gap over the noise floor at which an effect counts [%]."""
 GENERIC: Final = frozenset({'local_drag', 'resistance_step'})
@@ -39,6 +53,94 @@ _JOBS: Final = 2
 _SLACK: Final = 1.1
 _EDGES: Final = (0.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float('inf'))
 _TICKS: Final = (0.5, 1.0, 2.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """Identification of a case; generator, name and seed reproduce it."""
+
+    generator: Generator
+    name: str
+    seed: int
+
+
+def draw_specs(generator: Generator, seed: int, count: int) -> tuple[Spec, ...]:
+    draw = hidden_cases.draw_cases if generator == 'A' else hidden_cases_b.draw_cases
+    return tuple(Spec(generator, name, of_case) for name, of_case in draw(seed, count))
+
+
+def open_case(spec: Spec) -> Case:
+    make = hidden_cases.make_case if spec.generator == 'A' else hidden_cases_b.make_case
+    return make(spec.name, spec.seed)
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """An effect that the workflow added."""
+
+    name: str
+    parameters: NamedValues
+    std: NamedValues
+    evidence: float
+    twins: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Result of the workflow on one case, with the truth."""
+
+    spec: Spec  # The case
+    answer: Answer  # The truth
+    verdict: str  # Of the workflow, or ``CRASHED``
+    found: tuple[Named, ...]  # Effects, strongest first
+    gap: tuple[float, float, float] | None  # RMS gap before, after, floor [m/s]; None if no run was held out
+    remaining: str  # What the remaining gap depends on, or the error message of a crash
+    runs: int  # Number of runs
+    explain_s: float  # CPU time of the workflow [s]
+
+
+def try_case(spec: Spec) -> Outcome:
+    """Generate a case and explain it; a crash of the workflow is an outcome too."""
+    return explain_case(spec, open_case(spec))
+
+
+def explain_case(spec: Spec, case: Case) -> Outcome:
+    assumed = parse_train_file(case.train_yaml, 'assumed train file')
+    runs = runs_of(case.bags, assumed)
+    start = time.process_time()
+    verdict, found, gap = CRASHED, list[Named](), None
+    try:
+        explanation = explain(runs, assumed)
+    except Exception as error:  # A benchmark of hundreds of cases must report failures, not stop at one.
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        remaining = f'{type(error).__name__}: {error} ({frame.name}, line {frame.lineno})'
+    else:
+        verdict, remaining = explanation.verdict.value, explanation.remaining
+        for one in explanation.effects:
+            twins = tuple(twin.name for twin in one.twins)
+            found.append(Named(one.name, one.parameters, one.std, one.evidence, twins))
+        if explanation.gap is not None:
+            gap = explanation.gap.before, explanation.gap.after, explanation.gap.noise_floor
+    explain_s = time.process_time() - start
+    return Outcome(spec, case.answer, verdict, tuple(found), gap, remaining, len(runs), explain_s)
+
+
+def runs_of(bags: Sequence[Sequence[Record]], assumed: TrainFile) -> tuple[Run, ...]:
+    """Return the runs of all bags, with the aligner and collector of the command."""
+    runs: list[Run] = []
+    origin = 0
+    for number, records in enumerate(bags):
+        aligner, collector = Aligner(AlignmentConfig()), RunCollector(assumed, number, origin)
+        for record in records:
+            for event in aligner.push(record):
+                if isinstance(event, Sample):
+                    collector.add(event)
+                elif isinstance(event, TimeJump):
+                    collector.end_run()
+        collector.end_run()
+        origin = origin or collector.origin_ns
+        runs += collector.runs
+    return tuple(runs)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,6 @@ Independent physics: nothing here uses the equations, the simulator or the estim
 from __future__ import annotations
 
 from benchmarks.hidden_cases.effects import LIBRARY, OUTSIDE
-from benchmarks.hidden_cases.make import Case, EffectTruth, Truth, draw_cases, make_case
+from benchmarks.hidden_cases.make import draw_cases, make_case
 
-__all__ = ['LIBRARY', 'OUTSIDE', 'Case', 'EffectTruth', 'Truth', 'draw_cases', 'make_case']
+__all__ = ['LIBRARY', 'OUTSIDE', 'draw_cases', 'make_case']

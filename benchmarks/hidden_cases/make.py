@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
 
+from benchmarks.hidden_case import Answer, Case, HiddenEffect, assumed_yaml
 from benchmarks.hidden_cases.effects import COUNTS_FROM_START, LIBRARY, OUTSIDE, G
 from benchmarks.hidden_cases.motion import STEP, Ride
 from benchmarks.hidden_cases.sensors import sense, slip_path
@@ -29,13 +30,10 @@ if TYPE_CHECKING:
 
     from benchmarks.hidden_cases.effects import Hidden
     from benchmarks.hidden_cases.motion import Log
-    from benchmarks.hidden_cases.world import Nuisance, Pairs, World
-    from trainid_ros.interface.records import Record
+    from benchmarks.hidden_cases.world import Nuisance, Vehicle, World
 
     Array = NDArray[np.float64]
-    from benchmarks.hidden_cases.world import Vehicle
 
-Kind = Literal['none', 'single', 'pair', 'outside']
 _DAVIS_ERROR = 0.15
 PAIR_MARK = '+'
 _TWINS = (
@@ -52,63 +50,18 @@ _CONTAMINATING_SLIP = (0.015, 1.5)
 _EVERY = 5
 
 
-@dataclass(frozen=True, slots=True)
-class EffectTruth:
-    """One effect that is in the data but not in the assumed train file."""
-
-    name: str  # Name in the interface, or a name of this generator for an effect outside the library
-    parameters: tuple[tuple[str, float], ...]  # (name, value) in the form of the interface
-    comparable: bool  # Whether an estimate may be compared with the parameters
-    near: tuple[str, ...]  # For outside effects, acceptable generic names
-    gap: float  # RMS speed gap of the refitted assumed model due to this effect alone [m/s]
-    visible_percent: float  # Rise of the rms gap over the noise floor due to this effect [%]
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    kind: Kind  # None, one effect of the library, two of them, or one outside of it
-    effects: tuple[EffectTruth, ...]  # The effects in the data
-    one_way: bool  # All runs go up the line
-    mass_topic: bool  # The load is weighed and published
-    contamination: tuple[str, ...]  # Any of outliers, dropouts, slip
-    floor: float  # RMS speed gap of the assumed model with the effects known [m/s]
-    gap: float  # RMS speed gap due to all effects, after the refit of a, b, c and initial speeds [m/s]
-    visible_percent: float  # ``100 (sqrt(floor^2 + gap^2) / floor - 1)``
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """Bags in memory, the assumed train file (YAML) and the truth."""
-
-    train_yaml: str
-    bags: tuple[tuple[Record, ...], ...]
-    truth: Truth
-
-
-def assumed_file(world: World, rng: Generator) -> str:
+def _assumed_file(world: World, rng: Generator) -> str:
     vehicle, route = world.vehicle, world.route
     wrong = [value * (1.0 + float(rng.uniform(-_DAVIS_ERROR, _DAVIS_ERROR))) for value in vehicle.davis]
-    a, b, c = (f'{value:.4g}' for value in wrong)
-    stops = ', '.join(f'{stop:.1f}' for stop in route.stops)
-    return '\n'.join(
-        [
-            f'train: {{mass: {world.mean_mass:.1f}, rotary_mass: {vehicle.rotary}, length: {vehicle.length:.1f}, '
-            f'cars: {max(2, round(vehicle.length / 20))}}}',
-            f'resistance: {{a: {a}, b: {b}, c: {c}}}',
-            f'brake: {{rate: 1.0, time_constant: {vehicle.brake_lag}, delay: {vehicle.brake_dead:.2f}}}',
-            'line:',
-            f'  stops: [{stops}]',
-            f'  gradient: {_pairs(route.gradient)}',
-            f'  curve: {_pairs(route.curve)}',
-            f'  tunnel: {_pairs(route.tunnels)}',
-            'effects: []',
-            '',
-        ]
-    )
-
-
-def _pairs(pairs: Pairs) -> str:
-    return '[' + ', '.join(f'[{first:.1f}, {second:.1f}]' for first, second in pairs) + ']'
+    train = {
+        'mass': f'{world.mean_mass:.1f}',
+        'rotary_mass': vehicle.rotary,
+        'length': f'{vehicle.length:.1f}',
+        'cars': max(2, round(vehicle.length / 20)),
+    }
+    sections = {'gradient': route.gradient, 'curve': route.curve, 'tunnel': route.tunnels}
+    davis, brake = [f'{value:.4g}' for value in wrong], (vehicle.brake_lag, vehicle.brake_dead)
+    return assumed_yaml(train, davis, brake, route.stops, sections, '{:.1f}'.format)
 
 
 def make_case(name: str, seed: int) -> Case:
@@ -168,9 +121,8 @@ def ride_case(seed: int, world: World, effects: Sequence[Hidden]) -> Case:
         sensed.append(own)
         bags.append(sense(log, track, nuisance, wheel, slip, _EPOCH_NS + k * _BAG_NS, rng))
         runs += len(legs)
-    truth = _truth(world, effects, logs, sensed)
-    train_yaml = assumed_file(world, np.random.default_rng([seed, 4]))
-    return Case(train_yaml, tuple(bags), truth)
+    answer = _answer(world, effects, logs, sensed)
+    return Case(_assumed_file(world, np.random.default_rng([seed, 4])), tuple(bags), answer)
 
 
 def _sensed(log: Log, effects: Sequence[Hidden], rng: Generator) -> Array:
@@ -191,23 +143,22 @@ def _contamination(log: Log, nuisance: Nuisance, rng: Generator) -> Array:
     return slip_path(log, share, most, rng)
 
 
-def _truth(world: World, effects: Sequence[Hidden], logs: Sequence[Log], sensed: Sequence[Array]) -> Truth:
+def _answer(world: World, effects: Sequence[Hidden], logs: Sequence[Log], sensed: Sequence[Array]) -> Answer:
     nuisance = world.nuisance
     gaps = measure_gaps(logs, sensed, world.vehicle)
     floor = math.sqrt(gaps.noise**2 + nuisance.speed_noise**2 + nuisance.speed_step**2 / 12.0)
-    effect_truths = tuple(
-        EffectTruth(effect.name, effect.parameters, effect.comparable, effect.near, gap, _percent(gap, floor))
-        for effect, gap in zip(effects, gaps.effects, strict=True)
+    hidden = tuple(
+        HiddenEffect(one.name, one.parameters if one.comparable else (), one.near, _percent(gap, floor))
+        for one, gap in zip(effects, gaps.effects, strict=True)
     )
-    return Truth(
+    return Answer(
         kind=_kind(effects),
-        effects=effect_truths,
-        one_way=world.one_way,
-        mass_topic=nuisance.mass_topic,
-        contamination=nuisance.contamination,
+        effects=hidden,
+        visible=_percent(gaps.total, floor),
         floor=floor,
-        gap=gaps.total,
-        visible_percent=_percent(gaps.total, floor),
+        one_way=world.one_way,
+        contamination=nuisance.contamination,
+        flags=() if nuisance.mass_topic else ('no_mass_topic',),
     )
 
 
@@ -215,7 +166,7 @@ def _percent(gap: float, floor: float) -> float:
     return 100.0 * (math.hypot(floor, gap) / floor - 1.0)
 
 
-def _kind(effects: Sequence[Hidden]) -> Kind:
+def _kind(effects: Sequence[Hidden]) -> str:
     if not effects:
         return 'none'
     if any(effect.name in OUTSIDE for effect in effects):

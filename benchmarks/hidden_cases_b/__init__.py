@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from benchmarks.hidden_cases_b.case import PAIRS, Case, Truth, draw_cases, make_case
+from benchmarks.hidden_cases_b.case import PAIRS, draw_cases, make_case
 from benchmarks.hidden_cases_b.menu import LIBRARY, NEAR, OUTSIDE, SENSOR_EXTRA
 
-__all__ = ['LIBRARY', 'NEAR', 'OUTSIDE', 'PAIRS', 'SENSOR_EXTRA', 'Case', 'Truth', 'draw_cases', 'make_case']
+__all__ = ['LIBRARY', 'NEAR', 'OUTSIDE', 'PAIRS', 'SENSOR_EXTRA', 'draw_cases', 'make_case']

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from benchmarks.hidden_cases_b.menu import LIBRARY, MENU, OUTSIDE, SENSOR_EXTRA, Context, Draw, wish_for
+from benchmarks.hidden_case import Answer, Case, HiddenEffect, assumed_yaml
+from benchmarks.hidden_cases_b.menu import LIBRARY, MENU, NEAR, OUTSIDE, SENSOR_EXTRA, Context, Draw, wish_for
 from benchmarks.hidden_cases_b.motion import (
     FLAW,
     GRAV,
@@ -34,8 +34,15 @@ from benchmarks.hidden_cases_b.motion import (
     X,
 )
 from benchmarks.hidden_cases_b.scene import Scene, draw_scene, drive
-from benchmarks.hidden_cases_b.sensing import Instruments, draw_instruments, flags_of, map_gradient, sense, slip_bursts
-from trainid_ros.interface.records import Record
+from benchmarks.hidden_cases_b.sensing import (
+    Instruments,
+    contamination_of,
+    draw_instruments,
+    flags_of,
+    map_gradient,
+    sense,
+    slip_bursts,
+)
 
 Array = NDArray[np.float64]
 PAIRS: Final = (
@@ -120,26 +127,6 @@ def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> tuple
     return 100.0 * (float(np.hypot(effect, floor)) / floor - 1.0), floor
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
-    kind: str  # none, single, pair or outside
-    effects: tuple[str, ...]  # Names, those of the interface where it has one
-    parameters: Mapping[str, Mapping[str, float]]  # Per effect; empty for effects outside the library
-    exact: Mapping[str, tuple[str, ...]]  # Per effect, parameters with the law of the interface
-    flags: tuple[str, ...]  # one_way, contamination and other circumstances
-    visible: float  # Excess of the refitted model's rms speed gap over the noise floor [%], all effects together
-    visible_each: Mapping[str, float]  # The same for every effect alone in the same scene
-    floor: float  # RMS speed gap of the true model due to noise [m/s]
-    service: str  # Kind of train
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    train_yaml: str
-    bags: tuple[tuple[Record, ...], ...]
-    truth: Truth
-
-
 def make_case(name: str, seed: int) -> Case:
     """Generate a case, of no effect ('none') or some joined by '+'; equal names and seeds give equal cases.
 
@@ -203,42 +190,27 @@ def _observe(
             alone = _with([draw])
             each[key], _ = visible(scene, alone, kit, drive(scene, alone))
     kind = 'none' if not draws else 'pair' if len(draws) > 1 else 'outside' if name in OUTSIDE else 'single'
-    truth = Truth(
-        kind,
-        tuple(draws),
-        {key: dict(draw.parameters) for key, draw in draws.items()},
-        {key: draw.exact for key, draw in draws.items()},
-        (*scene.flags, *flags_of(kit, quirks)),
-        percent,
-        each,
-        floor,
-        scene.service,
+    effects = tuple(
+        HiddenEffect(key, tuple((of, draw.parameters[of]) for of in draw.exact), NEAR.get(key, ()), each[key])
+        for key, draw in draws.items()
     )
-    return Case(assumed_yaml(scene, rng), tuple(tuple(bag) for bag in bags), truth)
+    flags = scene.service, *scene.flags, *flags_of(kit, quirks)
+    answer = Answer(kind, effects, percent, floor, scene.one_way, contamination_of(kit), flags)
+    return Case(_assumed_file(scene, rng), tuple(tuple(bag) for bag in bags), answer)
 
 
-def assumed_yaml(scene: Scene, rng: np.random.Generator) -> str:
+def _assumed_file(scene: Scene, rng: np.random.Generator) -> str:
     """Return the assumed train file as YAML: Davis coefficients off by up to 15 %, nominal brake, onboard map."""
     stock, ground = scene.stocks[0], scene.ground
     a, b, c = (value * (1.0 + float(rng.uniform(-0.15, 0.15))) for value in (stock.a, stock.b, stock.c))
-    detailed = bool(rng.random() < 0.75)
-
-    def rows(pairs: tuple[tuple[float, float], ...]) -> str:
-        return '[' + ', '.join(f'[{x}, {y}]' for x, y in pairs) + ']'
-
-    lines = [
-        f'train: {{mass: {scene.assumed_mass:.1f}, rotary_mass: {stock.gamma}, length: {stock.length}, '
-        f'cars: {scene.cars}}}',
-        f'resistance: {{a: {a:.4f}, b: {b:.6f}, c: {c:.7f}}}',
-        f'brake: {{rate: 1.0, time_constant: {stock.lag}, delay: {stock.delay:.2f}}}',
-        'line:',
-        f'  stops: [{", ".join(str(stop) for stop in ground.stops)}]',
-    ]
-    if detailed:
-        lines += [
-            f'  gradient: {rows(ground.gradient)}',
-            f'  curve: {rows(ground.curve)}',
-            f'  tunnel: {rows(ground.tunnel)}',
-        ]
-    lines.append('effects: []')
-    return '\n'.join(lines) + '\n'
+    train = {
+        'mass': f'{scene.assumed_mass:.1f}',
+        'rotary_mass': stock.gamma,
+        'length': stock.length,
+        'cars': scene.cars,
+    }
+    sections = {'gradient': ground.gradient, 'curve': ground.curve, 'tunnel': ground.tunnel}
+    if rng.random() >= 0.75:
+        sections = {}
+    davis, brake = (f'{a:.4f}', f'{b:.6f}', f'{c:.7f}'), (stock.lag, stock.delay)
+    return assumed_yaml(train, davis, brake, ground.stops, sections, str)

@@ -244,13 +244,12 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
         gust_air=air,
         gust_force=force,
         one_way=one_way,
-        flags=_flags(base, one_way=one_way, mass_topic=mass_topic, zoned=zoned),
+        flags=_flags(base, mass_topic=mass_topic, zoned=zoned),
     )
 
 
-def _flags(base: Stock, *, one_way: bool, mass_topic: bool, zoned: bool) -> tuple[str, ...]:
+def _flags(base: Stock, *, mass_topic: bool, zoned: bool) -> tuple[str, ...]:
     named = {
-        'one_way': one_way,
         'no_mass_topic': not mass_topic,
         'restrictions': zoned,
         'electric_downhill': base.electric > 0.5,

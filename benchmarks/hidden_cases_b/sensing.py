@@ -65,12 +65,14 @@ def draw_instruments(rng: np.random.Generator, scene: Scene, quirks: Quirks) -> 
     )
 
 
+def contamination_of(kit: Instruments) -> tuple[str, ...]:
+    shares = {'outliers': kit.outliers, 'dropouts': kit.dropouts, 'slip': kit.slip_share}
+    return tuple(word for word, share in shares.items() if share > 0.0)
+
+
 def flags_of(kit: Instruments, quirks: Quirks) -> tuple[str, ...]:
-    """Return the names of circumstances that the scoring may distinguish."""
+    """Return the names of further circumstances that the scoring may distinguish."""
     words = {
-        'outliers': kit.outliers > 0.0,
-        'dropouts': kit.dropouts > 0.0,
-        'slip_contamination': kit.slip_share > 0.0,
         'point_gradient': kit.point_gradient,
         'late_flags': kit.flags_late > 0.0,
         'pure_odometry': not kit.corrected,

@@ -8,8 +8,7 @@ A nominal brake gives the train, including rotating masses, the commanded decele
 resistance, after dead time and first-order lag; its effort is reported for the weighed mass.
 """
 
-from benchmarks.worlds.drive import WORLDS, Drive, Truth, drive
-from benchmarks.worlds.sensing import Rates
+from benchmarks.worlds.drive import WORLDS, Drive, Rates, Truth, drive
 from benchmarks.worlds.unknowns import CLEAN, FIELD, UNKNOWNS
 
 __all__ = ['CLEAN', 'FIELD', 'UNKNOWNS', 'WORLDS', 'Drive', 'Rates', 'Truth', 'drive']

@@ -18,9 +18,8 @@ from benchmarks.worlds.unknowns import G
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from benchmarks.worlds.conditions import BrakeRate, Coefficients, Resistance
     from benchmarks.worlds.tracks import Way
-    from benchmarks.worlds.unknowns import Errors, Vehicle
+    from benchmarks.worlds.unknowns import BrakeRate, Coefficients, Errors, Resistance, Vehicle
 
 TICK: Final = 0.2
 STEP: Final = 0.02
@@ -229,7 +228,8 @@ class Motion:
     def __init__(self, plan: Plan) -> None:
         vehicle, errors = plan.vehicle, plan.errors
         self.plan = plan
-        self.tick = 0
+        self.tick = self.leg = 0
+        self.line = plan.ways[plan.first]
         self.way = 0.0
         self.speed = self.force = self.nominal = self.acted = self.acceleration = 0.0
         self.dead_steps = round(vehicle.brake_delay / STEP)
@@ -248,19 +248,31 @@ class Motion:
 
     def advance(self, way: Way, leg: int, effort: float, command: float) -> None:
         """Advance by one tick of the driver with an effort [N] and a brake command [m/s^2]."""
-        a, b, c = self.plan.resistance.at(self.time)
-        before = self.speed
-        self._steps(way, (a + self.plan.gusts[self.tick], b, c), self.plan.masses[leg], effort, command)
+        self.line, self.leg, before = way, leg, self.speed
+        self._steps(self.davis(), self.mass(), *self.acts(effort, command))
         self.acceleration = (self.speed - before) / TICK
         self.ticks.append((self.plan.ways.index(way), leg))
         self.tick += 1
 
-    def _steps(self, way: Way, davis: Coefficients, mass: float, effort: float, command: float) -> None:
+    def acts(self, effort: float, command: float) -> tuple[float, float]:
+        """Return the effort and the command that are carried out, of those of the driver."""
+        return effort, command
+
+    def davis(self) -> Coefficients:
+        """Return a, b, c with the gust of this tick [N/kN, v in m/s]."""
+        a, b, c = self.plan.resistance.at(self.time)
+        return a + self.plan.gusts[self.tick], b, c
+
+    def mass(self) -> float:
+        """Return the true mass [kg]."""
+        return self.plan.masses[self.leg]
+
+    def _steps(self, davis: Coefficients, mass: float, effort: float, command: float) -> None:
         a, b, c = davis
         base = self.plan.brake_rate.at(self.time)
         per_newton = 1000.0 / (mass * G)
         inertia = G / 1000.0 / (1.0 + self.plan.vehicle.kind.rotary_mass)
-        slope, offset = way.slope, way.offset + 0.5
+        slope, offset = self.line.slope, self.line.offset + 0.5
         x, v, force, nominal, acted = self.way, self.speed, self.force, self.nominal, self.acted
         step, dead, commands, rows = self.step, self.dead_steps, self.commands, self.rows
         brake_gain, force_gain, lasting = self.brake_gain, self.force_gain, 0.5 * STEP

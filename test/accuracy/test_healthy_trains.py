@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.healthy import Case, moments_of, outcome_of, rows_of
-from benchmarks.unusual import UNUSUAL
+from benchmarks.healthy import UNUSUAL, Case, moments_of, outcome_of, rows_of
 from benchmarks.worlds import WORLDS
 
 SEED = 9000

@@ -12,13 +12,22 @@ import pytest
 from scipy.stats import binom
 
 from benchmarks import hidden_cases, hidden_cases_b
-from benchmarks.explain import alarmed, exact, parameter_errors, within_two
-from benchmarks.explain_cases import GENERATORS, Spec, explain_case, open_case, try_case
+from benchmarks.explain import (
+    GENERATORS,
+    Spec,
+    alarmed,
+    exact,
+    explain_case,
+    open_case,
+    parameter_errors,
+    try_case,
+    within_two,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from benchmarks.explain_cases import Generator, Outcome
+    from benchmarks.explain import Generator, Outcome
 
 pytestmark = pytest.mark.slow
 

@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks.explain import (
+    CRASHED,
+    GENERATORS,
+    Named,
+    Outcome,
     Rate,
+    Spec,
     acceptable,
     alarmed,
     both,
+    draw_specs,
     exact,
     gap_plot,
     generic,
@@ -27,11 +33,11 @@ from benchmarks.explain import (
     within_std,
     within_two,
 )
-from benchmarks.explain_cases import CRASHED, GENERATORS, Answer, HiddenEffect, Named, Outcome, Spec, draw_specs
+from benchmarks.hidden_case import Answer, HiddenEffect
 from benchmarks.tables import Plot, as_markdown
 
 if TYPE_CHECKING:
-    from benchmarks.explain_cases import Generator
+    from benchmarks.explain import Generator
 
 WIND = HiddenEffect('headwind', (('speed', 5.0),), (), 60.0)
 DRAG = HiddenEffect('local_drag', (), (), 40.0)
