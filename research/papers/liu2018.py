@@ -16,9 +16,8 @@ from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from research.papers import liu_claims as claims
 from research.papers import liu_numerics as numerics
-from research.papers import liu_plots as plots
 from research.papers import liu_tables as tables
-from research.papers.liu_trial import trial
+from research.papers.liu_streams import trial
 
 if TYPE_CHECKING:
     from benchmarks.tables import Plot
@@ -35,9 +34,9 @@ def measure(seeds: int) -> list[Table | Plot]:
         tables.targets(trials),
         claims.equations(trials),
         claims.table_one(trials),
-        plots.dilution_plot(trials),
+        tables.dilution_plot(trials),
         tables.preparations(trials),
-        plots.segments(_FIRST),
+        tables.segments(_FIRST),
         tables.batches(trials),
         tables.convergence(trials),
         tables.bad_data(trials),

@@ -15,7 +15,7 @@ from research.papers.liu_table1 import LENGTHS, PLAIN_LS, PRINTED, dilution
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from research.papers.liu_trial import Trial
+    from research.papers.liu_streams import Trial
 
 Row: TypeAlias = tuple[str, str, str, str, str, str]
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from research.papers import coasts as data
-from research.papers import liu_printed as printed
-from trainid_lab.resistance.innovations import use_counts
+from research.papers.liu_numerics import printed_mils, regularised_rls
 from trainid_lab.resistance.least_squares import least_squares, ridge, unpacked
 from trainid_lab.resistance.recursive import covariance
 from trainid_lab.resistance.regressions import (
@@ -20,6 +19,7 @@ from trainid_lab.resistance.regressions import (
     innovation_step,
     run,
     strict_step,
+    use_counts,
 )
 from trainid_ros.train.forces import G
 
@@ -179,7 +179,7 @@ def _regularised_path(rows: Record, *, earlier: bool) -> Array:
     theta, P = np.full(3, 1e-6), 1e6 * np.eye(3)
     path = []
     for phi, y in zip(rows.Phi, rows.y, strict=True):
-        theta, P = printed.regularised_rls(theta, P, phi, float(y), COUNT, PENALTY, earlier=earlier)
+        theta, P = regularised_rls(theta, P, phi, float(y), COUNT, PENALTY, earlier=earlier)
         path.append(theta)
     return np.array(path)
 
@@ -203,7 +203,7 @@ def _weighted(rows: Record, p: int) -> Array:
 def _printed_mils(rows: Record, p: int) -> Array:
     theta, P = np.full(3, 1e-6), 1e6 * np.eye(3)
     for t in range(1, len(rows.y) + 1):
-        theta, P = printed.mils(theta, P, rows.Phi[max(0, t - p) : t].T, rows.y[max(0, t - p) : t])
+        theta, P = printed_mils(theta, P, rows.Phi[max(0, t - p) : t].T, rows.y[max(0, t - p) : t])
     return theta
 
 

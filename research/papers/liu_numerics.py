@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effect of rounding and forgetting on the recursions of Liu et al. 2018: printed matrices against factors of P."""
+"""Rounding and forgetting in the recursions of Liu et al. 2018, as printed (matrices) and on factors of P."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from research.papers import coasts as data
-from research.papers import liu_printed as printed
-from trainid_lab.resistance.innovations import mils
 from trainid_lab.resistance.least_squares import add, solve, unpacked
 from trainid_lab.resistance.recursive import Factors, Vector, covariance, forget, rls, shrink, start
+from trainid_lab.resistance.regressions import mils
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -29,6 +28,37 @@ LONG: Final = 100_000
 MU: Final = 0.99
 _STD: Final = 0.75
 _MILS: Final = 6
+
+
+def printed_rls(theta: Array, P: Array, phi: Array, y: float, mu: float = 1.0) -> tuple[Array, Array]:
+    """Return theta and P after one step of eqs. (9)-(11); mu < 1 adds exponential forgetting."""
+    L = P @ phi / (mu + phi @ P @ phi)
+    return theta + L * (y - phi @ theta), (np.eye(3, dtype=P.dtype) - np.outer(L, phi)) @ P / P.dtype.type(mu)
+
+
+def regularised_rls(
+    theta: Array, P: Array, phi: Array, y: float, N: int, penalty: float, *, earlier: bool = False
+) -> tuple[Array, Array]:
+    """Return theta and P after one step of (12)-(16); ``earlier``: P(t-1) for P(t) in (12), as Fig. 5 may be read."""
+    eye = np.eye(3)
+    Q = N / penalty * P @ np.linalg.inv(N / penalty * eye + P)
+    L = Q @ phi / (1.0 + phi @ Q @ phi)
+    after = (eye - np.outer(L, phi)) @ Q
+    shrinking = P if earlier else after
+    return theta + L * (y - phi @ theta) - penalty / N * shrinking @ theta, after
+
+
+def printed_mils(theta: Array, P: Array, Phi: Array, Y: Array) -> tuple[Array, Array]:
+    """Return theta and P after one step of MILS, Phi of shape (3, p), Y of shape (p,)."""
+    L = P @ Phi @ np.linalg.inv(np.eye(len(Y)) + Phi.T @ P @ Phi)
+    return theta + L @ (Y - Phi.T @ theta), P - L @ Phi.T @ P
+
+
+def rls_symmetric_gain(theta: Array, P: Array, phi: Array, y: float, mu: float) -> tuple[Array, Array]:
+    """Return one step of RLS in the common form P -= (g/S) g', g = P phi, in which any asymmetry of P grows."""
+    g = P @ phi
+    S = mu + phi @ g
+    return theta + g / S * (y - phi @ theta), (P - np.outer(g / S, g)) / mu
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +110,7 @@ def as_printed(
     """Run the printed matrix form, from P(0) = 1e6 I with v in km/h."""
     theta: Array = np.full(3, 1.0 / _P0, dtype)
     P: Array = _P0 * np.eye(3, dtype=dtype)
-    step: Callable[..., tuple[Array, Array]] = printed.rls_symmetric_gain if symmetric_gain else printed.rls
+    step: Callable[..., tuple[Array, Array]] = rls_symmetric_gain if symmetric_gain else printed_rls
     indefinite, t = math.inf, 0
     with np.errstate(all='ignore'):
         for t, (phi, y) in enumerate(pairs, 1):
@@ -169,5 +199,5 @@ def _time_printed(pairs: list[Pair]) -> float:
     theta, P = np.zeros(3), unpacked(covariance(start(_P0)[1]))
     before = time.process_time()
     for phi, y in rows:
-        theta, P = printed.rls(theta, P, phi, y)
+        theta, P = printed_rls(theta, P, phi, y)
     return 1e6 * (time.process_time() - before) / len(rows)

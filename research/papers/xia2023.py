@@ -19,7 +19,7 @@ from research.papers import xia2023_fits as fits
 from research.papers import xia2023_models as models
 from research.papers import xia2023_online as ways
 from research.papers import xia2023_product as product
-from research.papers.xia2023_derivatives import derivative_errors
+from research.papers.xia2023_models import derivative_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

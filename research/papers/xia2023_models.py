@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the model in the fit of Xia et al. 2023: effect of wrong assumptions and of the scheme (7)."""
+"""Model of Xia et al. 2023: effect of wrong assumptions and of the scheme (7); derivatives against complex steps."""
 
 from __future__ import annotations
 
+import cmath
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from research.papers import highspeed_line as data
-from research.papers.xia2023_fits import CASES, KINDS, in_time, record
+from research.papers.xia2023_fits import CASES, KINDS, NOISE, in_time, printed_objective, record
 from trainid_lab.resistance.trajectory.levenberg import levenberg
 from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_lab.resistance.trajectory.stages import Stages, reach
+from trainid_lab.resistance.trajectory.stages import Coefficients, Stages, first_derivatives, objective, reach
 from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.train.train_file import Line
 
@@ -118,3 +119,63 @@ def scheme_errors() -> list[SchemeError]:
 def _worst(given: data.Record, theta: NDArray[np.float64]) -> float:
     v = np.linspace(given.speed.min(), given.speed.max(), 100)
     return float(np.max(np.abs(v[:, None] ** np.arange(3) @ (theta - np.array(CASES[0])))))
+
+
+_COUNT: Final = 300
+_POINTS: Final = 20
+_SCALE: Final = np.array([1.0, 0.02, 0.001])
+_STEP: Final = 1e-30
+_DIFFERENCE: Final = 1e-4
+
+
+def derivative_errors() -> dict[str, float]:
+    """Return the largest relative error of each set of derivatives, columns scaled by the size of a, b and c."""
+    given, rng = record('full', 0, 'scheme'), np.random.default_rng(5000)
+    stages = Stages(given.stages().lam[:_COUNT], given.stages().drive[:_COUNT])
+    start = float(given.speed[0])
+    seen = given.speed[1 : _COUNT + 1] + NOISE * rng.standard_normal(_COUNT)
+    errors: dict[str, list[float]] = {}
+    for _ in range(_POINTS):
+        theta = np.array(CASES[0]) * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, 3))
+        J = np.array([complex_speeds(stages, theta, start, k) for k in range(3)])
+        v = stages.speeds(theta, start)
+        ours = first_derivatives(Coefficients.along(stages, theta, v), v)[:3]
+        errors.setdefault('Jacobian (13)-(15), corrected', []).append(_relative(ours, J))
+        H = _differenced(stages, seen, theta, start)
+        scale = np.outer(_SCALE, _SCALE)
+        right, wrong = objective(stages, seen, theta, start), printed_objective(stages, seen, theta, start)
+        errors.setdefault('Hessian (16)-(23), corrected', []).append(_relative(right.H * scale, H * scale))
+        errors.setdefault('gradient (11), (14) as printed', []).append(_relative(wrong.g * _SCALE, right.g * _SCALE))
+        errors.setdefault('Hessian as printed', []).append(_relative(wrong.H * scale, H * scale))
+    return {name: max(values) for name, values in errors.items()}
+
+
+def complex_speeds(stages: Stages, theta: NDArray[np.float64], start: float, k: int) -> NDArray[np.float64]:
+    """Return dv_i/dtheta_k by a complex step, shape (I,)."""
+    a, b, c = (complex(x, _STEP if i == k else 0.0) for i, x in enumerate(theta.tolist()))
+    v, out = complex(start), []
+    for lam, drive in zip(stages.lam.tolist(), stages.drive.tolist(), strict=True):
+        v = cmath.sqrt(v * v + 2.0 * lam * (drive - a - v * (b + c * v)))
+        out.append(v.imag / _STEP)
+    return np.array(out)
+
+
+def _differenced(
+    stages: Stages, seen: NDArray[np.float64], theta: NDArray[np.float64], start: float
+) -> NDArray[np.float64]:
+    """Return the Hessian from central differences of the exact gradient with one Richardson extrapolation."""
+
+    def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return objective(stages, seen, x, start).g
+
+    columns = []
+    for k in range(3):
+        unit = np.where(np.arange(3) == k, _SCALE, 0.0) * _DIFFERENCE
+        near = (gradient(theta + unit) - gradient(theta - unit)) / (2.0 * unit[k])
+        far = (gradient(theta + 2.0 * unit) - gradient(theta - 2.0 * unit)) / (4.0 * unit[k])
+        columns.append((4.0 * near - far) / 3.0)
+    return np.array(columns).T
+
+
+def _relative(found: NDArray[np.float64], right: NDArray[np.float64]) -> float:
+    return float(np.max(np.abs(found - right)) / np.max(np.abs(right)))

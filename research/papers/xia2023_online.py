@@ -14,9 +14,8 @@ from scipy.optimize import lsq_linear
 
 from research.papers import highspeed_line as data
 from research.papers.xia2023_fits import DISTANCE, NOISE
-from trainid_lab.resistance.trajectory.derivatives import objective
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
-from trainid_lab.resistance.trajectory.stages import Stages
+from trainid_lab.resistance.trajectory.stages import Stages, objective
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample, coasting_sample
@@ -25,7 +24,7 @@ from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_lab.resistance.trajectory.derivatives import Objective
+    from trainid_lab.resistance.trajectory.stages import Objective
 
 ENDS: Final = (22e3, 52e3, 64e3, 82e3, 120e3)
 # b as printed, a tenth of that in Table 3.

@@ -16,9 +16,8 @@ from benchmarks.yizhuang_day import DRY, yizhuang_day
 from research.papers.xia2023_fits import NOISE, WHITE, in_time, record
 from research.papers.xia2023_online import CONFIG, drive, samples, train_file
 from research.peers.metro_stream import BEFORE, INERTIA, PERIOD, Raw, Scenario, curve_error, metro_stream
-from trainid_lab.resistance.trajectory.derivatives import first_derivatives, second_derivatives
 from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
-from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
+from trainid_lab.resistance.trajectory.stages import Coefficients, Stages, first_derivatives, second_derivatives
 from trainid_lab.resistance.trajectory.two_window import TwoWindow
 from trainid_lab.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
 from trainid_ros.interface.results import Reason

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.tables import Plot, Table
 from research.papers.line_scores import (
     Score,
+    acceleration,
     identify,
     lost,
     moving,
@@ -19,6 +22,7 @@ from research.papers.line_scores import (
     over_bound,
     rms,
     score,
+    true,
 )
 from research.papers.lockstep import ManyIntegral, Track
 from research.papers.station_lines import LONG_CRUISE, NOISES, ONE_RUN, Lines, Noise, measured, station_lines
@@ -37,7 +41,6 @@ from research.papers.yuan_methods import (
     paper,
     scaled,
 )
-from research.papers.yuan_plots import error_plot, step_plot
 from trainid_lab.speed_model import integral_rls
 from trainid_lab.speed_model.rls import NO_CLAMP
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
@@ -298,3 +301,36 @@ def _consistency_table(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Tab
         'squared prediction error over its reported variance. NEES: of all four parameters.'
     )
     return Table('Consistency of the reported variances', header, tuple(rows), note)
+
+
+def step_plot(lines: Lines, tracks: dict[str, Track]) -> Plot:
+    figure = Figure(figsize=(8.0, 3.6), layout='constrained')
+    axes = figure.subplots()
+    in_motion = moving(lines)[1095:1201].all(axis=0)
+    n = np.arange(1080, 1260)
+    for name in ('VFF-RLS', PRINTED, 'EKF', 'AM-VFF-RLS'):
+        state = np.moveaxis(tracks[name].state, 1, 0)
+        wrong = acceleration(state[1:], lines.x, lines.u) - acceleration(true(lines), lines.x, lines.u)
+        axes.plot(n, 1e3 * np.median(np.abs(wrong[n][:, in_motion]), axis=1), label=name)
+    axes.set_xlabel('sample')
+    axes.set_ylabel('median |error of acceleration|, mm/s²')
+    axes.legend()
+    note = (
+        'The gradient falls by 6.5 per mille at samples 1100 to 1130 without being reported; white noise of 0.02 m/s.'
+    )
+    return Plot('yuan2017_step', 'Tracking a change of d0', figure, note)
+
+
+def error_plot(lines: Lines, tracks: dict[str, Track]) -> Plot:
+    figure = Figure(figsize=(8.0, 3.6), layout='constrained')
+    axes = figure.subplots()
+    blocks = np.arange(0, len(lines.x) - 99, 100)
+    for name in ('VFF-RLS', 'AM-RLS', PRINTED, 'EKF', 'AM-VFF-RLS'):
+        wrong = np.where(moving(lines, 1), (tracks[name].predicted - lines.x) ** 2, np.nan)
+        axes.plot(blocks + 50, [math.sqrt(float(np.nanmedian(wrong[b : b + 100]))) for b in blocks], label=name)
+    axes.set_yscale('log')
+    axes.set_xlabel('sample')
+    axes.set_ylabel('median |predicted minus true speed|, m/s')
+    axes.legend()
+    note = 'As Fig. 5 of the paper, against the true speed instead of the measured one; white noise of 0.02 m/s.'
+    return Plot('yuan2017_errors', 'Errors of the algorithms over time', figure, note)

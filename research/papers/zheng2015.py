@@ -10,16 +10,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table
-from research.papers import zheng2015_cost as cost
 from research.papers import zheng2015_metro as metro
 from research.papers import zheng2015_paper as paper
-from research.papers.zheng2015_plots import plot_claims, plot_jump
+from research.papers.brake_runs import JUMP_AFTER_S, jump_run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
 
     from research.papers.zheng2015_paper import Errors, Estimates, PaperRun
 
@@ -90,8 +92,8 @@ class SeedScores:
 def measure(seeds: int) -> list[Table | Plot]:
     """Run all experiments over ``seeds`` seeds."""
     scores = over_seeds(score_seed, range(metro.FIRST_SEED, metro.FIRST_SEED + seeds))
-    timings, difference = cost.compare_covariances(metro.FIRST_SEED)
-    steps = cost.time_estimators(metro.FIRST_SEED)
+    timings, difference = metro.compare_covariances(metro.FIRST_SEED)
+    steps = metro.time_estimators(metro.FIRST_SEED)
     return [
         _targets(scores, timings, difference, steps),
         _table_1(scores),
@@ -295,7 +297,7 @@ def _unbraked_row(name: str, scores: Sequence[metro.Score]) -> tuple[str, ...]:
     return name, *(f'{x:.3f}' for x in later), f'{100.0 * max(s.law for s in scores):.2g} %'
 
 
-def _cost_table(timings: Sequence[cost.Timing], difference: float, steps: Sequence[cost.Timing]) -> Table:
+def _cost_table(timings: Sequence[metro.Timing], difference: float, steps: Sequence[metro.Timing]) -> Table:
     rows = [(t.name, f'{t.p50:.0f}', f'{t.p99:.0f}', f'{t.p50 / timings[0].p50:.1f}') for t in timings]
     rows += [(f'node step: {t.name}', f'{t.p50:.0f}', f'{t.p99:.0f}', '-') for t in steps]
     note = (
@@ -307,9 +309,9 @@ def _cost_table(timings: Sequence[cost.Timing], difference: float, steps: Sequen
 
 def _targets(
     scores: Sequence[SeedScores],
-    timings: Sequence[cost.Timing],
+    timings: Sequence[metro.Timing],
     difference: float,
-    steps: Sequence[cost.Timing],
+    steps: Sequence[metro.Timing],
 ) -> Table:
     got = [s.metro for s in scores]
     walk = np.mean([[x.mae for x in s.walk] for s in got], axis=0)
@@ -352,3 +354,42 @@ def _at_least(name: str, limit: float, got: float) -> tuple[str, ...]:
 def _within(name: str, limits: tuple[float, float], got: float) -> tuple[str, ...]:
     low, high = limits
     return name, f'{low:g} to {high:g}', f'{got:.3f}', 'yes' if low <= got <= high else 'no'
+
+
+_SHOWN_S: Final = (8.0, 30.0)
+
+
+def plot_claims() -> Plot:
+    """Return the plot of one run of the paper's experiment."""
+    run = paper.paper_run(metro.FIRST_SEED)
+    figure = Figure(figsize=(8.0, 4.0), layout='constrained')
+    axes: Axes = figure.subplots()
+    k = np.arange(1, len(run.f) + 1)
+    axes.plot(k, run.f, 'k', label='true')
+    axes.plot(k, paper.sma(run, metro.FIRST_SEED).f, lw=0.8, label='SMA as printed')
+    axes.plot(k, paper.gsma(run, metro.FIRST_SEED).f, lw=0.8, label='GSMA as printed')
+    axes.plot(k, paper.gsma_free(run, metro.FIRST_SEED).f, lw=1.2, label='GSMA corrected')
+    axes.plot(k, paper.kalman(run, 0.0, 2e-4, (0.0, 0.01)).f, lw=1.2, label='linear KF with trend')
+    axes.set(xlabel='step of 1 s', ylabel='brake rate f')
+    axes.legend(fontsize=8)
+    note = 'One seed. As printed, f depends on the grid and on the newest sample; without a grid it follows the ramp.'
+    return Plot('zheng2015_ramp', 'Brake rate on the data of Zheng et al.', figure, note)
+
+
+def plot_jump() -> Plot:
+    """Return the plot of a jump during braking."""
+    run = jump_run(metro.FIRST_SEED)
+    shown = (run.phase == run.phase[-1]) & (run.braked_s > _SHOWN_S[0]) & (run.braked_s < _SHOWN_S[1])
+    t = run.braked_s[shown] - JUMP_AFTER_S
+    figure = Figure(figsize=(8.0, 4.0), layout='constrained')
+    axes: Axes = figure.subplots()
+    axes.plot(t, run.rate[shown], 'k', label='true')
+    for name in ('GSMA', 'IMM', 'KF'):
+        got = metro.trace(run, name, metro.FIRST_SEED, metro.SHIPPED)[shown]
+        (line,) = axes.plot(t, got[:, 0], label=name)
+        if name == 'GSMA':
+            axes.fill_between(t, got[:, 0] - got[:, 1], got[:, 0] + got[:, 1], color=line.get_color(), alpha=0.2, lw=0)
+    axes.set(xlabel='time since the jump, s', ylabel='brake rate f')
+    axes.legend(fontsize=8)
+    note = 'One seed; the band is one standard deviation of GSMA.'
+    return Plot('zheng2015_jump', 'A jump of the brake rate during braking', figure, note)

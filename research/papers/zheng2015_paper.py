@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from trainid_lab.brake_rate.linear_group_cloud import LinearGroupCloud
 from trainid_lab.brake_rate.pade_model import pade_model
 from trainid_lab.brake_rate.particles import Correction, LinearStep, correction
-from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
 from trainid_lab.brake_rate.theta_cloud import (
     MRule,
     ThetaCloud,
@@ -30,6 +29,7 @@ from trainid_lab.brake_rate.theta_cloud import (
     rbpf,
     rbpf_optimal,
 )
+from trainid_lab.brake_rate.theta_posterior import GRID, PRINTED_FIRST
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

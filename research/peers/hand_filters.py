@@ -25,25 +25,46 @@ GATE: Final = 4.0
 
 
 class RowPeer:
-    """An estimator of the regression form; ``step(y, phi, v)`` processes one row."""
+    """An estimator of the regression form.
+
+    Attributes:
+        step: Processes one row, of what ``items`` returns: y and phi.
+
+    """
+
+    step: Any
 
     def items(self, stream: MetroStream) -> list[Item]:
         """Return the arguments of the steps, in order."""
-        rows = stream.rows
-        return list(zip(rows.y.tolist(), list(rows.phi), rows.phi[:, 1].tolist(), strict=True))
+        return list(zip(stream.rows.y.tolist(), list(stream.rows.phi), strict=True))
 
-    def step(self, y: float, phi: NDArray[np.float64], v: float) -> None:
+    @property
+    def moments(self) -> tuple[Any, Any]:
+        """Return a state that ends with a, b, c, and its covariance, None if the estimator provides none."""
         raise NotImplementedError
 
     @property
     def theta(self) -> NDArray[np.float64]:
         """Return a, b, c, shape (3,)."""
-        raise NotImplementedError
+        return np.asarray(self.moments[0], dtype=np.float64).ravel()[-3:]
 
     @property
     def covariance(self) -> NDArray[np.float64] | None:
         """Return the covariance of a, b, c, shape (3, 3), if the estimator provides one."""
-        return None
+        covariance = self.moments[1]
+        return None if covariance is None else np.asarray(covariance, dtype=np.float64)[-3:, -3:]
+
+
+def speeds_of(stream: MetroStream) -> list[Item]:
+    """Return y and speed of each row."""
+    return list(zip(stream.rows.y.tolist(), stream.rows.phi[:, 1].tolist(), strict=True))
+
+
+def square(upper: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the symmetric matrix (3, 3) of an upper triangle."""
+    full = np.zeros((3, 3))
+    full[np.triu_indices(3)] = upper
+    return full + np.triu(full, 1).T
 
 
 class HandRls(RowPeer):
@@ -55,10 +76,9 @@ class HandRls(RowPeer):
         self._state = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(y, None, v) for y, _, v in super().items(stream)]
+        return speeds_of(stream)
 
-    def step(self, y: float, phi: Any, v: float) -> None:
-        del phi
+    def step(self, y: float, v: float) -> None:
         a, b, c, paa, pab, pac, pbb, pbc, pcc = self._state
         w = v * v
         ga, gb, gc = paa + v * pab + w * pac, pab + v * pbb + w * pbc, pac + v * pbc + w * pcc
@@ -80,14 +100,8 @@ class HandRls(RowPeer):
         )
 
     @property
-    def theta(self) -> NDArray[np.float64]:
-        return np.array(self._state[:3])
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        P = np.zeros((3, 3))
-        P[np.triu_indices(3)] = self._state[3:]
-        return P + np.triu(P, 1).T
+    def moments(self) -> tuple[Any, Any]:
+        return self._state[:3], square(self._state[3:])
 
 
 class NumpyRls(RowPeer):
@@ -97,17 +111,12 @@ class NumpyRls(RowPeer):
         self._theta = np.array(START)
         self._P = np.diag(np.square(START_SD))
 
-    def step(self, y: float, phi: NDArray[np.float64], v: float) -> None:
-        del v
+    def step(self, y: float, phi: NDArray[np.float64]) -> None:
         g = self._P @ phi
         K = g / (VARIANCE + phi @ g)
         self._theta = self._theta + K * (y - phi @ self._theta)
         self._P = self._P - np.outer(K, g)
 
     @property
-    def theta(self) -> NDArray[np.float64]:
-        return self._theta
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        return self._P
+    def moments(self) -> tuple[Any, Any]:
+        return self._theta, self._P

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from research.peers.hand_filters import START, START_SD, VARIANCE, RowPeer
+from research.peers.hand_filters import START, START_SD, VARIANCE, RowPeer, speeds_of, square
 from research.peers.metro_stream import INERTIA, PERIOD
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.settings import VMilsConfig
@@ -20,8 +20,6 @@ from trainid_ros.resistance.vmils import tracker_of
 from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from research.peers.metro_stream import MetroStream
 
     Item = tuple[Any, ...]
@@ -52,21 +50,17 @@ class MilsPlain(RowPeer):
         self._parts = deque([NOTHING] * P)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(y, None, v) for y, _, v in super().items(stream)]
+        return speeds_of(stream)
 
-    def step(self, y: float, phi: Any, v: float) -> None:
-        del phi
+    def step(self, y: float, v: float) -> None:
         oldest = self._parts.popleft()
         self._state, newest, _, _ = mils_step(self._state, oldest, v, v * v, y, VARIANCE, 1.0, OUTLIERS, P)
         self._parts.append(newest)
 
     @property
-    def theta(self) -> NDArray[np.float64]:
-        return np.array(posterior_of(self._state[:9])[:3])
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        return _square(posterior_of(self._state[:9])[3:])
+    def moments(self) -> tuple[Any, Any]:
+        posterior = posterior_of(self._state[:9])
+        return posterior[:3], square(posterior[3:])
 
 
 class MilsTracker(RowPeer):
@@ -76,19 +70,16 @@ class MilsTracker(RowPeer):
         self._tracker = Tracker(independent(START, np.square(START_SD).tolist()), PLAN)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(vec[float]([1.0, v, v * v]), y, VARIANCE) for y, _, v in super().items(stream)]
+        return [(vec[float]([1.0, v, v * v]), y, VARIANCE) for y, v in speeds_of(stream)]
 
     @property
     def step(self) -> Any:
         return self._tracker.update
 
     @property
-    def theta(self) -> NDArray[np.float64]:
-        return self._tracker.estimate.theta[:3]
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        return self._tracker.estimate.P[:3, :3]
+    def moments(self) -> tuple[Any, Any]:
+        estimate = self._tracker.estimate
+        return estimate.theta[:3], estimate.P[:3, :3]
 
 
 class VMilsRaw(RowPeer):
@@ -108,23 +99,13 @@ class VMilsRaw(RowPeer):
             for k, (v, u, f, moving) in enumerate(parts)
         ]
 
-    def step(self, tick: WindowSample | None, speed: float) -> None:  # type: ignore[override]
+    def step(self, tick: WindowSample | None, speed: float) -> None:
         if tick is None:
             self._learner.interrupt(speed)
         else:
             self._learner.push(tick)
 
     @property
-    def theta(self) -> NDArray[np.float64]:
-        return self._tracker.estimate.theta[:3]
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        return self._tracker.estimate.P[:3, :3]
-
-
-def _square(upper: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the symmetric matrix (3, 3) of an upper triangle."""
-    square = np.zeros((3, 3))
-    square[np.triu_indices(3)] = upper
-    return square + np.triu(square, 1).T
+    def moments(self) -> tuple[Any, Any]:
+        estimate = self._tracker.estimate
+        return estimate.theta[:3], estimate.P[:3, :3]

@@ -24,8 +24,17 @@ from benchmarks.stepping import step_and_estimate
 from benchmarks.tables import Table
 from research.papers.brake_runs import metro_run, metro_train
 from research.peers.contest import FIRST_SEED, installed
-from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance, errors_of, speed_step, started
-from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
+from trainid_lab.brake_rate.particles import (
+    SPEED,
+    LinearStep,
+    effective_number,
+    error_covariance,
+    errors_of,
+    normal_weights,
+    speed_step,
+    started,
+    systematic,
+)
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import STATES
 from trainid_ros.estimators.settings import BrakeRateConfig

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from research.peers.hand_filters import GATE, START, START_SD, VARIANCE, RowPeer
+from research.peers.hand_filters import GATE, START, START_SD, VARIANCE, RowPeer, speeds_of
 from research.peers.metro_stream import BEFORE, INERTIA, PERIOD, SPEED_SD
 
 if TYPE_CHECKING:
@@ -49,17 +49,12 @@ class PadasipRls(RowPeer):
     def __init__(self) -> None:
         self._filter = import_module('padasip').filters.FilterRLS(3, mu=1.0, eps=1e-3, w=np.array(START))
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         self._filter.adapt(y, phi)
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._filter.w)
-
-    @property
-    def covariance(self) -> Floats:
-        return VARIANCE * np.asarray(self._filter.R)
+    def moments(self) -> tuple[Any, Any]:
+        return self._filter.w, VARIANCE * np.asarray(self._filter.R)
 
 
 class PadasipGmcc(RowPeer):
@@ -69,13 +64,12 @@ class PadasipGmcc(RowPeer):
         start = np.array(START) / _SCALE
         self._filter = import_module('padasip').filters.FilterGMCC(3, mu=0.01, lambd=0.03, alpha=2, w=start)
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         self._filter.adapt(y, phi * _SCALE)
 
     @property
-    def theta(self) -> Floats:
-        return unscaled(self._filter.w)
+    def moments(self) -> tuple[Any, Any]:
+        return unscaled(self._filter.w), None
 
 
 class RiverBayes(RowPeer):
@@ -86,16 +80,15 @@ class RiverBayes(RowPeer):
         self._model = model(alpha=1.0, beta=1.0 / VARIANCE)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(y, {'a': 1.0, 'b': v, 'c': v * v}, v) for y, _, v in super().items(stream)]
+        return [(y, {'a': 1.0, 'b': v, 'c': v * v}) for y, v in speeds_of(stream)]
 
-    def step(self, y: float, phi: Any, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Any) -> None:
         self._model.learn_one(phi, y)
 
     @property
-    def theta(self) -> Floats:
+    def moments(self) -> tuple[Any, Any]:
         parts = ({'a': 1.0, 'b': 0.0, 'c': 0.0}, {'a': 0.0, 'b': 1.0, 'c': 0.0}, {'a': 0.0, 'b': 0.0, 'c': 1.0})
-        return np.array([self._model.predict_one(part) for part in parts])
+        return [self._model.predict_one(part) for part in parts], None
 
 
 class RiverHuber(RowPeer):
@@ -108,16 +101,15 @@ class RiverHuber(RowPeer):
         self._model = model(optimizer=optim.SGD(rate), loss=optim.losses.Huber(1.5), intercept_lr=rate)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(y, {'b': v * _SCALE[1], 'c': v * v * _SCALE[2]}, v) for y, _, v in super().items(stream)]
+        return [(y, {'b': v * _SCALE[1], 'c': v * v * _SCALE[2]}) for y, v in speeds_of(stream)]
 
-    def step(self, y: float, phi: Any, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Any) -> None:
         self._model.learn_one(phi, y)
 
     @property
-    def theta(self) -> Floats:
+    def moments(self) -> tuple[Any, Any]:
         weights = self._model.weights
-        return unscaled((self._model.intercept, weights.get('b', 0.0), weights.get('c', 0.0)))
+        return unscaled((self._model.intercept, weights.get('b', 0.0), weights.get('c', 0.0))), None
 
 
 class SklearnHuber(RowPeer):
@@ -129,15 +121,14 @@ class SklearnHuber(RowPeer):
         self._model = regressor(learning_rate='constant', eta0=0.002, random_state=0, **settings)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(np.array([y]), (phi * _SCALE)[np.newaxis], v) for y, phi, v in super().items(stream)]
+        return [(np.array([y]), (phi * _SCALE)[np.newaxis]) for y, phi in super().items(stream)]
 
-    def step(self, y: Any, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: Any, phi: Floats) -> None:
         self._model.partial_fit(phi, y)
 
     @property
-    def theta(self) -> Floats:
-        return unscaled(self._model.coef_)
+    def moments(self) -> tuple[Any, Any]:
+        return unscaled(self._model.coef_), None
 
 
 class FilterpyKalman(RowPeer):
@@ -147,8 +138,7 @@ class FilterpyKalman(RowPeer):
         self._filter = filterpy_kalman(drift, factor)
         self._limit = gate * gate
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         kf = self._filter
         kf.predict()
         H = phi[np.newaxis]
@@ -159,12 +149,8 @@ class FilterpyKalman(RowPeer):
         kf.update(y, H=H)
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._filter.x).ravel()
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._filter.P)
+    def moments(self) -> tuple[Any, Any]:
+        return self._filter.x, self._filter.P
 
 
 def filterpy_kalman(drift: float, factor: float) -> Any:
@@ -185,20 +171,15 @@ class FilterpyImm(RowPeer):
         change = np.array(((0.97, 0.03), (0.3, 0.7)))
         self._imm = import_module('filterpy.kalman').IMMEstimator(filters, np.array((0.9, 0.1)), change)
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         for kf in self._imm.filters:
             kf.H = phi[np.newaxis]
         self._imm.predict()
         self._imm.update(np.array([[y]]))
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._imm.x).ravel()
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._imm.P)
+    def moments(self) -> tuple[Any, Any]:
+        return self._imm.x, self._imm.P
 
 
 class SimdKalman(RowPeer):
@@ -209,8 +190,7 @@ class SimdKalman(RowPeer):
         self._m, self._P = np.array(START), np.diag(np.square(START_SD))
         self._A, self._Q, self._R = np.eye(3), drift_covariance(DRIFT), np.array([[VARIANCE]])
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         m, P = self._primitives.predict(self._m, self._P, self._A, self._Q)
         self._m, self._P = self._primitives.update(m, P, phi[np.newaxis], self._R, np.array([y]))
 
@@ -223,12 +203,8 @@ class SimdKalman(RowPeer):
         self.__dict__.update(state, _primitives=import_module('simdkalman.primitives'))
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._m).ravel()
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._P)
+    def moments(self) -> tuple[Any, Any]:
+        return self._m, self._P
 
 
 class PyKalman(RowPeer):
@@ -240,17 +216,12 @@ class PyKalman(RowPeer):
         kalman = import_module('pykalman').KalmanFilter
         self._filter = kalman(observation_covariance=np.array([[VARIANCE]]), n_dim_obs=1, n_dim_state=3, **settings)
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         self._m, self._P = self._filter.filter_update(self._m, self._P, y, observation_matrix=phi[np.newaxis])
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._m)
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._P)
+    def moments(self) -> tuple[Any, Any]:
+        return self._m, self._P
 
 
 class StoneSoupKalman(RowPeer):
@@ -270,8 +241,7 @@ class StoneSoupKalman(RowPeer):
         state = import_module('stonesoup.types.state').GaussianState
         self._state = state(np.array(START)[:, np.newaxis], np.diag(np.square(START_SD)), timestamp=self._time)
 
-    def step(self, y: float, phi: Floats, v: float) -> None:
-        del v
+    def step(self, y: float, phi: Floats) -> None:
         self._time += timedelta(seconds=PERIOD)
         model = self._measurement(3, (0,), np.array([[VARIANCE]]))
         # The model measures single states; its matrix is replaced by the row.
@@ -281,12 +251,8 @@ class StoneSoupKalman(RowPeer):
         self._state = self._updater.update(self._hypothesis(predicted, detection))
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._state.mean, dtype=np.float64).ravel()
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._state.covar, dtype=np.float64)
+    def moments(self) -> tuple[Any, Any]:
+        return self._state.mean, self._state.covar
 
 
 class RawPeer(RowPeer):
@@ -339,7 +305,7 @@ class FilterpyEkf(RawPeer):
         self._filter.Q = self._Q
         self._filter.R = np.array([[SPEED_SD**2]])
 
-    def step(self, seen: float, force: float, moving: bool) -> None:  # type: ignore[override]
+    def step(self, seen: float, force: float, moving: bool) -> None:
         ekf = self._filter
         if self.departs(seen, moving, ekf.x, ekf.P):
             return
@@ -353,12 +319,8 @@ class FilterpyEkf(RawPeer):
             ekf.update(np.array([[seen]]), speed_jacobian, seen_speed)
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._filter.x).ravel()[1:]
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._filter.P)[1:, 1:]
+    def moments(self) -> tuple[Any, Any]:
+        return self._filter.x, self._filter.P
 
 
 def speed_jacobian(x: Floats) -> Floats:
@@ -380,15 +342,11 @@ class FilterpyUkf(RawPeer):
         self._filter.Q = self._Q
         self._filter.R = np.array([[SPEED_SD**2]])
 
-    def step(self, seen: float, force: float, moving: bool) -> None:  # type: ignore[override]
+    def step(self, seen: float, force: float, moving: bool) -> None:
         if not self.departs(seen, moving, self._filter.x, self._filter.P):
             self._filter.predict(force=force)
             self._filter.update(np.array([seen]))
 
     @property
-    def theta(self) -> Floats:
-        return np.asarray(self._filter.x)[1:]
-
-    @property
-    def covariance(self) -> Floats:
-        return np.asarray(self._filter.P)[1:, 1:]
+    def moments(self) -> tuple[Any, Any]:
+        return self._filter.x, self._filter.P

@@ -10,13 +10,13 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Final
 
-from research.peers import peer_brake, peer_fits, peer_kernels, peer_stream
+from research.peers import peer_brake, peer_fits, peer_stream
 from research.peers.contest import PEERS
 
 if TYPE_CHECKING:
     from benchmarks.tables import Plot, Table
 
-_PARTS: Final = (peer_stream, peer_fits, peer_brake, peer_kernels)
+_PARTS: Final = (peer_stream.measure, peer_fits.measure, peer_brake.measure, peer_fits.measure_costs)
 
 
 def measure(seeds: int) -> list[Table | Plot]:
@@ -24,4 +24,4 @@ def measure(seeds: int) -> list[Table | Plot]:
     if PEERS.is_dir() and str(PEERS) not in sys.path:
         # Appended last, so that packages of .venv have priority; child processes inherit the path.
         sys.path.append(str(PEERS))
-    return [table for part in _PARTS for table in part.measure(seeds)]
+    return [table for part in _PARTS for table in part(seeds)]

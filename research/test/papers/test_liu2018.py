@@ -10,9 +10,8 @@ import pytest
 
 from research.papers import coasts as data
 from research.papers.liu_errata import errata
-from research.papers.liu_streams import PREPARATIONS, Prepared, prepared, spoiled
+from research.papers.liu_streams import PREPARATIONS, Prepared, nees, prepared, spoiled
 from research.papers.liu_table1 import dilution, shape
-from research.papers.liu_trial import nees
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ import pytest
 from research.papers import xia2023_fits as fits
 from research.papers import xia2023_models as models
 from research.papers import xia2023_online as ways
-from research.papers.xia2023_derivatives import derivative_errors
+from research.papers.xia2023_models import derivative_errors
 from trainid_lab.resistance.trajectory.levenberg import levenberg
 from trainid_lab.resistance.trajectory.newton import NewtonConfig
 

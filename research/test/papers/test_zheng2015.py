@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from research.papers.brake_runs import JUMP_AFTER_S, MAP_ERROR, hard_run, jump_run, unbraked_run, walk_run
-from research.papers.zheng2015_cost import Draws, batched, own_covariance, shared
-from research.papers.zheng2015_metro import SHIPPED, WALK, score, trace
+from research.papers.zheng2015_metro import SHIPPED, WALK, Draws, batched, own_covariance, score, shared, trace
 from research.papers.zheng2015_paper import WALK as PAPER_WALK
 from research.papers.zheng2015_paper import errors, gsma, gsma_free, kalman, paper_run, rbpf_static, sma
 

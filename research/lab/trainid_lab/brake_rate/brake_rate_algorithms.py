@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_lab.brake_rate.imm import ImmConfig, imm
-from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
-from trainid_lab.brake_rate.printed import PrintedConfig, printed_gsma, sma
-from trainid_lab.brake_rate.rbpf import RbpfConfig, rao_blackwellised
+from trainid_lab.brake_rate.kalman import ImmConfig, KalmanConfig, imm, kalman
+from trainid_lab.brake_rate.theta_posterior import PrintedConfig, RbpfConfig, printed_gsma, rao_blackwellised, sma
 from trainid_ros.estimators.algorithm_registry import Algorithm
 from trainid_ros.interface.results import BrakeRateEstimate
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from trainid_lab.brake_rate.particles import Array
-    from trainid_ros.interface.vectors import vec
 
 
 def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:
@@ -79,17 +78,11 @@ def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
     return mean, cov
 
 
-def total_rate(m: Array, P: Array, share: vec[float]) -> tuple[float, float]:
-    """Return mean and variance of f + share e [1]."""
-    along = np.array([0.0, 0.0, 0.0, *share, 1.0])
-    return float(along.dot(m)), float(along.dot(P).dot(along))
-
-
-def recentred(m: Array, shift: Errors) -> Array:
-    """Return the mean with the errors relative to a new origin, ``shift`` away from the old."""
+def recentred(m: Array, P: Array, shift: Errors) -> tuple[Array, Array]:
+    """Return the moments with the errors relative to a new origin, ``shift`` away from the old."""
     after = m.copy()
     after[3 : 3 + ERRORS] -= shift
-    return after
+    return after, P
 
 
 def mixed(weights: tuple[float, ...], means: Sequence[Array], covs: Sequence[Array]) -> tuple[Array, Array]:

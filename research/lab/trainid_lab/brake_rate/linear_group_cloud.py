@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_lab.brake_rate.particles import Array, distance
-from trainid_lab.brake_rate.resampling import normal_weights, systematic
+from trainid_lab.brake_rate.particles import Array, distance, normal_weights, systematic
 
 if TYPE_CHECKING:
     from trainid_lab.brake_rate.particles import Correction, LinearStep

@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_lab.brake_rate.particles import Array, Correction, LinearStep, distance
-from trainid_lab.brake_rate.resampling import effective_number, normalise, systematic
+from trainid_lab.brake_rate.particles import (
+    Array,
+    Correction,
+    LinearStep,
+    distance,
+    effective_number,
+    normalise,
+    systematic,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Posterior of weighted particles with one shared covariance; subclasses define the update of f."""
+"""RBPF, SMA and GSMA as printed: posterior of weighted particles with one shared covariance.
+
+In Zheng et al. 2015, section 3.3, f is static: after some resampling all particles of the RBPF have the same value.
+Here f is a random walk of variance q per second, so the values stay distinct. SMA and GSMA are as printed in sections
+3.4, 3.5 and 4, on the dynamics of :mod:`brake_rate_estimator`, for comparison only: f is restricted to a grid, the N
+particles of highest weight survive, weights are not retained between samples, and the transition is one grid step per
+sample, whatever the time between samples.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +22,26 @@ from numpy.typing import NDArray
 from trainid_lab.brake_rate.particles import (
     SPEED,
     Correction,
+    effective_number,
     error_covariance,
     errors_of,
     speed_correction,
     speed_step,
     started,
 )
-from trainid_lab.brake_rate.resampling import effective_number
-from trainid_lab.brake_rate.theta_cloud import ThetaCloud
+from trainid_lab.brake_rate.theta_cloud import MRule, ThetaCloud, all_values, m_algorithm, printed_groups, rbpf
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
+from trainid_ros.estimators.settings import BrakeRateConfig
+from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.state import decode, encode
 from trainid_ros.interface.vectors import vec
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from trainid_lab.brake_rate.particles import Array, LinearStep
+    from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,3 +184,82 @@ class ThetaPosterior:
         self.rng.bit_generator.state = json.loads(state.random)
         self.take(ThetaCloud(state.f, state.log_weights, state.x))
         self.P = state.P
+
+
+@dataclass(frozen=True, slots=True)
+class RbpfConfig(BrakeRateConfig):
+    """Settings of RBPF."""
+
+    particles: int = setting(500, 'number of particles', '1', 2, 100_000)
+
+
+class RbpfPosterior(ThetaPosterior):
+    """Particles that start at the quantiles of the prior and drift."""
+
+    def __init__(self, config: RbpfConfig, rng: np.random.Generator) -> None:
+        super().__init__(config.particles, rng)
+        self._config = config
+
+    def first_values(self, rate: float, std: float) -> Array:
+        """Return the quantiles of the prior of f [1]."""
+        prior, N = NormalDist(rate, std), self._config.particles
+        return np.array([max(0.0, prior.inv_cdf((i + 0.5) / N)) for i in range(N)])
+
+    def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:  # noqa: ARG002
+        """Return the particles after a measurement; f drifted over ``elapsed`` [s]."""
+        std = self._config.drift * math.sqrt(elapsed)
+        jitter = std * self.rng.standard_normal(len(self.cloud.f))
+        return rbpf(self.cloud, step, fix, SPEED, y, jitter, float(self.rng.random()))
+
+
+def rao_blackwellised(train_file: TrainFile, config: RbpfConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the Rao-Blackwellised particle filter."""
+    check_settings(config)
+    return BrakeRateEstimator(train_file, config, RbpfPosterior(config, rng))
+
+
+# Grid of the paper: 1.0, 0.9 ... 0.
+GRID: Final = np.round(np.linspace(1.0, 0.0, 11), 12)
+# The group {1.0, 0.9, 0.8} is missing in the paper.
+PRINTED_FIRST: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedConfig(BrakeRateConfig):
+    """Settings of SMA and of GSMA as printed."""
+
+    particles: int = setting(50, 'particles kept after pruning, N', '1', 2, 10_000)
+    most_particles: int = setting(500, 'number of particles above which they are pruned, Q', '1', 2, 100_000)
+
+
+class PrintedPosterior(ThetaPosterior):
+    """Particles on the printed grid."""
+
+    def __init__(self, config: PrintedConfig, rng: np.random.Generator, branch: Callable[[Array], Array]) -> None:
+        super().__init__(max(config.particles, len(GRID) * config.most_particles), rng)
+        self._config = config
+        self._rule = MRule(config.particles, config.most_particles, carries=False, stochastic=False)
+        self._branch = branch
+
+    def first_values(self, rate: float, std: float) -> Array:  # noqa: ARG002 - as printed, without a prior
+        """Return the values of the grid [1], repeated in turn."""
+        return np.resize(GRID, self._config.particles)
+
+    def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:  # noqa: ARG002
+        """Return the particles after a measurement; the estimate is the mean of the survivors."""
+        children = self._branch(self.cloud.f)
+        return m_algorithm(self.cloud, children, step, fix, SPEED, y, self._rule, 0.0)[1]
+
+
+def sma(train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the stochastic M-algorithm as printed."""
+    check_settings(config)
+    values = PrintedPosterior(config, rng, lambda f: all_values(GRID, f))
+    return BrakeRateEstimator(train_file, config, values)
+
+
+def printed_gsma(train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the group stochastic M-algorithm as printed."""
+    check_settings(config)
+    groups = PrintedPosterior(config, rng, lambda f: printed_groups(GRID, f, PRINTED_FIRST))
+    return BrakeRateEstimator(train_file, config, groups)

@@ -83,7 +83,7 @@ def test_an_anchor_couples_the_brake_to_f_and_keeps_the_errors(rng: np.random.Ge
 
 
 def test_a_new_origin_shifts_only_the_errors(rng: np.random.Generator) -> None:
-    m, _ = draw(rng)
-    moved = recentred(m, GAINS)
+    m, P = draw(rng)
+    moved, _ = recentred(m, P, GAINS)
     assert moved[3:RATE] == pytest.approx(m[3:RATE] - np.array(GAINS))
     assert np.array_equal(moved[[0, 1, 2, RATE]], m[[0, 1, 2, RATE]])

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_lab.brake_rate.imm import ImmConfig, ImmPosterior
+from trainid_lab.brake_rate.kalman import ImmConfig, ImmPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import Start, Transition
 from trainid_ros.interface.state import is_covariance, packed

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_lab.brake_rate.resampling import effective_number, normal_weights, normalise, systematic
+from trainid_lab.brake_rate.particles import effective_number, normal_weights, normalise, systematic
 
 LOGS = st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=30)
 

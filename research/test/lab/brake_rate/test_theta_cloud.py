@@ -8,7 +8,6 @@ import pytest
 
 from trainid_lab.brake_rate.pade_model import pade_model
 from trainid_lab.brake_rate.particles import Correction, LinearStep, correction, distance
-from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
 from trainid_lab.brake_rate.theta_cloud import (
     MRule,
     ThetaCloud,
@@ -18,6 +17,7 @@ from trainid_lab.brake_rate.theta_cloud import (
     rbpf,
     rbpf_optimal,
 )
+from trainid_lab.brake_rate.theta_posterior import GRID, PRINTED_FIRST
 
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 R = np.diag([0.3, 0.1])

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_lab.resistance.innovations import mils, regularised_mils, stacked, use_counts
 from trainid_lab.resistance.least_squares import unpacked
 from trainid_lab.resistance.recursive import Vector, covariance, start
+from trainid_lab.resistance.regressions import mils, regularised_mils, stacked, use_counts
 
 FLAGS = st.lists(st.booleans(), max_size=60).map(tuple)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_lab.resistance.innovations import use_counts
 from trainid_lab.resistance.least_squares import least_squares, ridge
 from trainid_lab.resistance.recursive import Vector
 from trainid_lab.resistance.regressions import (
@@ -20,6 +19,7 @@ from trainid_lab.resistance.regressions import (
     skip,
     solve_step,
     strict_step,
+    use_counts,
 )
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_lab.resistance.residuals import Residuals
+from trainid_lab.resistance.windowed import Residuals
 
 
 def residuals_of(values: list[float]) -> Residuals:

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.stepping import step_and_estimate
-from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
-from trainid_lab.resistance.speed_filter import State, corrected, predicted
+from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig, State, corrected, predicted
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_lab.resistance.trajectory.derivatives import first_derivatives
-from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
+from trainid_lab.resistance.trajectory.stages import Coefficients, Stages, first_derivatives
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

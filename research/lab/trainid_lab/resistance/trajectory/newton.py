@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_lab.resistance.trajectory.derivatives import Objective
+    from trainid_lab.resistance.trajectory.stages import Objective
 
 _FINEST: Final = 1e-4
 

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed over distance, stage by stage: eq. (7) of Xia et al. 2023, corrected.
+"""Speed over distance, stage by stage: eqs. (7) to (23) of Xia et al. 2023, corrected.
 
 ``v_i^2 = v_{i-1}^2 + 2 lambda_i [1000 F_i/(M g) - w_add,i - a - b v_{i-1} - c v_{i-1}^2]`` with
 ``lambda_i = g ds_i / (1000 (1 + gamma))``. Differences from the paper: all resistances are specific (the paper
 divides G [kN] by 1000 once more), v is in m/s for every printed theta, and F and w_add may be means over the stage
 instead of their values at its start. Sampling them at the start is the only significant error of the scheme; holding
 w(v) constant over a stage has a negligible effect.
+
+Corrections of the objective (8), its gradient and its Hessian, (11)-(23): (14) needs dv/db on its right-hand side; the
+sign of q in (18), lines 2-3, and in (19)-(23) is plus; (16) adds the curvature term; all forms of (8), (11) and (16)
+have the mean over I. The derivatives are linear recursions with the same coefficients k, so each set is one bidiagonal
+system.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.resistance.davis_fit import recur
 from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
@@ -74,3 +80,79 @@ class Coefficients:
         # Brackets added that are missing in the text below (13).
         k = (v[:-1] - stages.lam * (b + 2.0 * c * v[:-1])) * u
         return cls(k=k, p=stages.lam * u, q=(1.0 - 2.0 * c * stages.lam) * u, u=u)
+
+
+PAIRS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Order of second derivatives: aa, ab, ac, bb, bc, cc."""
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """Value f of (8) [(m/s)^2], gradient g, shape (3,), and Hessian H, shape (3, 3), for a, b, c."""
+
+    f: float
+    g: NDArray[np.float64]
+    H: NDArray[np.float64]
+
+
+def first_derivatives(coefficients: Coefficients, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return dv_i/da, dv_i/db, dv_i/dc and dv_i/dv_0 of stages 1 to I, shape (4, I).
+
+    (13)-(15): ``x_i = k_i x_{i-1} - p_i v_{i-1}^n`` with n = 0, 1, 2.
+    """
+    k, p, before = coefficients.k, coefficients.p, v[:-1]
+    rows = np.zeros((4, k.size))
+    rows[0] = -p
+    rows[1] = rows[0] * before
+    rows[2] = rows[1] * before
+    rows[3, 0] = k[0]  # dv_0/dv_0 = 1
+    return recur(k, rows)
+
+
+def second_derivatives(
+    coefficients: Coefficients, v: NDArray[np.float64], first: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the second derivatives of v_i by a, b, c in the order of :data:`PAIRS`, shape (6, I).
+
+    (18)-(23): ``v_xy,i = k v_xy,i-1 + q v_x,i-1 v_y,i-1 - u v_x,i v_y,i - p E_xy``; the additional terms E_xy are the
+    derivatives of ``b v + c v^2`` with respect to one parameter through v and to the other one explicitly.
+    """
+    now = first[:3]
+    last = np.concatenate((np.zeros((3, 1)), now[:, :-1]), axis=1)
+    powers = v[:-1] ** np.arange(3)[:, None]
+    # d(v^n)/dx = n v^(n-1) v_x, for the parameter with regressor v^n.
+    slope = np.vstack((np.zeros_like(powers[0]), powers[0], 2.0 * powers[1]))
+    rows = [
+        coefficients.q * last[x] * last[y]
+        - coefficients.u * now[x] * now[y]
+        - coefficients.p * (slope[y] * last[x] + slope[x] * last[y])
+        for x, y in PAIRS
+    ]
+    return recur(coefficients.k, np.array(rows))
+
+
+def objective(stages: Stages, measured: NDArray[np.float64], theta: NDArray[np.float64], start: float) -> Objective:
+    """Return (8), (11) and (16) for speeds computed from a given initial speed.
+
+    Args:
+        stages: Known quantities of the stages.
+        measured: v~_1 to v~_I [m/s], shape (I,).
+        theta: a, b, c [N/kN, v in m/s], shape (3,).
+        start: v_0 [m/s].
+
+    """
+    v = stages.speeds(theta, start)
+    coefficients = Coefficients.along(stages, theta, v)
+    first = first_derivatives(coefficients, v)
+    second = second_derivatives(coefficients, v, first)
+    return assemble(v[1:] - measured, first[:3], second)
+
+
+def assemble(error: NDArray[np.float64], first: NDArray[np.float64], second: NDArray[np.float64]) -> Objective:
+    """Return f (8), g (11) and H (16) from errors, shape (I,), and derivatives of the speeds, (3, I) and (6, I)."""
+    count = error.size
+    H = first @ first.T
+    for (x, y), bend in zip(PAIRS, second @ error, strict=True):
+        H[x, y] += bend
+        H[y, x] = H[x, y]
+    return Objective(float(error @ error) / count, 2.0 / count * (first @ error), 2.0 / count * H)

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trainid_lab.resistance.trajectory.derivatives import first_derivatives, objective
-from trainid_lab.resistance.trajectory.stages import STALL_SPEED, Coefficients, Stages
+from trainid_lab.resistance.trajectory.stages import STALL_SPEED, Coefficients, Stages, first_derivatives, objective
 
 SCALE = np.array([1.0, 0.02, 0.001])
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_lab.resistance.trajectory.derivatives import Objective
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, NewtonOutcome, Restart, Stop, newton
+from trainid_lab.resistance.trajectory.stages import Objective
 
 Evaluate: TypeAlias = Callable[[NDArray[np.float64]], Objective]
 
