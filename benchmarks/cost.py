@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time per tick or record of all estimators and pipelines, compared with a plain RLS in the same run.
+"""CPU time of steps and pipelines per tick or record, compared with a plain RLS in the same run, and of whole commands.
 
 The clock counts the CPU time of this thread only, so other load does not enter directly but still affects the speed
 of the machine. Therefore all subjects take turns in short blocks, and the ratio to the reference is the number to
-compare.
+compare. Commands count with their start-up, beside the targets of the project.
 """
 
 from __future__ import annotations
 
 import gc
+import statistics
+import tempfile
 import time
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.days import assumed_train, simulated_day, ticks_of
+from benchmarks.days import REPOSITORY, TRAIN_FILE, assumed_train, simulated_day, ticks_of, write_bag
+from benchmarks.processes import command_cpu_s
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline import SharedRecord, share_streams
@@ -44,6 +48,11 @@ _NAMES: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 # Particles for which the project has a target.
 _MANY: Final = 500
 _REFERENCE: Final = 'reference: plain RLS, 3 parameters'
+# Of commands: repetitions, and duration of all bags together [h].
+_ROUNDS: Final = 5
+_HOURS: Final = 10
+_TINY: Final = REPOSITORY / 'bags' / 'tiny'
+_DAY: Final = REPOSITORY / 'bags' / 'yizhuang_day'
 
 
 @dataclass(slots=True)
@@ -150,3 +159,39 @@ def _push_all(push: Callable[[Any], object], tick: TickOfRecords) -> object:
 def _clock_cost_ns() -> float:
     clock = time.thread_time_ns
     return float(np.median([-(clock() - clock()) for _ in range(20_000)]))
+
+
+def commands() -> tuple[Table, ...]:
+    small: tuple[tuple[str, tuple[object, ...], str], ...] = (
+        ('--help', ('--help',), '0.15'),
+        ('replay --help', ('replay', '--help'), ''),
+        ('fit --help', ('fit', '--help'), ''),
+        ('explain --help', ('explain', '--help'), ''),
+        ('info, tiny', ('info', _TINY), '0.6'),
+        ('replay, tiny', ('replay', _TINY, '--train', _TINY / 'train.yaml'), '0.6'),
+        ('info, yizhuang_day', ('info', _DAY), ''),
+        ('replay, yizhuang_day', ('replay', _DAY, '--train', _DAY / 'train.yaml'), ''),
+    )
+    rows = []
+    for name, command, target in small:
+        median_s = statistics.median(command_cpu_s(command) for _ in range(_ROUNDS))
+        rows.append((name, f'{median_s:.2f}', target))
+    with tempfile.TemporaryDirectory() as folder:
+        bags, hours = _hours_of_bags(Path(folder))
+        size = f'{len(bags)} bags of {hours:.1f} h together'
+        fitted_s = sum(command_cpu_s(('fit', bag, '--train', TRAIN_FILE)) for bag in bags)
+        rows.append((f'fit, one by one, {size}', f'{fitted_s:.1f}', '10'))
+        rows.append((f'explain, {size}', f'{command_cpu_s(("explain", *bags, "--train", TRAIN_FILE)):.1f}', '10'))
+    note = f'User and system time; medians of {_ROUNDS}, {_HOURS} hours once. Simulated days of seeds 1 to {len(bags)}.'
+    return (Table('CPU time of commands, s', ('trainid', 'CPU s', 'target'), tuple(rows), note),)
+
+
+def _hours_of_bags(folder: Path) -> tuple[list[Path], float]:
+    """Write simulated days of ten hours together; return the bags and their duration [h]."""
+    bags: list[Path] = []
+    hours = 0.0
+    while hours < _HOURS:
+        records = simulated_day(len(bags) + 1).records
+        bags.append(write_bag(folder / f'day{len(bags) + 1}', records))
+        hours += (records[-1].stamp_ns - records[0].stamp_ns) / 3.6e12
+    return bags, hours

@@ -68,33 +68,23 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What was published under a fault.
+    """What was published under a fault."""
 
-    Attributes:
-        train: The train.
-        seen_s: Motion from the start of the fault until a finding, a status or a reason of rejection shows up that the
-            healthy drive does not have [s]; infinite if none does.
-        named_s: The same without reasons that do not say what is wrong.
-        name: The first finding; without one, the status or the reason that named it.
-        wrong_s: Time that the resistance or the brake rate was VALID or HOLDING at more than 3 std from the truth [s].
-        added_s: The same at times at which it was not without the fault [s].
-        worst: Largest error of a VALID or HOLDING resistance or brake rate [std].
-        left: |error| of w [N/kN] and of the brake rate a minute of motion after the fault, less that without it.
-        rejected: Records and samples of the resistance rejected by each reason, less those without the fault.
-        is_finite: Whether all numbers published were finite.
-
-    """
-
-    train: str
+    train: str  # The train
+    # Motion from the start of the fault until a finding, a status or a reason of rejection shows up that the healthy
+    # drive does not have [s]; infinite if none does.
     seen_s: float
-    named_s: float
-    name: str
+    named_s: float  # The same without reasons that do not say what is wrong
+    name: str  # The first finding; without one, the status or the reason that named it
+    # Time that the resistance or the brake rate was VALID or HOLDING at more than 3 std from the truth [s].
     wrong_s: float
-    added_s: float
-    worst: float
+    added_s: float  # The same at times at which it was not without the fault [s]
+    worst: float  # Largest error of a VALID or HOLDING resistance or brake rate [std]
+    # |error| of w [N/kN] and of the brake rate a minute of motion after the fault, less that without it.
     left: tuple[float, float]
+    # Records and samples of the resistance rejected by each reason, less those without the fault.
     rejected: dict[Reason, int]
-    is_finite: bool
+    is_finite: bool  # Whether all numbers published were finite
 
 
 def measure(seeds: int) -> tuple[Table, ...]:

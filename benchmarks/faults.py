@@ -28,20 +28,13 @@ Send = Callable[[int, float, Row, Row], Sequence[Row]]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of one or more inputs.
+    """A fault of one or more inputs."""
 
-    Attributes:
-        name: What happens.
-        change: Returns the rows that are sent instead of those between two stamps [ns].
-        clock_step_s: Step of the clock that stamps all messages [s].
-        shifts_stamps: True if only stamps are changed, but not the times at which messages are sent.
-
-    """
-
-    name: str
+    name: str  # What happens
+    # Returns the rows that are sent instead of those between two stamps [ns].
     change: Callable[[Sequence[Row], int, int], list[Row]]
-    clock_step_s: float = 0.0
-    shifts_stamps: bool = False
+    clock_step_s: float = 0.0  # Step of the clock that stamps all messages [s]
+    shifts_stamps: bool = False  # True if only stamps are changed, but not the times at which messages are sent
 
 
 def injected(rows: Sequence[Row], faults: Sequence[Fault], start_ns: int, end_ns: int) -> list[Row]:
@@ -112,74 +105,27 @@ def frozen(topic: str) -> Fault:
     )
 
 
-def missing(topic: str, name: str = 'missing', seconds: float = math.inf) -> Fault:
-    """Return a fault that drops the messages of a topic for some time [s], at most until the end of the fault."""
-    return changed(f'{topic} {name}', topic, lambda _k, t, row, _: [] if t < seconds else [row])
-
-
-def missing_for_ever(topic: str) -> Fault:
-    """Return a fault that drops the messages of a topic from its start on, for ever."""
-    return changed(f'{topic} missing for ever', topic, lambda _k, _t, _row, _: [], lasts=True)
-
-
 def all_missing(seconds: float) -> Fault:
     """Return a fault that drops the messages of all topics for some time [s]."""
     return changed(f'all missing {seconds:g} s', '', lambda _k, t, row, _: [] if t < seconds else [row], lasts=True)
 
 
-def at_one_hertz(topic: str) -> Fault:
-    """Return a fault where a topic at 5 Hz comes at 1 Hz."""
-    return changed(f'{topic} at 1 Hz', topic, lambda k, _t, row, _: [row] if (k + 1) % _KEPT_EVERY == 0 else [])
-
-
-def _later(row: Row, seconds: float) -> Row:
-    return (row[0], row[1] + round(seconds * NS_PER_S), *row[2:])
-
-
-def late(topic: str, seconds: float) -> Fault:
-    """Return a fault that stamps and sends the messages of a topic later than the values were true [s]."""
-    return changed(f'{topic} {seconds:+g} s', topic, lambda _k, _t, row, _: [_later(row, seconds)], moves=True)
-
-
-def clock_apart(topic: str, seconds: float) -> Fault:
-    """Return a fault where the clock that stamps a topic is off by a time [s]; messages are sent when they were."""
-    return changed(f'{topic} clock {seconds:+g} s', topic, lambda _k, _t, row, _: [_later(row, seconds)], stamps=True)
+def _shifted(seconds: float) -> Send:
+    return lambda _k, _t, row, _: [(row[0], row[1] + round(seconds * NS_PER_S), *row[2:])]
 
 
 def clock_step(seconds: float) -> Fault:
     """Return a fault that steps the clock of all topics at the start of the fault, for ever."""
-    return changed(
-        f'clock {seconds:+g} s',
-        '',
-        lambda _k, _t, row, _: [_later(row, seconds)],
-        lasts=True,
-        stamps=True,
-        step=seconds,
-    )
-
-
-def spiked(topic: str, height: float) -> Fault:
-    """Return a fault that adds single spikes to a topic."""
-    return _single(f'{topic} spikes', topic, lambda x: x + height)
-
-
-def dropped(topic: str) -> Fault:
-    """Return a fault where single values of a topic are zero."""
-    return _single(f'{topic} drops to zero', topic, lambda _: 0.0)
+    return changed(f'clock {seconds:+g} s', '', _shifted(seconds), lasts=True, stamps=True, step=seconds)
 
 
 def _single(name: str, topic: str, change: Callable[[float], float]) -> Fault:
     """Return a fault that changes the first value in one of every so many messages of a topic."""
     return changed(
-        name,
+        f'{topic} {name}',
         topic,
         lambda k, _t, row, _: [(*row[:2], change(row[2]) if (k + 1) % _SPIKE_EVERY == 0 else row[2], *row[3:])],
     )
-
-
-def duplicated(topic: str) -> Fault:
-    """Return a fault that sends every message of a topic twice."""
-    return changed(f'{topic} twice', topic, lambda _k, _t, row, _: [row, row])
 
 
 def swapped(topic: str) -> Fault:
@@ -217,6 +163,26 @@ def _between(row: Row, following: Row, share: float) -> Row:
     return topic, stamp, x + share * (following[2] - x), y + share * (following[3] - y), flag
 
 
+def of_messages(topic: str, late_s: Sequence[float] = (1.0,), apart_s: Sequence[float] = (-1.0,)) -> tuple[Fault, ...]:
+    """Return faults of the messages of a topic, whatever they say.
+
+    They are missing, for a second and for ever, stamped and sent later than the values were true by some times [s],
+    sent when they were but stamped by a clock that is off, sent twice, out of order, ten times as often, and at 1 Hz
+    instead of 5 Hz.
+    """
+    return (
+        changed(f'{topic} missing', topic, lambda _k, _t, _row, _: []),
+        changed(f'{topic} missing 1 s', topic, lambda _k, t, row, _: [] if t < 1.0 else [row]),
+        changed(f'{topic} missing for ever', topic, lambda _k, _t, _row, _: [], lasts=True),
+        *(changed(f'{topic} {off:+g} s', topic, _shifted(off), moves=True) for off in late_s),
+        *(changed(f'{topic} clock {off:+g} s', topic, _shifted(off), stamps=True) for off in apart_s),
+        changed(f'{topic} twice', topic, lambda _k, _t, row, _: [row, row]),
+        swapped(topic),
+        ten_times_faster(topic),
+        changed(f'{topic} at 1 Hz', topic, lambda k, _t, row, _: [row] if (k + 1) % _KEPT_EVERY == 0 else []),
+    )
+
+
 SECOND_COMMAND: Final = changed(
     'command second publisher',
     'command',
@@ -229,6 +195,9 @@ _KMH: Final = 3.6
 _MPH: Final = 2.236936
 _LBF: Final = 0.2248089
 _G: Final = 9.81
+# Delays of messages, and errors of the clock that stamps them [s].
+_LATE_S: Final = (0.5, 1.0, 3.0)
+_APART_S: Final = (*_LATE_S, -0.5, -1.0, -3.0)
 
 
 def _slipping(t: float, x: float, y: float, flag: bool) -> tuple[float, float, bool]:
@@ -271,19 +240,9 @@ _SPEED: Final = (
     _position('5 % high', lambda _t, y: 1.05 * y),
     changed('speed position frozen', 'speed', lambda _k, _t, row, first: [(*row[:3], first[3], row[4])]),
     _position('jumps', lambda t, y: y + 300.0 * (1.0 + t // 20.0)),
-    spiked('speed', 5.0),
+    _single('spikes', 'speed', lambda x: x + 5.0),
     frozen('speed'),
-    missing('speed'),
-    missing('speed', 'missing 1 s', 1.0),
-    missing_for_ever('speed'),
-    late('speed', 0.5),
-    late('speed', 1.0),
-    late('speed', 3.0),
-    *(clock_apart('speed', seconds) for seconds in (0.5, 1.0, 3.0, -0.5, -1.0, -3.0)),
-    duplicated('speed'),
-    swapped('speed'),
-    ten_times_faster('speed'),
-    at_one_hertz('speed'),
+    *of_messages('speed', _LATE_S, _APART_S),
 )
 _FORCE: Final = (
     scaled('in kN', 'force', 1e-3),
@@ -295,19 +254,9 @@ _FORCE: Final = (
     _drifting('drift', 'force', 100.0),
     _constant('not a number', 'force', math.nan),
     _constant('infinite', 'force', math.inf),
-    spiked('force', 1e5),
+    _single('spikes', 'force', lambda x: x + 1e5),
     frozen('force'),
-    missing('force'),
-    missing('force', 'missing 1 s', 1.0),
-    missing_for_ever('force'),
-    late('force', 0.5),
-    late('force', 1.0),
-    late('force', 3.0),
-    *(clock_apart('force', seconds) for seconds in (0.5, 1.0, 3.0, -0.5, -1.0, -3.0)),
-    duplicated('force'),
-    swapped('force'),
-    ten_times_faster('force'),
-    at_one_hertz('force'),
+    *of_messages('force', _LATE_S, _APART_S),
 )
 _GRADIENT: Final = (
     scaled('1 per mille high', 'gradient', 1.0, 1.0),
@@ -317,17 +266,9 @@ _GRADIENT: Final = (
     scaled('in per cent', 'gradient', 0.1),
     _drifting('drift', 'gradient', 0.05),
     _constant('not a number', 'gradient', math.nan),
-    spiked('gradient', 30.0),
+    _single('spikes', 'gradient', lambda x: x + 30.0),
     frozen('gradient'),
-    missing('gradient'),
-    missing('gradient', 'missing 1 s', 1.0),
-    missing_for_ever('gradient'),
-    late('gradient', 1.0),
-    clock_apart('gradient', -1.0),
-    duplicated('gradient'),
-    swapped('gradient'),
-    ten_times_faster('gradient'),
-    at_one_hertz('gradient'),
+    *of_messages('gradient'),
 )
 _COMMAND: Final = (
     scaled('half', 'command', 0.5),
@@ -337,25 +278,17 @@ _COMMAND: Final = (
     _constant('not a number', 'command', math.nan),
     _constant('stuck braking', 'command', -0.7),
     _constant('stuck released', 'command', 0.0),
-    spiked('command', -0.8),
-    dropped('command'),
+    _single('spikes', 'command', lambda x: x - 0.8),
+    _single('drops to zero', 'command', lambda _: 0.0),
     frozen('command'),
     SECOND_COMMAND,
-    missing('command'),
-    missing('command', 'missing 1 s', 1.0),
-    missing_for_ever('command'),
-    late('command', 1.0),
-    clock_apart('command', -1.0),
-    duplicated('command'),
-    swapped('command'),
-    ten_times_faster('command'),
-    at_one_hertz('command'),
+    *of_messages('command'),
 )
 _MASS: Final = (
     scaled('in t', 'mass', 1e-3),
     scaled('20 % high', 'mass', 1.2),
     _constant('not a number', 'mass', math.nan),
-    missing('mass'),
+    of_messages('mass')[0],
 )
 _ALL: Final = (all_missing(10.0), clock_step(10.0), clock_step(-10.0), clock_step(-3000.0))
 

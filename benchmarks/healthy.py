@@ -265,23 +265,14 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the check said on a drive.
+    """What the check said on a drive."""
 
-    Attributes:
-        findings: Texts of the findings, one for each time that one began.
-        found: Share of the motion under a finding.
-        suspected: Share of the motion under a suspicion alone.
-        held: Share of the motion in which the resistance is held back.
-        moved_s: Time in motion [s].
-        suspicions: Texts of the suspicions, most frequent first.
-    """
-
-    findings: tuple[str, ...]
-    found: float
-    suspected: float
-    held: float
-    moved_s: float
-    suspicions: tuple[str, ...]
+    findings: tuple[str, ...]  # Texts of the findings, one for each time that one began
+    found: float  # Share of the motion under a finding
+    suspected: float  # Share of the motion under a suspicion alone
+    held: float  # Share of the motion in which the resistance is held back
+    moved_s: float  # Time in motion [s]
+    suspicions: tuple[str, ...]  # Texts of the suspicions, most frequent first
 
 
 def moments_of(train_file: TrainFile, rows: Iterable[Row]) -> list[Moment]:

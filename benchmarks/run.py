@@ -39,7 +39,7 @@ PARTS: Final[Mapping[str, Part]] = {
     'cost': Part('benchmarks.cost:measure', 0, 0.5),
     'live': Part('benchmarks.live:measure', 0, 4.0),
     'replay': Part('benchmarks.replay:measure', 0, 1.5),
-    'commands': Part('benchmarks.commands:measure', 0, 1.5),
+    'commands': Part('benchmarks.cost:commands', 0, 1.5),
     'memory': Part('benchmarks.memory:measure', 0, 1.0),
     # Running nodes and damaged files; of kills, soak [min] and damage the number is not of seeds.
     'kills': Part('benchmarks.kills:measure', 30, 2.5),

@@ -322,19 +322,12 @@ def existing_shared() -> list[str]:
 
 @dataclass(frozen=True)
 class Step:
-    """A step of the set-up, which is due while its inputs are not those of the last time.
+    """A step of the set-up, which is due while its inputs are not those of the last time."""
 
-    Attributes:
-        name: Name in the file of fingerprints.
-        stamp: Fingerprint of its inputs.
-        action: What it does.
-        text: What it is doing, for the user.
-    """
-
-    name: str
-    stamp: str
-    action: Callable[[], None]
-    text: str
+    name: str  # Name in the file of fingerprints
+    stamp: str  # Fingerprint of its inputs
+    action: Callable[[], None]  # What it does
+    text: str  # What it is doing, for the user
 
     @property
     def is_due(self) -> bool:

@@ -76,22 +76,13 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class BrakeRun:
-    """Samples of one drive and the truth at each.
+    """Samples of one drive and the truth at each."""
 
-    Attributes:
-        samples: Input of the estimators.
-        rate: True brake rate [1].
-        speed: True speed [m/s].
-        braked_s: Time since the first brake command of this phase [s], NaN in other phases.
-        phase: Index of the phase.
-
-    """
-
-    samples: tuple[Sample, ...]
-    rate: Array
-    speed: Array
-    braked_s: Array
-    phase: NDArray[np.intp]
+    samples: tuple[Sample, ...]  # Input of the estimators
+    rate: Array  # True brake rate [1]
+    speed: Array  # True speed [m/s]
+    braked_s: Array  # Time since the first brake command of this phase [s], NaN in other phases
+    phase: NDArray[np.intp]  # Index of the phase
 
 
 # Brake rate [1] as a function of the time in a phase [s], its index and the previous rate.

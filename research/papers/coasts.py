@@ -46,32 +46,19 @@ _PAUSE_S: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class CoastPlan:
-    """Plan of the coasts and their measurement.
+    """Plan of the coasts and their measurement."""
 
-    Attributes:
-        truth: a, b, c with v in km/h.
-        coasts: Number of coasts.
-        samples: Speeds in each coast.
-        slowest: Least speed a coast starts from [km/h]; starts are spread evenly up to ``fastest``, in random order.
-        fastest: Greatest speed a coast starts from [km/h].
-        noise_std: White noise of measured speed [km/h].
-        quantum: Resolution of measured speed [km/h], 0 = not rounded.
-        gust_std: Disturbance of the resistance, an AR(1) process [N/kN].
-        gust_time: Correlation time of the disturbance [s].
-        grade_std: Standard deviation of the gradient error, constant in each coast [per mille].
-
-    """
-
-    truth: tuple[float, float, float] = PAPER
-    coasts: int = 24
-    samples: int = 225
+    truth: tuple[float, float, float] = PAPER  # a, b, c with v in km/h
+    coasts: int = 24  # Number of coasts
+    samples: int = 225  # Speeds in each coast
+    # Least speed a coast starts from [km/h]; starts are spread evenly up to ``fastest``, in random order.
     slowest: float = 25.0
-    fastest: float = 80.0
-    noise_std: float = 0.027
-    quantum: float = 0.1
-    gust_std: float = 0.0
-    gust_time: float = 5.0
-    grade_std: float = 0.0
+    fastest: float = 80.0  # Greatest speed a coast starts from [km/h]
+    noise_std: float = 0.027  # White noise of measured speed [km/h]
+    quantum: float = 0.1  # Resolution of measured speed [km/h], 0 = not rounded
+    gust_std: float = 0.0  # Disturbance of the resistance, an AR(1) process [N/kN]
+    gust_time: float = 5.0  # Correlation time of the disturbance [s]
+    grade_std: float = 0.0  # Standard deviation of the gradient error, constant in each coast [per mille]
 
     @property
     def speed_std(self) -> float:
@@ -81,20 +68,12 @@ class CoastPlan:
 
 @dataclass(frozen=True, slots=True)
 class Coasts:
-    """Coasts driven to a plan; arrays of shape (coasts, samples), one row per coast.
+    """Coasts driven to a plan; arrays of shape (coasts, samples), one row per coast."""
 
-    Attributes:
-        plan: The plan.
-        speed: Measured speed [km/h].
-        true_speed: True speed [km/h].
-        disturbance: Gust and error of the gradient map over the interval after each speed [N/kN].
-
-    """
-
-    plan: CoastPlan
-    speed: Array
-    true_speed: Array
-    disturbance: Array
+    plan: CoastPlan  # The plan
+    speed: Array  # Measured speed [km/h]
+    true_speed: Array  # True speed [km/h]
+    disturbance: Array  # Gust and error of the gradient map over the interval after each speed [N/kN]
 
 
 def drive(plan: CoastPlan, generator: np.random.Generator) -> Coasts:

@@ -53,30 +53,17 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A record every 100 m; forces and resistances are specific [N/kN].
+    """A record every 100 m; forces and resistances are specific [N/kN]."""
 
-    Attributes:
-        position: Position of the head [m], shape (I + 1,).
-        time: Time [s], shape (I + 1,).
-        speed: True speed [m/s], shape (I + 1,).
-        left: Force at the start of each stage, shape (I,).
-        mean: Mean force over the distance of the stage.
-        time_mean: Mean force over the time of the stage.
-        load_left: Additional resistance at the start of each stage.
-        load_mean: Mean additional resistance over the distance.
-        load_time_mean: Mean additional resistance over the time.
-
-    """
-
-    position: NDArray[np.float64]
-    time: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    left: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    time_mean: NDArray[np.float64]
-    load_left: NDArray[np.float64]
-    load_mean: NDArray[np.float64]
-    load_time_mean: NDArray[np.float64]
+    position: NDArray[np.float64]  # Position of the head [m], shape (I + 1,)
+    time: NDArray[np.float64]  # Time [s], shape (I + 1,)
+    speed: NDArray[np.float64]  # True speed [m/s], shape (I + 1,)
+    left: NDArray[np.float64]  # Force at the start of each stage, shape (I,)
+    mean: NDArray[np.float64]  # Mean force over the distance of the stage
+    time_mean: NDArray[np.float64]  # Mean force over the time of the stage
+    load_left: NDArray[np.float64]  # Additional resistance at the start of each stage
+    load_mean: NDArray[np.float64]  # Mean additional resistance over the distance
+    load_time_mean: NDArray[np.float64]  # Mean additional resistance over the time
 
     def stages(self, *, mean_force: bool = True, mean_load: bool = True) -> Stages:
         """Return the stages of (7), with means over the stage or, as printed, values at its start."""

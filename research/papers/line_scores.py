@@ -32,28 +32,17 @@ _SPEED: Final = 18.0
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of a method on some lines.
+    """Score of a method on some lines."""
 
-    Attributes:
-        error: Measured minus predicted speed, root mean square [m/s].
-        ahead: Predicted minus true speed at the next sample, root mean square [m/s].
-        five: Error of a 5 s free run from the method's own state: median and 95th percentile [m/s].
-        thirty: The same for 30 s.
-        b1: Median error of b1 [%].
-        r18: Median error of the resistance at 18 m/s with the gradient [mm/s^2].
-        step: Median error of the acceleration at samples 1130, 1160 and 1200, gradient drop at 1100-1130 [mm/s^2].
-        lost: Share of lines that end not finite, diverged, or with an error above 1 m/s.
-
-    """
-
-    error: float
-    ahead: float
-    five: tuple[float, float]
-    thirty: tuple[float, float]
-    b1: float
-    r18: float
+    error: float  # Measured minus predicted speed, root mean square [m/s]
+    ahead: float  # Predicted minus true speed at the next sample, root mean square [m/s]
+    five: tuple[float, float]  # Error of a 5 s free run from the method's own state: median and 95th percentile [m/s]
+    thirty: tuple[float, float]  # The same for 30 s
+    b1: float  # Median error of b1 [%]
+    r18: float  # Median error of the resistance at 18 m/s with the gradient [mm/s^2]
+    # Median error of the acceleration at samples 1130, 1160 and 1200, gradient drop at 1100-1130 [mm/s^2].
     step: tuple[float, float, float]
-    lost: float
+    lost: float  # Share of lines that end not finite, diverged, or with an error above 1 m/s
 
 
 def moving(lines: Lines, start: int = START) -> Mask:
@@ -140,22 +129,13 @@ def nees(lines: Lines, track: Track) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class OneRun:
-    """One run with constant parameters: samples in motion only, theta and the Cramer-Rao bound of each line.
+    """One run with constant parameters: samples in motion only, theta and the Cramer-Rao bound of each line."""
 
-    Attributes:
-        theta: True parameters, shape (lines, 4).
-        bound: Standard deviations of a1, a2, b1, d0 and of the acceleration at 18 m/s, shape (lines, 5).
-        fitted: Parameters by maximum likelihood (output error), shape (lines, 4).
-        one_step: Parameters by least squares on single steps, (5), shape (lines, 4).
-        integral: Parameters by least squares on changes over 25 samples, shape (lines, 4).
-
-    """
-
-    theta: Array
-    bound: Array
-    fitted: Array
-    one_step: Array
-    integral: Array
+    theta: Array  # True parameters, shape (lines, 4)
+    bound: Array  # Standard deviations of a1, a2, b1, d0 and of the acceleration at 18 m/s, shape (lines, 5)
+    fitted: Array  # Parameters by maximum likelihood (output error), shape (lines, 4)
+    one_step: Array  # Parameters by least squares on single steps, (5), shape (lines, 4)
+    integral: Array  # Parameters by least squares on changes over 25 samples, shape (lines, 4)
 
 
 def identify(lines: Lines, y: Array, std: float) -> OneRun:

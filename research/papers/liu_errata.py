@@ -39,58 +39,31 @@ _EXACT_PENALTIES: Final = (1.0, 50.0, 5000.0)
 
 @dataclass(frozen=True, slots=True)
 class Errata:
-    """Results of one seed; differences of parameters relative to those of (7) [1], of curves in N/kN.
+    """Results of one seed; differences of parameters relative to those of (7) [1], of curves in N/kN."""
 
-    Attributes:
-        halved: Difference of the minimiser of the printed J (lambda/2) from the printed solution (7).
-        ends: Difference of (12)-(16) from (7) at t = N.
-        middle: The same at t = N/2.
-        middle_half: Difference of (12)-(16) from ridge regression with lambda/2 at t = N/2.
-        twice_double: Difference of (12)-(16) from ridge regression with 2 lambda at t = 2N.
-        earlier: Difference of (12)-(16) with P(t-1) in (12) from (7) at t = N.
-        earlier_peak: Greatest |theta| of that recursion.
-        exact: Difference of RLS from P(0) = I/lambda from (7), greatest over all t and three lambda.
-        bias_printed: Curve error of (12)-(16) at t = N, large a.
-        bias_ls: Curve error of LS, large a.
-        weighted: Difference of MILS from weighted least squares, greatest over the curve (20-80 km/h) and p.
-        printed_mils: The same of the MILS kernel from the printed matrices.
-        mils_ls: Difference of the MILS curve from that of LS, rms, greatest over p.
-        trace: tr P over that of LS, by p.
-        nees: Squared error over sigma^2 P, per parameter, by p: 1 if P were a covariance.
-        diluted: Relative difference of regularised MILS from ridge regression with lambda/p, by p.
-        used: Difference of regularised V-MILS from ridge regression weighted by use, penalty lambda (steps)/N.
-        strict_steps: Steps of V-MILS with p = 4 and 30 % missing.
-        strict_good: Good observations in that record.
-        strict_unused: Share of good observations never used.
-        a_kmh: a of ridge regression with v in km/h.
-        a_ms: a of ridge regression with the same lambda and v in m/s.
-        missing: Error of RLS with half of the data missing over the bound of the remaining data.
-
-    """
-
-    halved: float
-    ends: float
-    middle: float
-    middle_half: float
-    twice_double: float
-    earlier: float
-    earlier_peak: float
-    exact: float
-    bias_printed: float
-    bias_ls: float
-    weighted: float
-    printed_mils: float
-    mils_ls: float
-    trace: tuple[float, ...]
-    nees: tuple[float, ...]
-    diluted: tuple[float, ...]
-    used: float
-    strict_steps: int
-    strict_good: int
-    strict_unused: float
-    a_kmh: float
-    a_ms: float
-    missing: float
+    halved: float  # Difference of the minimiser of the printed J (lambda/2) from the printed solution (7)
+    ends: float  # Difference of (12)-(16) from (7) at t = N
+    middle: float  # The same at t = N/2
+    middle_half: float  # Difference of (12)-(16) from ridge regression with lambda/2 at t = N/2
+    twice_double: float  # Difference of (12)-(16) from ridge regression with 2 lambda at t = 2N
+    earlier: float  # Difference of (12)-(16) with P(t-1) in (12) from (7) at t = N
+    earlier_peak: float  # Greatest |theta| of that recursion
+    exact: float  # Difference of RLS from P(0) = I/lambda from (7), greatest over all t and three lambda
+    bias_printed: float  # Curve error of (12)-(16) at t = N, large a
+    bias_ls: float  # Curve error of LS, large a
+    weighted: float  # Difference of MILS from weighted least squares, greatest over the curve (20-80 km/h) and p
+    printed_mils: float  # The same of the MILS kernel from the printed matrices
+    mils_ls: float  # Difference of the MILS curve from that of LS, rms, greatest over p
+    trace: tuple[float, ...]  # tr P over that of LS, by p
+    nees: tuple[float, ...]  # Squared error over sigma^2 P, per parameter, by p: 1 if P were a covariance
+    diluted: tuple[float, ...]  # Relative difference of regularised MILS from ridge regression with lambda/p, by p
+    used: float  # Difference of regularised V-MILS from ridge regression weighted by use, penalty lambda (steps)/N
+    strict_steps: int  # Steps of V-MILS with p = 4 and 30 % missing
+    strict_good: int  # Good observations in that record
+    strict_unused: float  # Share of good observations never used
+    a_kmh: float  # a of ridge regression with v in km/h
+    a_ms: float  # a of ridge regression with the same lambda and v in m/s
+    missing: float  # Error of RLS with half of the data missing over the bound of the remaining data
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,22 +63,13 @@ def rls_symmetric_gain(theta: Array, P: Array, phi: Array, y: float, mu: float) 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of a recursion.
+    """Result of a recursion."""
 
-    Attributes:
-        steps: Number of steps.
-        indefinite: First step after which P has a negative eigenvalue, inf if none.
-        broken: First step after which a number is not finite, inf if none.
-        asymmetry: Greatest relative asymmetry of the last P.
-        error: Curve error over 20-80 km/h at the end [N/kN].
-
-    """
-
-    steps: int
-    indefinite: float
-    broken: float
-    asymmetry: float
-    error: float
+    steps: int  # Number of steps
+    indefinite: float  # First step after which P has a negative eigenvalue, inf if none
+    broken: float  # First step after which a number is not finite, inf if none
+    asymmetry: float  # Greatest relative asymmetry of the last P
+    error: float  # Curve error over 20-80 km/h at the end [N/kN]
 
 
 def excited(seed: int, count: int) -> Iterator[Pair]:

@@ -45,22 +45,13 @@ _EARLY: Final = 70
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """Curve errors of one seed by preparation [N/kN], the bound, and the bias of segments.
+    """Curve errors of one seed by preparation [N/kN], the bound, and the bias of segments."""
 
-    Attributes:
-        errors: Curve errors by :data:`PREPARATIONS`.
-        bound: Cramer-Rao bound from the raw speed.
-        residual: Residual variance of Fig. 2 with LS [(N/kN)^2].
-        bias: Mean error of y at 20-30 and 70-80 km/h, Fig. 2, then fixed windows [N/kN].
-        spread: Standard deviation of the error of y, in the same order.
-
-    """
-
-    errors: tuple[float, ...]
-    bound: float
-    residual: float
-    bias: tuple[float, ...]
-    spread: tuple[float, ...]
+    errors: tuple[float, ...]  # Curve errors by :data:`PREPARATIONS`
+    bound: float  # Cramer-Rao bound from the raw speed
+    residual: float  # Residual variance of Fig. 2 with LS [(N/kN)^2]
+    bias: tuple[float, ...]  # Mean error of y at 20-30 and 70-80 km/h, Fig. 2, then fixed windows [N/kN]
+    spread: tuple[float, ...]  # Standard deviation of the error of y, in the same order
 
 
 def prepared(seed: int, plan: data.CoastPlan) -> Prepared:
@@ -90,20 +81,12 @@ def _band(seen: Observations, band: tuple[float, float], truth: Theta) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """Convergence of one recursion.
+    """Convergence of one recursion."""
 
-    Attributes:
-        parameters: Observations until a, b, c stay within 10 % of their last values.
-        curve: Observations until the curve (rms over 20-80 km/h) stays within 10 % of its last value.
-        early: Curve error after 70 observations [N/kN].
-        end: Curve error at the end [N/kN].
-
-    """
-
-    parameters: tuple[float, ...]
-    curve: float
-    early: float
-    end: float
+    parameters: tuple[float, ...]  # Observations until a, b, c stay within 10 % of their last values
+    curve: float  # Observations until the curve (rms over 20-80 km/h) stays within 10 % of its last value
+    early: float  # Curve error after 70 observations [N/kN]
+    end: float  # Curve error at the end [N/kN]
 
 
 def settling(seed: int, truth: Theta, *, single: bool, penalty: float) -> Settling:
@@ -243,31 +226,18 @@ STREAMS: Final = ('RLS', 'MILS', 'V-MILS-printed')
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Results of one seed.
+    """Results of one seed."""
 
-    Attributes:
-        errata: Errors of the equations.
-        shape: Table 1 and 2.
-        full: Batch estimators on the full record, by :data:`TRUTHS`.
-        narrow: The same on four short coasts.
-        prepared: Preparations, by :data:`PLANS`.
-        settled: Convergence, by :data:`SETTLINGS`.
-        spoiled: Errors with bad data over the bound, by fault and estimator.
-        delays: Observations until a jump is followed.
-        before: Curve errors before the jump [N/kN].
-        nees: Squared error over covariance, per parameter, of the streaming estimators, by :data:`STREAMS`.
-
-    """
-
-    errata: Errata
-    shape: Shape
-    full: tuple[Batch, ...]
-    narrow: tuple[Batch, ...]
-    prepared: tuple[Prepared, ...]
-    settled: tuple[Settling, ...]
-    spoiled: tuple[tuple[float, ...], ...]
-    delays: tuple[float, ...]
-    before: tuple[float, ...]
+    errata: Errata  # Errors of the equations
+    shape: Shape  # Table 1 and 2
+    full: tuple[Batch, ...]  # Batch estimators on the full record, by :data:`TRUTHS`
+    narrow: tuple[Batch, ...]  # The same on four short coasts
+    prepared: tuple[Prepared, ...]  # Preparations, by :data:`PLANS`
+    settled: tuple[Settling, ...]  # Convergence, by :data:`SETTLINGS`
+    spoiled: tuple[tuple[float, ...], ...]  # Errors with bad data over the bound, by fault and estimator
+    delays: tuple[float, ...]  # Observations until a jump is followed
+    before: tuple[float, ...]  # Curve errors before the jump [N/kN]
+    # Squared error over covariance, per parameter, of the streaming estimators, by :data:`STREAMS`.
     nees: tuple[float, ...]
 
 

@@ -39,36 +39,22 @@ _PRIOR_STD: Final = (2.0, 0.09, 1e-3)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Residual variances of one seed by innovation length [(N/kN)^2], and a [N/kN].
+    """Residual variances of one seed by innovation length [(N/kN)^2], and a [N/kN]."""
 
-    Attributes:
-        training: Residual variance without regularisation, by p.
-        held_out: The same on other coasts of the same train.
-        penalised: Residual variance of the printed form, lambda = 50, by p.
-        a: Estimate of a in the printed form, by p.
-        velocity: Variance of predicted minus measured speed, as in Table 2 [(km/h)^2]: LS, then MILS with p = 4.
-
-    """
-
-    training: tuple[float, ...]
-    held_out: tuple[float, ...]
-    penalised: tuple[float, ...]
-    a: tuple[float, ...]
+    training: tuple[float, ...]  # Residual variance without regularisation, by p
+    held_out: tuple[float, ...]  # The same on other coasts of the same train
+    penalised: tuple[float, ...]  # Residual variance of the printed form, lambda = 50, by p
+    a: tuple[float, ...]  # Estimate of a in the printed form, by p
+    # Variance of predicted minus measured speed, as in Table 2 [(km/h)^2]: LS, then MILS with p = 4.
     velocity: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Curve errors of batch estimators on fixed windows for one seed and truth [N/kN].
+    """Curve errors of batch estimators on fixed windows for one seed and truth [N/kN]."""
 
-    Attributes:
-        errors: LS, ridge with lambda = 50, non-negative LS, LS with a prior that is 20 % off.
-        negative: True if ridge with lambda = 1 gives a negative b or c.
-
-    """
-
-    errors: tuple[float, ...]
-    negative: bool
+    errors: tuple[float, ...]  # LS, ridge with lambda = 50, non-negative LS, LS with a prior that is 20 % off
+    negative: bool  # True if ridge with lambda = 1 gives a negative b or c
 
 
 def shape(seed: int) -> Shape:

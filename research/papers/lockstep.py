@@ -34,24 +34,14 @@ READMIT: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Results of an algorithm on some lines.
+    """Results of an algorithm on some lines."""
 
-    Attributes:
-        state: x [m/s], a1, a2, b1, d0 after every sample, shape (samples, 5, lines).
-        S: Covariance of theta, upper triangle, after every tenth sample, shape (samples / 10, 10, lines).
-        predicted: Speed predicted for every sample [m/s], shape (samples, lines).
-        error: Measured minus predicted speed [m/s], NaN without measurement.
-        nis: Squared error over its variance at updates, else NaN.
-        factor: Forgetting factor.
-
-    """
-
-    state: Array
-    S: Array
-    predicted: Array
-    error: Array
-    nis: Array
-    factor: Array
+    state: Array  # x [m/s], a1, a2, b1, d0 after every sample, shape (samples, 5, lines)
+    S: Array  # Covariance of theta, upper triangle, after every tenth sample, shape (samples / 10, 10, lines)
+    predicted: Array  # Speed predicted for every sample [m/s], shape (samples, lines)
+    error: Array  # Measured minus predicted speed [m/s], NaN without measurement
+    nis: Array  # Squared error over its variance at updates, else NaN
+    factor: Array  # Forgetting factor
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,20 +44,12 @@ _MAX_FORCE: Final = 120.0
 
 @dataclass(frozen=True, slots=True)
 class LineShape:
-    """Shape of a line and its runs.
+    """Shape of a line and its runs."""
 
-    Attributes:
-        samples: Number of samples.
-        distance: Shortest and longest run from stop to stop [m].
-        first: Added to the first run, so that most trains are in motion while the gradient falls [m].
-        constant: Constant load and no gradient.
-
-    """
-
-    samples: int = SAMPLES
-    distance: tuple[float, float] = (1100.0, 1700.0)
-    first: float = 800.0
-    constant: bool = False
+    samples: int = SAMPLES  # Number of samples
+    distance: tuple[float, float] = (1100.0, 1700.0)  # Shortest and longest run from stop to stop [m]
+    first: float = 800.0  # Added to the first run, so that most trains are in motion while the gradient falls [m]
+    constant: bool = False  # Constant load and no gradient
 
 
 ONE_RUN: Final = LineShape(samples=550, distance=(1550.0, 1750.0), first=0.0, constant=True)
@@ -66,20 +58,12 @@ LONG_CRUISE: Final = LineShape(samples=6700, distance=(18_500.0, 19_500.0), firs
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Truth, one column per line.
+    """Truth, one column per line."""
 
-    Attributes:
-        x: Speed [m/s], shape (samples, lines).
-        u: Specific force [N/kN] from this sample to the next, shape (samples, lines).
-        theta: Parameters (a1, a2, b1, d0) of model (2) from this sample to the next, shape (samples, 4, lines).
-        run: Number of the run from stop to stop, shape (samples, lines).
-
-    """
-
-    x: Array
-    u: Array
-    theta: Array
-    run: NDArray[np.int64]
+    x: Array  # Speed [m/s], shape (samples, lines)
+    u: Array  # Specific force [N/kN] from this sample to the next, shape (samples, lines)
+    theta: Array  # Parameters (a1, a2, b1, d0) of model (2) from this sample to the next, shape (samples, 4, lines)
+    run: NDArray[np.int64]  # Number of the run from stop to stop, shape (samples, lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,24 +193,14 @@ class _Drive:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise model of the measured speed.
+    """Noise model of the measured speed."""
 
-    Attributes:
-        name: Name in the tables.
-        std: White noise [m/s].
-        rho: Correlation of adjacent samples, of AR(1) noise with the same standard deviation.
-        quantum: Resolution [m/s].
-        missing: Share of samples that are lost.
-        outliers: Share of samples with an error of 0.3 to 2 m/s.
-
-    """
-
-    name: str
-    std: float = 0.02
-    rho: float = 0.0
-    quantum: float = 0.0
-    missing: float = 0.0
-    outliers: float = 0.0
+    name: str  # Name in the tables
+    std: float = 0.02  # White noise [m/s]
+    rho: float = 0.0  # Correlation of adjacent samples, of AR(1) noise with the same standard deviation
+    quantum: float = 0.0  # Resolution [m/s]
+    missing: float = 0.0  # Share of samples that are lost
+    outliers: float = 0.0  # Share of samples with an error of 0.3 to 2 m/s
 
     @property
     def declared(self) -> float:

@@ -152,22 +152,13 @@ def _boxed(stages: Stages, seen: NDArray[np.float64], config: NewtonConfig) -> N
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Errors of one method on one drive.
+    """Errors of one method on one drive."""
 
-    Attributes:
-        method: Name of the method.
-        clean: Settled errors of w(v_now) in sections 1 to 3 [N/kN].
-        fourth: The same in section 4.
-        fifth: The same in section 5.
-        delays: Distance to half of each change [m].
-
-    """
-
-    method: str
-    clean: NDArray[np.float64]
-    fourth: NDArray[np.float64]
-    fifth: NDArray[np.float64]
-    delays: tuple[float, ...]
+    method: str  # Name of the method
+    clean: NDArray[np.float64]  # Settled errors of w(v_now) in sections 1 to 3 [N/kN]
+    fourth: NDArray[np.float64]  # The same in section 4
+    fifth: NDArray[np.float64]  # The same in section 5
+    delays: tuple[float, ...]  # Distance to half of each change [m]
 
 
 def score(given: Drive, method: str, w: NDArray[np.float64]) -> Score:

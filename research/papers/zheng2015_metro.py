@@ -97,28 +97,17 @@ ON_UNBRAKED: Final[Rows] = (
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of an estimator on one run, while braking, from 3 s after the command on and above 1 m/s.
+    """Score of an estimator on one run, while braking, from 3 s after the command on and above 1 m/s."""
 
-    Attributes:
-        mae: Mean absolute error of the brake rate [1].
-        bias: Mean error of the brake rate [1].
-        inside_68: Share of errors within one standard deviation.
-        inside_95: The same within 1.96.
-        good_s: Time after the first command from which on the error stays within 0.05 in the first braking [s].
-        found_s: Time from the jump to an error below 0.07 [s], inf if never; NaN without a jump.
-        law: Largest relative deviation of std from sqrt(s^2 + drift^2 t) without braking; NaN if not evaluated.
-        later: Absolute error 0, 2, 4 and 10 s after the brake command of the last phase [1].
-
-    """
-
-    mae: float
-    bias: float
-    inside_68: float
-    inside_95: float
-    good_s: float
-    found_s: float = math.nan
+    mae: float  # Mean absolute error of the brake rate [1]
+    bias: float  # Mean error of the brake rate [1]
+    inside_68: float  # Share of errors within one standard deviation
+    inside_95: float  # The same within 1.96
+    good_s: float  # Time after the first command from which on the error stays within 0.05 in the first braking [s]
+    found_s: float = math.nan  # Time from the jump to an error below 0.07 [s], inf if never; NaN without a jump
+    # Largest relative deviation of std from sqrt(s^2 + drift^2 t) without braking; NaN if not evaluated.
     law: float = math.nan
-    later: tuple[float, ...] = ()
+    later: tuple[float, ...] = ()  # Absolute error 0, 2, 4 and 10 s after the brake command of the last phase [1]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,7 @@ import pytest
 
 from benchmarks import faults_live
 from benchmarks.faults import BY_NAME
-from benchmarks.faults_live import Trial, score
-from benchmarks.faults_live_cases import CASES, HEALTHY, NODES, Case
+from benchmarks.faults_live import CASES, HEALTHY, NODES, Case, Trial, score
 from benchmarks.graph import private_domain
 
 

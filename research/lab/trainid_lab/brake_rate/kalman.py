@@ -41,16 +41,10 @@ class KalmanConfig(BrakeRateConfig):
 
 
 class GaussianPosterior:
-    """Posterior by its first two moments; subclasses say what it is made of.
+    """Posterior by its first two moments; subclasses say what it is made of."""
 
-    Attributes:
-        m: Mean of z = [v, a, b, e, f], shape (n + 1,).
-        P: Its covariance, shape (n + 1, n + 1).
-
-    """
-
-    m: Array
-    P: Array
+    m: Array  # Mean of z = [v, a, b, e, f], shape (n + 1,)
+    P: Array  # Its covariance, shape (n + 1, n + 1)
 
     def change(self, change: Callable[[Array, Array], Moments]) -> None:
         """Change mean and covariance of each part."""

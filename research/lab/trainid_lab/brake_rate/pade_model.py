@@ -26,22 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PadeModel:
-    """Transition over one sample, x_k = (Phi0 + f Phi1) x_{k-1} + (Gamma0 + f Gamma1) u + E d.
+    """Transition over one sample, x_k = (Phi0 + f Phi1) x_{k-1} + (Gamma0 + f Gamma1) u + E d."""
 
-    Attributes:
-        Phi0: Shape (4, 4).
-        Phi1: Shape (4, 4).
-        Gamma0: Shape (4,).
-        Gamma1: Shape (4,).
-        E: Effect of d, held over the sample, shape (4,).
-
-    """
-
-    Phi0: Array
-    Phi1: Array
-    Gamma0: Array
-    Gamma1: Array
-    E: Array
+    Phi0: Array  # Shape (4, 4)
+    Phi1: Array  # Shape (4, 4)
+    Gamma0: Array  # Shape (4,)
+    Gamma1: Array  # Shape (4,)
+    E: Array  # Effect of d, held over the sample, shape (4,)
 
     def step(self, a_z: float, u: float, variance: float) -> LinearStep:
         """Return the step of [D, v, a] for known a_z and u [m/s^2]; ``variance`` is that of d [m^2/s^4]."""

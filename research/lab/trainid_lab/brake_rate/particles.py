@@ -26,20 +26,12 @@ _IDENTITY: Final = np.eye(STATES)
 
 
 class LinearStep(NamedTuple):
-    """One step of the model.
+    """One step of the model."""
 
-    Attributes:
-        Phi: Transition, shape (n, n).
-        gamma: Effect of f = 1, shape (n,).
-        known: Effect of all known inputs, shape (n,).
-        Q: Covariance of the process noise, shape (n, n).
-
-    """
-
-    Phi: Array
-    gamma: Array
-    known: Array
-    Q: Array
+    Phi: Array  # Transition, shape (n, n)
+    gamma: Array  # Effect of f = 1, shape (n,)
+    known: Array  # Effect of all known inputs, shape (n,)
+    Q: Array  # Covariance of the process noise, shape (n, n)
 
     def predict(self, x: Array, f: Array) -> Array:
         """Return the means of x after the step, eq. (14), from x, shape (n, N), and the rates f, shape (N,)."""
@@ -55,18 +47,11 @@ class LinearStep(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """Measurement update, the same for all particles.
+    """Measurement update, the same for all particles."""
 
-    Attributes:
-        K: Gain, eq. (20), shape (n, m).
-        P: Covariance after the measurement, eq. (21), shape (n, n).
-        W: Whitening matrix of innovations: W S W' = I with their covariance S, eq. (16), shape (m, m).
-
-    """
-
-    K: Array
-    P: Array
-    W: Array
+    K: Array  # Gain, eq. (20), shape (n, m)
+    P: Array  # Covariance after the measurement, eq. (21), shape (n, n)
+    W: Array  # Whitening matrix of innovations: W S W' = I with their covariance S, eq. (16), shape (m, m)
 
 
 def speed_correction(P: Array, r: float) -> Correction:

@@ -45,20 +45,12 @@ class ThetaCloud(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MRule:
-    """Pruning rule of an M-algorithm.
+    """Pruning rule of an M-algorithm."""
 
-    Attributes:
-        keep: Number of particles kept, N.
-        most: Number of particles above which they are pruned, Q.
-        carries: Whether weights are retained, w_k = w_{k-1} p(y_k); as printed in (17) they are not.
-        stochastic: Whether pruning is systematic resampling; printed: the N of highest weight, which is biased.
-
-    """
-
-    keep: int
-    most: int
-    carries: bool
-    stochastic: bool
+    keep: int  # Number of particles kept, N
+    most: int  # Number of particles above which they are pruned, Q
+    carries: bool  # Whether weights are retained, w_k = w_{k-1} p(y_k); as printed in (17) they are not
+    stochastic: bool  # Whether pruning is systematic resampling; printed: the N of highest weight, which is biased
 
 
 def rbpf(

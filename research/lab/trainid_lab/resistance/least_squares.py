@@ -29,33 +29,21 @@ _MIN_PIVOT: Final = 1e-11
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Result of a batch fit.
+    """Result of a batch fit."""
 
-    Attributes:
-        theta: a [N/kN], b and c [N/kN over the unit of v and of v^2], shape (3,).
-        covariance: Covariance of theta, shape (3, 3), for the noise variance of the residuals; the bias caused by a
-            penalty is not included.
-        variance: Noise variance [(N/kN)^2], weighted sum of squared residuals over degrees of freedom.
-
-    """
-
-    theta: Array
+    theta: Array  # a [N/kN], b and c [N/kN over the unit of v and of v^2], shape (3,)
+    # Covariance of theta, shape (3, 3), for the noise variance of the residuals; the bias caused by a penalty is not
+    # included.
     covariance: Array
-    variance: float
+    variance: float  # Noise variance [(N/kN)^2], weighted sum of squared residuals over degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Gaussian prior.
+    """Gaussian prior."""
 
-    Attributes:
-        theta: Mean, in the units of :class:`Fit`, shape (3,).
-        covariance: Covariance, shape (3, 3), in units of the noise variance.
-
-    """
-
-    theta: Array
-    covariance: Array
+    theta: Array  # Mean, in the units of :class:`Fit`, shape (3,)
+    covariance: Array  # Covariance, shape (3, 3), in units of the noise variance
 
 
 def least_squares(Phi: Array, y: Array, weights: Array | None = None) -> Fit:

@@ -82,20 +82,12 @@ _P0: Final = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """Settings of a regression.
+    """Settings of a regression."""
 
-    Attributes:
-        innovation_length: p.
-        penalty: lambda, 0 = not regularised.
-        record_length: N of (12)-(14); 0 = the full penalty is in P(0).
-        forgetting: Forgetting factor mu per step; 1 = no forgetting.
-
-    """
-
-    innovation_length: int = 1
-    penalty: float = 0.0
-    record_length: int = 0
-    forgetting: float = 1.0
+    innovation_length: int = 1  # p
+    penalty: float = 0.0  # lambda, 0 = not regularised
+    record_length: int = 0  # N of (12)-(14); 0 = the full penalty is in P(0)
+    forgetting: float = 1.0  # Forgetting factor mu per step; 1 = no forgetting
 
     @property
     def rate(self) -> float:
@@ -105,28 +97,16 @@ class Regression:
 
 @dataclass(frozen=True, slots=True)
 class RegressionState:
-    """State of a regression.
+    """State of a regression."""
 
-    Attributes:
-        theta: Estimate.
-        UD: Factors of P, the inverse information; for p = 1 the covariance in units of the noise variance.
-        determined: False while theta is only the initial value.
-        Phi: Stack of regressors.
-        Y: Stack of observations.
-        information: sum phi phi' (LS only).
-        moment: sum phi y (LS only).
-        steps: Steps made.
-
-    """
-
-    theta: Vector
-    UD: Factors
-    determined: bool = True
-    Phi: Regressors = ()
-    Y: Values = ()
-    information: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    moment: Vector = (0.0, 0.0, 0.0)
-    steps: int = 0
+    theta: Vector  # Estimate
+    UD: Factors  # Factors of P, the inverse information; for p = 1 the covariance in units of the noise variance
+    determined: bool = True  # False while theta is only the initial value
+    Phi: Regressors = ()  # Stack of regressors
+    Y: Values = ()  # Stack of observations
+    information: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # sum phi phi' (LS only)
+    moment: Vector = (0.0, 0.0, 0.0)  # sum phi y (LS only)
+    steps: int = 0  # Steps made
 
 
 if TYPE_CHECKING:

@@ -119,18 +119,12 @@ def cut(pending: tuple[Item, ...], item: Item, cutter: Cutter) -> tuple[tuple[It
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """Observed resistance of pieces; arrays of shape (pieces,).
+    """Observed resistance of pieces; arrays of shape (pieces,)."""
 
-    Attributes:
-        v: Mean speed, in the unit of the record.
-        y: Observed resistance [N/kN].
-        weight: S_tt, sum of squared times from the middle of the piece [s^2]; the variance of y due to white speed
-            noise is inversely proportional to it.
-
-    """
-
-    v: Array
-    y: Array
+    v: Array  # Mean speed, in the unit of the record
+    y: Array  # Observed resistance [N/kN]
+    # S_tt, sum of squared times from the middle of the piece [s^2]; the variance of y due to white speed noise is
+    # inversely proportional to it.
     weight: Array
 
     def regressors(self) -> Array:

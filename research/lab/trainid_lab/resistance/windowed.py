@@ -48,21 +48,13 @@ _MAD: Final = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Sums over the residuals so far.
+    """Sums over the residuals so far."""
 
-    Attributes:
-        count: Number of residuals.
-        squares: Sum of their squares [(N/kN)^2].
-        products: Sums of products of residuals at lags 1, 2, ... [(N/kN)^2].
-        last: Latest residuals, oldest first [N/kN].
-        recent: Latest innovations, including those of bad observations, used by :meth:`is_outlier` [N/kN].
-
-    """
-
-    count: int = 0
-    squares: float = 0.0
-    products: tuple[float, ...] = (0.0,) * _LAGS
-    last: tuple[float, ...] = ()
+    count: int = 0  # Number of residuals
+    squares: float = 0.0  # Sum of their squares [(N/kN)^2]
+    products: tuple[float, ...] = (0.0,) * _LAGS  # Sums of products of residuals at lags 1, 2, ... [(N/kN)^2]
+    last: tuple[float, ...] = ()  # Latest residuals, oldest first [N/kN]
+    # Latest innovations, including those of bad observations, used by :meth:`is_outlier` [N/kN].
     recent: tuple[float, ...] = ()
 
     def add(self, residual: float) -> Residuals:

@@ -34,24 +34,14 @@ _RUNAWAY: Final = 1e6
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryFit:
-    """Result of a fit.
+    """Result of a fit."""
 
-    Attributes:
-        theta: a, b, c [N/kN, v in m/s], shape (3,).
-        start: v_0 [m/s].
-        covariance: Covariance of a, b, c and v_0 for noise of unit variance, shape (4, 4).
-        mse: Objective (8) [(m/s)^2].
-        iterations: Number of steps tried.
-        converged: True if the last step was negligible.
-
-    """
-
-    theta: NDArray[np.float64]
-    start: float
-    covariance: NDArray[np.float64]
-    mse: float
-    iterations: int
-    converged: bool
+    theta: NDArray[np.float64]  # a, b, c [N/kN, v in m/s], shape (3,)
+    start: float  # v_0 [m/s]
+    covariance: NDArray[np.float64]  # Covariance of a, b, c and v_0 for noise of unit variance, shape (4, 4)
+    mse: float  # Objective (8) [(m/s)^2]
+    iterations: int  # Number of steps tried
+    converged: bool  # True if the last step was negligible
 
 
 def integrated_least_squares(stages: Stages, measured: NDArray[np.float64]) -> NDArray[np.float64]:

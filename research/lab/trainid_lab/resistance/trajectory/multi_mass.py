@@ -27,16 +27,10 @@ CURVE_COEFFICIENT: Final = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Cars:
-    """Masses of a train.
+    """Masses of a train."""
 
-    Attributes:
-        mass: Mass of each car [any common unit], shape (J,), head first.
-        offset: Distance of each car's centroid behind the head [m], shape (J,).
-
-    """
-
-    mass: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    mass: NDArray[np.float64]  # Mass of each car [any common unit], shape (J,), head first
+    offset: NDArray[np.float64]  # Distance of each car's centroid behind the head [m], shape (J,)
 
     @classmethod
     def of_lengths(cls, mass: NDArray[np.float64], length: NDArray[np.float64]) -> Cars:

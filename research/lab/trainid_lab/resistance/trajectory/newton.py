@@ -46,32 +46,18 @@ class Stop(Enum):
 
 @dataclass(frozen=True, slots=True)
 class NewtonConfig:
-    """Settings of Table 2, and those that it does not define.
+    """Settings of Table 2, and those that it does not define."""
 
-    Attributes:
-        most: N, maximum number of iterations.
-        low: theta_min [N/kN, v in m/s].
-        high: theta_max [N/kN, v in m/s].
-        c1: Sufficient-decrease constant of (24).
-        c2: Curvature constant of (24).
-        accepted: epsilon_1 of (25) [(m/s)^2].
-        small: Delta theta_T, below which a step counts as stuck.
-        apart: Delta theta hat, the minimum difference of a random restart.
-        shrink: Factor from one step length to the next one tried.
-        restart: When to redraw the parameters.
-
-    """
-
-    most: int = 100
-    low: Triple = (0.4, 0.0, 0.0)
-    high: Triple = (3.0, 0.2, 0.01)
-    c1: float = 0.1
-    c2: float = 0.9
-    accepted: float = 0.05
-    small: Triple = (1e-5, 1e-6, 1e-7)
-    apart: Triple = (0.1, 0.002, 0.0001)
-    shrink: float = 0.5
-    restart: Restart = Restart.SMALL_STEP
+    most: int = 100  # N, maximum number of iterations
+    low: Triple = (0.4, 0.0, 0.0)  # theta_min [N/kN, v in m/s]
+    high: Triple = (3.0, 0.2, 0.01)  # theta_max [N/kN, v in m/s]
+    c1: float = 0.1  # Sufficient-decrease constant of (24)
+    c2: float = 0.9  # Curvature constant of (24)
+    accepted: float = 0.05  # epsilon_1 of (25) [(m/s)^2]
+    small: Triple = (1e-5, 1e-6, 1e-7)  # Delta theta_T, below which a step counts as stuck
+    apart: Triple = (0.1, 0.002, 0.0001)  # Delta theta hat, the minimum difference of a random restart
+    shrink: float = 0.5  # Factor from one step length to the next one tried
+    restart: Restart = Restart.SMALL_STEP  # When to redraw the parameters
 
 
 @dataclass(frozen=True, slots=True)

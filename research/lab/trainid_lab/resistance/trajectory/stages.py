@@ -39,16 +39,10 @@ def reach(steps: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Stages:
-    """Known quantities of I stages.
+    """Known quantities of I stages."""
 
-    Attributes:
-        lam: lambda [m^2/s^2 per N/kN], shape (I,).
-        drive: Traction minus additional resistance, 1000 F/(M g) - w_add [N/kN], shape (I,).
-
-    """
-
-    lam: NDArray[np.float64]
-    drive: NDArray[np.float64]
+    lam: NDArray[np.float64]  # lambda [m^2/s^2 per N/kN], shape (I,)
+    drive: NDArray[np.float64]  # Traction minus additional resistance, 1000 F/(M g) - w_add [N/kN], shape (I,)
 
     def speeds(self, theta: NDArray[np.float64], start: float) -> NDArray[np.float64]:
         """Return v_0 to v_I of (7) [m/s], shape (I + 1,), from an initial speed; never below the stall speed."""

@@ -62,28 +62,18 @@ class TwoWindowConfig(PriorSettings):
 
 @dataclass(frozen=True, slots=True)
 class PieceState:
-    """State of the current piece.
+    """State of the current piece."""
 
-    Attributes:
-        speed: Last accepted or predicted speed [m/s].
-        rejected_s: Time since the last accepted speed [s].
-        sums: Regressors at the last sample: three sums of powers of speed, traction, sum of traction.
-        impulse: Integral of the known force, as speed [m/s].
-        row: Sums of residual speed and regressors over the samples of the current row.
-        filled: Number of these samples.
-        speed_min: Their slowest speed [m/s].
-        speed_max: Their fastest speed [m/s].
-
-    """
-
-    speed: float
-    rejected_s: float = 0.0
+    speed: float  # Last accepted or predicted speed [m/s]
+    rejected_s: float = 0.0  # Time since the last accepted speed [s]
+    # Regressors at the last sample: three sums of powers of speed, traction, sum of traction.
     sums: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    impulse: float = 0.0
+    impulse: float = 0.0  # Integral of the known force, as speed [m/s]
+    # Sums of residual speed and regressors over the samples of the current row.
     row: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    filled: int = 0
-    speed_min: float = 0.0
-    speed_max: float = 0.0
+    filled: int = 0  # Number of these samples
+    speed_min: float = 0.0  # Their slowest speed [m/s]
+    speed_max: float = 0.0  # Their fastest speed [m/s]
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,22 +39,13 @@ _MIN_ROWS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row: mean of a few samples of one piece.
+    """One row: mean of a few samples of one piece."""
 
-    Attributes:
-        piece: Index of the piece.
-        rest: Residual speed [m/s].
-        sums: Regressors of a, b, c, force delay and force gain [m/s per unit of the parameter].
-        speed_min: Slowest speed of its samples [m/s].
-        speed_max: Fastest speed of its samples [m/s].
-
-    """
-
-    piece: int
-    rest: float
-    sums: tuple[float, ...]
-    speed_min: float
-    speed_max: float
+    piece: int  # Index of the piece
+    rest: float  # Residual speed [m/s]
+    sums: tuple[float, ...]  # Regressors of a, b, c, force delay and force gain [m/s per unit of the parameter]
+    speed_min: float  # Slowest speed of its samples [m/s]
+    speed_max: float  # Fastest speed of its samples [m/s]
 
 
 @dataclass(frozen=True, slots=True)
