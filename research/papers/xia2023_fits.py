@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    # Theta, final value of (8) if it decides, and iterations, from a start.
+    Fitted = tuple[NDArray[np.float64], float | None, int]
+    Fit = Callable[[NDArray[np.float64]], Fitted]
+
 
 def printed_objective(
     stages: Stages, measured: NDArray[np.float64], theta: NDArray[np.float64], start: float
@@ -143,64 +147,53 @@ def noise_free(task: int) -> tuple[str, list[Tally]]:
     stages, speed = given.stages(), given.speed
     config = replace(NewtonConfig(), accepted=1e-5)
     starts = rng.uniform(config.low, config.high, (_STARTS, 3))
-    tallies = []
-    runs = []
-    for start in starts:
-        begun = time.thread_time()
-        fit = levenberg(stages, speed, np.array([*start, speed[0]]))
-        exact = bool(np.max(np.abs(fit.theta - truth)) < 1e-9)
-        runs.append((exact, fit.iterations, abs(fit.theta[0] - truth[0]), time.thread_time() - begun))
-    tallies.append(_tally('Levenberg, v0 free (ours)', runs))
-    begun = time.thread_time()
-    linear = integrated_least_squares(stages, speed)[:3]
-    good = bool(np.max(np.abs(linear - truth)) < 1e-9)
-    tallies.append(
-        _tally('integrated least squares (ours)', [(good, 0, abs(linear[0] - truth[0]), time.thread_time() - begun)])
-    )
-    runs = []
-    for start in starts[:_ALGORITHM_STARTS]:
-        begun = time.thread_time()
-        theta, f, n = full_steps(stages, speed, start, 1e-5)
-        runs.append((f < 1e-5, n, abs(theta[0] - truth[0]), time.thread_time() - begun))
-    tallies.append(_tally('Gauss-Newton, full steps, no box', runs))
-    for name, evaluate, restart, count in (
-        ('Algorithm 1, printed derivatives, no restart', printed_objective, Restart.NEVER, _ALGORITHM_STARTS),
-        ('Algorithm 1, right derivatives, no restart', objective, Restart.NEVER, _ALGORITHM_STARTS),
-        ('Algorithm 1, printed derivatives, restarts of 3.3', printed_objective, Restart.SMALL_STEP, 1),
-        ('Algorithm 1, right derivatives, restarts of 3.3', objective, Restart.SMALL_STEP, _RESTARTED),
-        ('Algorithm 1, right derivatives, restarts as listed', objective, Restart.EVERY_STEP, _RESTARTED),
-    ):
+
+    def tally(method: str, fit: Fit, count: int) -> Tally:
+        """Fit from some starts; without a final value of (8) a fit is solved if it is exact to 1e-9."""
         runs = []
         for start in starts[:count]:
             begun = time.thread_time()
-            done = newton(
-                partial(_evaluated, evaluate, stages, speed),
-                start,
-                replace(config, restart=restart),
-                rng,
-            )
-            runs.append((done.f < 1e-5, done.iterations, abs(done.theta[0] - truth[0]), time.thread_time() - begun))
-        tallies.append(_tally(name, runs))
-    return kind, tallies
+            theta, f, iterations = fit(start)
+            milliseconds = 1e3 * (time.thread_time() - begun)
+            good = bool(np.max(np.abs(theta - truth)) < 1e-9) if f is None else f < 1e-5
+            runs.append((good, iterations, abs(theta[0] - truth[0]), milliseconds))
+        solved = [run for run in runs if run[0]]
+        error_a = max((run[2] for run in solved), default=float('nan'))
+        spent = float(np.median([run[3] for run in runs]))
+        return Tally(method, len(solved), len(runs), tuple(run[1] for run in solved), error_a, spent)
+
+    def ours(start: NDArray[np.float64]) -> Fitted:
+        fit = levenberg(stages, speed, np.array([*start, speed[0]]))
+        return fit.theta, None, fit.iterations
+
+    def algorithm(evaluate: Callable[..., Objective], restart: Restart) -> Fit:
+        def fit(start: NDArray[np.float64]) -> Fitted:
+            done = newton(partial(at_measured, evaluate, stages, speed), start, replace(config, restart=restart), rng)
+            return done.theta, done.f, done.iterations
+
+        return fit
+
+    printed = partial(algorithm, printed_objective)
+    right = partial(algorithm, objective)
+    return kind, [
+        tally('Levenberg, v0 free (ours)', ours, _STARTS),
+        tally('integrated least squares (ours)', lambda _: (integrated_least_squares(stages, speed)[:3], None, 0), 1),
+        tally(
+            'Gauss-Newton, full steps, no box', lambda start: full_steps(stages, speed, start, 1e-5), _ALGORITHM_STARTS
+        ),
+        tally('Algorithm 1, printed derivatives, no restart', printed(Restart.NEVER), _ALGORITHM_STARTS),
+        tally('Algorithm 1, right derivatives, no restart', right(Restart.NEVER), _ALGORITHM_STARTS),
+        tally('Algorithm 1, printed derivatives, restarts of 3.3', printed(Restart.SMALL_STEP), 1),
+        tally('Algorithm 1, right derivatives, restarts of 3.3', right(Restart.SMALL_STEP), _RESTARTED),
+        tally('Algorithm 1, right derivatives, restarts as listed', right(Restart.EVERY_STEP), _RESTARTED),
+    ]
 
 
-def _evaluated(
+def at_measured(
     evaluate: Callable[..., Objective], stages: Stages, speed: NDArray[np.float64], theta: NDArray[np.float64]
 ) -> Objective:
     """Return value and derivatives with v_0 as measured."""
     return evaluate(stages, speed[1:], theta, float(speed[0]))
-
-
-def _tally(method: str, runs: list[tuple[bool, int, float, float]]) -> Tally:
-    solved = [run for run in runs if run[0]]
-    return Tally(
-        method,
-        len(solved),
-        len(runs),
-        tuple(run[1] for run in solved),
-        max((run[2] for run in solved), default=float('nan')),
-        1e3 * float(np.median([run[3] for run in runs])),
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from research.papers import highspeed_line as data
-from research.papers.xia2023_fits import DISTANCE, NOISE
+from research.papers.xia2023_fits import DISTANCE, NOISE, at_measured
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
 from trainid_lab.resistance.trajectory.stages import Stages, objective
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
@@ -23,8 +23,6 @@ from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from trainid_lab.resistance.trajectory.stages import Objective
 
 ENDS: Final = (22e3, 52e3, 64e3, 82e3, 120e3)
 # b as printed, a tenth of that in Table 3.
@@ -129,15 +127,11 @@ def refitted(given: Drive, method: str, every: int = 1) -> NDArray[np.float64]:
         part = Stages(stages.lam[i - CAPACITY : i], stages.drive[i - CAPACITY : i])
         seen = given.seen[i - CAPACITY : i + 1]
         if method == 'printed':
-            theta = newton(partial(_evaluated, part, seen), theta, replace(config, most=30), rng).theta
+            theta = newton(partial(at_measured, objective, part, seen), theta, replace(config, most=30), rng).theta
         else:
             theta = _boxed(part, seen, config)
         out[i] = theta @ given.record.speed[i] ** np.arange(3)
     return out
-
-
-def _evaluated(stages: Stages, seen: NDArray[np.float64], theta: NDArray[np.float64]) -> Objective:
-    return objective(stages, seen[1:], theta, float(seen[0]))
 
 
 def _boxed(stages: Stages, seen: NDArray[np.float64], config: NewtonConfig) -> NDArray[np.float64]:
