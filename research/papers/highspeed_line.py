@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_lab.resistance.trajectory.stages import Stages, reach
+from trainid_lab.resistance.trajectory.stages import Cars, MultiMassLine, Stages, reach
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Line
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_lab.speed_model.upper_triangle import UPPER
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def nees(lines: Lines, track: Track) -> Array:
     mask = moving(lines)[rows]
     error = (track.state[rows, 1:] - lines.theta[rows]).transpose(0, 2, 1)[mask]
     S = np.empty((*error.shape, 4))
-    for k, (i, j) in enumerate(UPPER):
+    for k, (i, j) in enumerate(zip(*np.triu_indices(4), strict=True)):
         S[..., i, j] = S[..., j, i] = track.S[: len(rows), k][mask]
     scale = np.sqrt(np.einsum('nii->ni', S))
     scaled = error / scale

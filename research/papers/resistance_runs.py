@@ -15,16 +15,13 @@ from research.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_kmh,
 from research.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from research.peers import metro_stream as metro
 from research.peers.hand_filters import HandRls
-from research.peers.our_filters import GRADIENT_STD
+from research.peers.our_filters import VMilsRaw
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.settings import VMilsConfig
-from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.vectors import vec
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent, robust_fit
-from trainid_ros.resistance.davis_posterior import MIN_FORCE_STD
-from trainid_ros.resistance.vmils import VMils, tracker_of
-from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
+from trainid_ros.resistance.vmils import VMils
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
@@ -306,24 +303,15 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     """Return the result of one scenario, including ticks under braking, since here the brake force is known."""
-    data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    tracker = tracker_of(_METRO_PRIOR, (MIN_FORCE_STD**2,) * 3, config)
-    learner = WindowLearner(tracker, config, metro.INERTIA, GRADIENT_STD)
-    raw = data.raw
-    columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
-    for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):
-        if moving:
-            learner.push(
-                WindowSample(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force)
-            )
-        else:
-            learner.interrupt(speed)
-    true, found = data.after, tracker.estimate
-    error_w = _METRO_PHI @ (found.theta[:3] - np.array([true.a, true.b, true.c]))
-    variance = np.sum((_METRO_PHI @ found.P[:3, :3]) * _METRO_PHI, axis=1)
+    data, peer = metro.metro_stream(seed, scenario), VMilsRaw(_METRO_PRIOR)
+    for item in peer.items(data):
+        peer.step(*item)
+    true, (theta, P) = data.after, peer.moments
+    error_w = _METRO_PHI @ (theta - np.array([true.a, true.b, true.c]))
+    variance = np.sum((_METRO_PHI @ P) * _METRO_PHI, axis=1)
     batch = np.asarray(np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0], dtype=np.float64)
     plain = metro.curve_error(batch, true)
-    return MetroResult(_rms(error_w), _rms(error_w / np.sqrt(variance)), tracker.steps_found, plain)
+    return MetroResult(_rms(error_w), _rms(error_w / np.sqrt(variance)), peer.steps_found, plain)
 
 
 def kernel_cost(p: int, updates: int = 20_000, repeats: int = 9) -> float:

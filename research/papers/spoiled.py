@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
+    SpeedKind = Callable[[Array, float, np.random.Generator], Array]
 
 NOISE_STD: Final = 0.75
 _BURST: Final = (5, 15)
@@ -124,33 +125,28 @@ def _spikes(row: Array, share: float, rng: np.random.Generator) -> Array:
     return np.where(rng.random(row.size) < share, row + spike, row)
 
 
-def _zeros(row: Array, share: float, rng: np.random.Generator) -> Array:
-    bad = row.copy()
-    for start, stop in bursts(row.size, share, rng):
-        bad[start:stop] = 0.0
-    return bad
+def _in_bursts(fill: Callable[[Array, int, int, np.random.Generator], Array | float]) -> SpeedKind:
+    """Return what replaces the speeds in bursts; ``fill`` gets the true speeds, start and end."""
+
+    def spoiled(row: Array, share: float, rng: np.random.Generator) -> Array:
+        bad = row.copy()
+        for start, stop in bursts(row.size, share, rng):
+            bad[start:stop] = fill(row, start, stop, rng)
+        return bad
+
+    return spoiled
 
 
-def _held(row: Array, share: float, rng: np.random.Generator) -> Array:
-    bad = row.copy()
-    for start, stop in bursts(row.size, share, rng):
-        bad[start:stop] = row[max(start - 1, 0)]
-    return bad
+def _slip(row: Array, start: int, stop: int, rng: np.random.Generator) -> Array:
+    """Return speeds with a slip of 1 to 12 km/h that rises slowly and falls fast."""
+    place = np.arange(1, stop - start + 1) / (stop - start + 1.0)
+    return np.asarray(row[start:stop] + rng.uniform(*_ERROR_V) * np.interp(place, (0.0, 0.7, 1.0), (0.0, 1.0, 0.0)))
 
 
-def _slips(row: Array, share: float, rng: np.random.Generator) -> Array:
-    """Add bursts of slip of 1 to 12 km/h with a slow rise and a fast fall."""
-    bad = row.copy()
-    for start, stop in bursts(row.size, share, rng):
-        place = np.arange(1, stop - start + 1) / (stop - start + 1.0)
-        bad[start:stop] += rng.uniform(*_ERROR_V) * np.interp(place, (0.0, 0.7, 1.0), (0.0, 1.0, 0.0))
-    return bad
-
-
-_SPEED_KINDS: Final[dict[str, Callable[[Array, float, np.random.Generator], Array]]] = {
+_SPEED_KINDS: Final[dict[str, SpeedKind]] = {
     '': _plain,
     'spike': _spikes,
-    'zero': _zeros,
-    'hold': _held,
-    'slip': _slips,
+    'zero': _in_bursts(lambda _row, _start, _stop, _rng: 0.0),
+    'hold': _in_bursts(lambda row, start, _stop, _rng: row[max(start - 1, 0)]),
+    'slip': _in_bursts(_slip),
 }

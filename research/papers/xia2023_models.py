@@ -12,8 +12,15 @@ import numpy as np
 from research.papers import highspeed_line as data
 from research.papers.xia2023_fits import CASES, KINDS, NOISE, in_time, printed_objective, record
 from trainid_lab.resistance.trajectory.levenberg import levenberg
-from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_lab.resistance.trajectory.stages import Coefficients, Stages, first_derivatives, objective, reach
+from trainid_lab.resistance.trajectory.stages import (
+    Cars,
+    Coefficients,
+    MultiMassLine,
+    Stages,
+    first_derivatives,
+    objective,
+    reach,
+)
 from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.train.train_file import Line
 

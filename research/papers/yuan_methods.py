@@ -12,7 +12,6 @@ from research.papers.lockstep import ManyIntegral, ManyMethod, ManyRls, Track, d
 from research.papers.station_lines import Lines, Noise
 from trainid_lab.speed_model import integral_rls, rls
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
-from trainid_lab.speed_model.upper_triangle import upper
 from trainid_ros.estimators.settings import AmVffRlsConfig, SpeedModelConfig
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Symmetric, Theta, Tuning, prior
 from trainid_ros.train.forces import G
@@ -28,7 +27,9 @@ def _fleet_prior(davis: tuple[float, float, float], k: float) -> tuple[Theta, Sy
     a1, a2, b1, d0 = theta
     by_mass = np.array([a1, a2 - 1.0, b1, d0])
     alone = np.diag([P[0], P[4], 0.0, P[9]])
-    return theta, upper(alone + _FLEET_MASS**2 * np.outer(by_mass, by_mass))
+    covariance = alone + _FLEET_MASS**2 * np.outer(by_mass, by_mass)
+    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = covariance[np.triu_indices(4)].tolist()
+    return theta, (s11, s12, s13, s14, s22, s23, s24, s33, s34, s44)
 
 
 THETA0, P0 = _fleet_prior((2.0, 0.05, 0.0105), G / (1000.0 * 1.08))

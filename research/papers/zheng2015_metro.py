@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -123,16 +123,19 @@ class MetroScores:
 
 def score_seed(seed: int) -> MetroScores:
     """Run all estimators on all data of a seed."""
-    hard, metro, walk = hard_run(seed), metro_run(seed), walk_run(seed)
-    jump, unbraked = jump_run(seed), unbraked_run(seed)
+
+    def scored(run: BrakeRun, rows: Rows, judge: Callable[..., Score] = score) -> tuple[Score, ...]:
+        return tuple(judge(run, trace(run, name, seed, changed, std)) for _, name, changed, std in rows)
+
+    unbraked = unbraked_run(seed)
     return MetroScores(
-        tuple(score(hard, trace(hard, name, seed, s, known_std)) for _, name, s, known_std in ON_HARD),
-        tuple(score(metro, trace(metro, name, seed, s, known_std)) for _, name, s, known_std in ON_METRO),
-        tuple(score(walk, trace(walk, name, seed, s, known_std)) for _, name, s, known_std in ON_WALK),
-        tuple(_score_jump(jump, trace(jump, name, seed, s, known_std)) for _, name, s, known_std in ON_JUMP),
+        scored(hard_run(seed), ON_HARD),
+        scored(metro_run(seed), ON_METRO),
+        scored(walk_run(seed), ON_WALK),
+        scored(jump_run(seed), ON_JUMP, _score_jump),
         tuple(
-            _score_unbraked(unbraked, trace(unbraked, name, seed, s, known_std), s)
-            for _, name, s, known_std in ON_UNBRAKED
+            _score_unbraked(unbraked, trace(unbraked, name, seed, changed, std), changed)
+            for _, name, changed, std in ON_UNBRAKED
         ),
     )
 
@@ -177,9 +180,8 @@ def _score_jump(run: BrakeRun, got: Array) -> Score:
     since = np.where(run.phase == run.phase[-1], run.braked_s - JUMP_AFTER_S, math.nan)
     after = since > 0.0
     found = after & (np.abs(got[:, 0] - run.rate) < _FOUND)
-    rest = score(run, got, after & (since <= _AFTER_JUMP_S))
     found_s = float(since[int(np.argmax(found))]) if found.any() else math.inf
-    return Score(rest.mae, rest.bias, rest.inside_68, rest.inside_95, rest.good_s, found_s)
+    return replace(score(run, got, after & (since <= _AFTER_JUMP_S)), found_s=found_s)
 
 
 def _score_unbraked(run: BrakeRun, got: Array, settings: Mapping[str, float]) -> Score:
@@ -192,9 +194,7 @@ def _score_unbraked(run: BrakeRun, got: Array, settings: Mapping[str, float]) ->
     law = np.sqrt(got[start, 1] ** 2 + drift**2 * (times[rest] - times[start]))
     begin = rest.stop
     later = tuple(float(abs(got[begin + round(t / 0.2), 0] - run.rate[begin + round(t / 0.2)])) for t in LATER_S)
-    plain = score(run, got)
-    off = float(np.max(np.abs(got[rest, 1] / law - 1.0)))
-    return Score(plain.mae, plain.bias, plain.inside_68, plain.inside_95, plain.good_s, math.nan, off, later)
+    return replace(score(run, got), law=float(np.max(np.abs(got[rest, 1] / law - 1.0))), later=later)
 
 
 N: Final = 500

@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_lab.brake_rate.linear_group_cloud import LinearGroupCloud
 from trainid_lab.brake_rate.pade_model import pade_model
 from trainid_lab.brake_rate.particles import Correction, LinearStep, correction
 from trainid_lab.brake_rate.theta_cloud import (
+    LinearGroupCloud,
     MRule,
     ThetaCloud,
     all_values,

@@ -85,9 +85,9 @@ class MilsTracker(RowPeer):
 class VMilsRaw(RowPeer):
     """V-MILS as shipped, from raw ticks with exact force: windows, soft gate, step hypotheses, estimated noise."""
 
-    def __init__(self) -> None:
+    def __init__(self, prior: tuple[float, float, float] = START) -> None:
         config = VMilsConfig()
-        self._tracker = tracker_of(START, (MIN_FORCE_STD**2,) * 3, config)
+        self._tracker = tracker_of(prior, (MIN_FORCE_STD**2,) * 3, config)
         self._learner = WindowLearner(self._tracker, config, INERTIA, GRADIENT_STD)
 
     def items(self, stream: MetroStream) -> list[Item]:
@@ -98,6 +98,11 @@ class VMilsRaw(RowPeer):
             (WindowSample(_TICK_NS * k + 1, PERIOD, v, u, f) if moving else None, v)
             for k, (v, u, f, moving) in enumerate(parts)
         ]
+
+    @property
+    def steps_found(self) -> int:
+        """Number of steps detected."""
+        return self._tracker.steps_found
 
     def step(self, tick: WindowSample | None, speed: float) -> None:
         if tick is None:

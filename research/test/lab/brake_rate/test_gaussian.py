@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_lab.brake_rate.gaussian import anchored, drift, mixed, predict, recentred, update
+from trainid_lab.brake_rate.kalman import anchored, drift, mixed, predict, recentred, update
 from trainid_ros.brake_rate.motion_model import STATES, Start, Transition
 
 Array = NDArray[np.float64]

@@ -17,11 +17,12 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
-from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, NewtonOutcome, Restart, Stop, newton
 from trainid_lab.resistance.trajectory.stages import (
     STALL_SPEED,
+    Cars,
     Coefficients,
+    MultiMassLine,
     Objective,
     Stages,
     first_derivatives,
