@@ -6,26 +6,20 @@ Random days on three lines; the days are the same for all controllers. See ``ato
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from ato.days import CONTROLLERS, Drive, drive_day, plan_day
+from ato.days import CONTROLLERS, DayPlan, Drive, drive_day, plan_day
 from ato.stop_report import WINDOW
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from ato.days import DayPlan
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 # Lines, and runs from stop to stop on a day.
 _LINES: Final = (('metro', 6), ('emu', 4), ('tram', 10))
 # Seeds from here on were not used during development.

@@ -12,36 +12,28 @@ import gc
 import statistics
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.days import REPOSITORY, TRAIN_FILE, assumed_train, simulated_day, ticks_of, write_bag
+from benchmarks.days import REPOSITORY, TRAIN_FILE, TickOfRecords, assumed_train, simulated_day, ticks_of, write_bag
 from benchmarks.processes import command_cpu_s
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.estimators.pipeline import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.estimators.settings import GsmaConfig
-from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.results import Output, Rejection
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from benchmarks.days import TickOfRecords
-    from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.interface.results import Output
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 _SEED: Final = 1
 _BLOCK: Final = 400
 _NAMES: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')

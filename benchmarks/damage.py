@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -23,12 +24,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_definition, full_type, message_from_record, typestore
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import MassRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from trainid_ros.interface.records import Record
+from trainid_ros.interface.records import MassRecord, Record
 
 _MESSAGES: Final = 5_000
 _CHUNK_BYTES: Final = 16_384

@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from benchmarks.yizhuang_day import yizhuang_day
+from trainid_ros.interface.records import Record
 from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile, load_train_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from trainid_ros.interface.records import Record
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 TRAIN_FILE: Final = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'

@@ -9,35 +9,26 @@ promised ones. The same for the brake rate, after one braking from walking speed
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.suggested_drive import ACCELERATION, KM_H, Manoeuvre, suggested_drive
+from trainid_ros.resistance.suggested_drive import ACCELERATION, KM_H, Manoeuvre, SuggestedDrive, suggested_drive
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.sim.plant import TICK_S, Decision, StopEvent
-from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.worlds import REALISMS, WORLDS, find_world, make_case, world_train
+from trainid_ros.sim.plant import TICK_S, Decision, Plant, StopEvent
+from trainid_ros.sim.scenario import Simulation, simulate
+from trainid_ros.sim.worlds import REALISMS, WORLDS, Case, find_world, make_case, world_train
 from trainid_ros.train.forces import davis, required_force
-from trainid_ros.train.train_file import Line
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from trainid_ros.interface.records import Record
-    from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
-    from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.sim.plant import Plant
-    from trainid_ros.sim.scenario import Simulation
-    from trainid_ros.sim.worlds import Case
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Line, TrainFile
 
 ALGORITHMS: Final = ('filter-bank', 'V-MILS')
 # Seeds from here on were not used during development.

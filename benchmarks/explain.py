@@ -10,32 +10,26 @@ import math
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import hidden_cases, hidden_cases_b
+from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
-from trainid_ros.explain.dataset import RunCollector
+from trainid_ros.explain.dataset import Run, RunCollector
 from trainid_ros.explain.workflow import explain
+from trainid_ros.interface.records import Record
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.train_file import parse_train_file
+from trainid_ros.train.train_file import NamedValues, TrainFile, parse_train_file
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from benchmarks.hidden_case import Answer, Case
-    from trainid_ros.explain.dataset import Run
-    from trainid_ros.interface.records import Record
-    from trainid_ros.train.train_file import NamedValues, TrainFile
-
-    Outcomes = Sequence['Outcome']
-
+Outcomes = Sequence['Outcome']
 Generator = Literal['A', 'B']
 GENERATORS: Final[tuple[Generator, ...]] = ('A', 'B')
 CRASHED: Final = 'crashed'

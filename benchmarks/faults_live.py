@@ -15,10 +15,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -52,11 +53,7 @@ from trainid_ros.interface.results import Status
 from trainid_ros.ros.topics import LEASE_S, estimate_qos, message_class
 from trainid_ros.setup.checkpoint import Checkpoint, provenance_of
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from trainid_ros.sim.truth import Truth
+from trainid_ros.sim.truth import Truth
 
 FAULT_S: Final = 30.0
 """How long a fault lasts that ends [s]."""

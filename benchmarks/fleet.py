@@ -21,13 +21,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.days import REPOSITORY, write_bag
 from benchmarks.fleet_bags import FAULTS, Fault, draw_day, draw_train, drive, stated_train
@@ -43,15 +44,7 @@ from trainid_ros.fleet.table_file import Row, empty_row, read_table
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.train.train_file import dump_train_file
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.fleet.table_file import Row
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 # Seeds from here on were not used in development.
 FIRST_SEED: Final = 8_800
 _FULL_SEEDS: Final = 60

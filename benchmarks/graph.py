@@ -6,27 +6,22 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Self
+from pathlib import Path
+from typing import Any, Final, Self
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from benchmarks.days import REPOSITORY
 from trainid_ros.cli.processes import free_domain, local_environment
-from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, OutputTopic, Record
 from trainid_ros.ros.topics import estimate_qos, message_class, source_qos
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from rclpy.qos import QoSProfile
-
-    from trainid_ros.interface.records import OutputTopic, Record
 
 _PROFILE: Final = REPOSITORY / 'config' / 'fastdds_localhost.xml'
 _DISCOVERY_S: Final = 60.0

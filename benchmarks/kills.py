@@ -12,9 +12,10 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Self
+from typing import IO, Any, Final, Self
 
 import numpy as np
 
@@ -23,15 +24,10 @@ from benchmarks.graph import Peer
 from benchmarks.tables import Table
 from trainid_ros.cli.processes import free_domain
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, stamp_of
+from trainid_ros.interface.records import NS_PER_S, OutputTopic, stamp_of
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.setup.checkpoint import Checkpoint, parse_checkpoint
 from trainid_ros.setup.pipelines import KINDS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from trainid_ros.interface.records import OutputTopic
 
 _SEED: Final = 1
 _PERIOD_S: Final = 0.2

@@ -14,9 +14,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,19 +26,13 @@ from benchmarks.graph import Peer, private_domain
 from benchmarks.processes import cpu_s, resident_kb
 from benchmarks.tables import Table
 from trainid_ros.cli.processes import ProcessGroup
-from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, stamp_of
+from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, OutputTopic, Record, stamp_of
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.setup.pipelines import KINDS
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from trainid_ros.interface.records import OutputTopic, Record
-
-    Rows = list[tuple[str, ...]]
-
+Rows = list[tuple[str, ...]]
 _SEED: Final = 1
 # A part of the day with traction, coasting, braking and standstill.
 _START_S: Final = 40.0

@@ -14,10 +14,11 @@ from __future__ import annotations
 import csv
 import math
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,19 +27,12 @@ from scipy.signal import lfilter
 
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text, columns
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.results import ResistanceEstimate, Status
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, resistance_pipeline
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.forces import G
-from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from trainid_ros.interface.records import Record
-    from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 Array = NDArray[np.float64]
 

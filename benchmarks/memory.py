@@ -7,20 +7,16 @@ The records of one simulated day are repeated with shifted stamps; no bag is inv
 from __future__ import annotations
 
 import gc
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from benchmarks.days import assumed_train, simulated_day
 from benchmarks.processes import open_files, resident_kb
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from trainid_ros.interface.records import Record
 
 _SEED: Final = 1
 _HOURS: Final = (0.1, 1.0, 6.0, 24.0)

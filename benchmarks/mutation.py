@@ -23,22 +23,19 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from types import CodeType
+from typing import Any, Final
 
 import pytest
 from pytest import ExitCode
 
 from benchmarks.tables import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
-    from types import CodeType
 
 # Folders by the name under which they are counted, and the least share of mutants that their tests should kill [%].
 FOLDERS: Final = {

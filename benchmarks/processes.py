@@ -9,15 +9,13 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from benchmarks.days import REPOSITORY
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 TRAINID: Final = (sys.executable, '-m', 'trainid_ros.cli.main')
 _EVERY_S: Final = 0.5

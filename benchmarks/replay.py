@@ -10,9 +10,11 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from rosbags.highlevel import AnyReader
 
@@ -25,13 +27,7 @@ from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
-from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 _BAGS: Final = ('yizhuang_day', 'altrios_manifest')
 _ROUNDS: Final = 5

@@ -10,18 +10,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.days import assumed_train, simulated_day
 from benchmarks.seeds import over_seeds
-from benchmarks.worlds import FIELD, Rates, drive
+from benchmarks.worlds import FIELD, Rates, Truth, drive
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.records import BRAKE, NS_PER_S, SPEED, Row
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.hypotheses import A, C
 from trainid_ros.setup.pipelines import (
@@ -35,13 +35,9 @@ from trainid_ros.setup.pipelines import (
 )
 from trainid_ros.speed_model.am_vff_rls import resistance_variance
 from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import specific_inertia
-
-if TYPE_CHECKING:
-    from benchmarks.worlds import Truth
-    from trainid_ros.interface.results import Reason, Rejection
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,10 +22,6 @@ from std_msgs.msg import Float64
 from trainid_ros.cli.processes import die_with
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Row, record_of
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 _OVERDUE_NS: Final = NS_PER_S // 5
 

@@ -13,10 +13,11 @@ import os
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -31,9 +32,6 @@ from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, stamp_of
 from trainid_ros.ros.topics import message_from_record
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _SEED: Final = 1
 _DEPTH: Final = 40000

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
 
 # Columns of tables that answer a claim, with its target or verdict.
 _CLAIM: Final = re.compile(r'^\|.*\| *(met\?|target|verdict) *\|', re.MULTILINE)

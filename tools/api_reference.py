@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import ast
 import re
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from tools.documents import ROOT
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PAGES: Final = {
     'client': ('client',),

@@ -21,18 +21,16 @@ import sys
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.truth import Truth, save_truth
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, dump_train_file
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 FIRST_ROW: Final = 31_500
 START_NS: Final = 1_710_000_000 * NS_PER_S

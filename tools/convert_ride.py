@@ -21,20 +21,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile, dump_train_file
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 START_NS: Final = 1_720_000_000 * NS_PER_S
 PAUSE_S: Final = 1.5
 SPEED_STEP_S: Final = 0.2

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shutil
 import sys
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -16,9 +17,6 @@ from benchmarks.days import REPOSITORY, TRAIN_FILE, assumed_train, write_bag
 from benchmarks.yizhuang_day import RUNS, yizhuang_day
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.truth import save_truth
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 # Runs from stop to stop, and the seed of the random numbers.
 BAGS: Final = {'yizhuang_day': (RUNS, 2018), 'tiny': (2, 2015)}

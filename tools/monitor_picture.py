@@ -11,14 +11,14 @@ import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 
 from tools.documents import ROOT
-from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay_through
+from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.interface.records import (
     FORCE_TOPIC,
     INPUT_TOPICS,
@@ -35,10 +35,6 @@ from trainid_ros.ros.topics import Publishers
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    from trainid_ros.bag.bag_replay import AnyOutput
-    from trainid_ros.bag.reader import LoggedRecord
 
 _BAG: Final = ROOT / 'bags' / 'tiny'
 _NAMESPACE: Final = '/train_1'

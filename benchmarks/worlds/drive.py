@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.worlds.motion import HABITS, STEPS_PER_TICK, TICK, Motion, Plan, simulate
-from benchmarks.worlds.tracks import lay_way, track_of
+from benchmarks.worlds.motion import HABITS, STEPS_PER_TICK, TICK, Log, Motion, Plan, simulate
+from benchmarks.worlds.tracks import Pairs, Track, lay_way, track_of
 from benchmarks.worlds.unknowns import (
     FIELD,
     KINDS,
@@ -24,14 +26,6 @@ from benchmarks.worlds.unknowns import (
 )
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-
-    from numpy.typing import NDArray
-
-    from benchmarks.worlds.motion import Log
-    from benchmarks.worlds.tracks import Pairs, Track
 
 EPOCH_NS: Final = 1_700_000_000_000_000_000
 JITTER: Final = 0.5e-3

@@ -9,17 +9,13 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.worlds.unknowns import G
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from benchmarks.worlds.tracks import Way
-    from benchmarks.worlds.unknowns import BrakeRate, Coefficients, Errors, Resistance, Vehicle
+from benchmarks.worlds.tracks import Way
+from benchmarks.worlds.unknowns import BrakeRate, Coefficients, Errors, G, Resistance, Vehicle
 
 TICK: Final = 0.2
 STEP: Final = 0.02

@@ -7,13 +7,11 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 Range = tuple[float, float]
 Pairs = tuple[tuple[float, float], ...]

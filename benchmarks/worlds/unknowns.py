@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import zlib
 from bisect import bisect_right
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 UNKNOWNS: Final = (
     'mass', 'force_gain', 'force_delay', 'curve', 'map', 'wheels', 'gusts', 'quantum', 'changes', 'brake',

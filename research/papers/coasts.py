@@ -10,23 +10,19 @@ converts them, and :func:`samples` makes samples for the estimators.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample, coasting_sample
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 GAMMA: Final = 0.06
 KMH: Final = 1.0 / 3.6
 INERTIA: Final = specific_inertia(KMH, GAMMA)

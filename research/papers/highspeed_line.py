@@ -11,19 +11,16 @@ or, for the inverse crime, by the scheme (7) itself.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_lab.resistance.trajectory.stages import Cars, MultiMassLine, Stages, reach
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Line
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 MASS_T: Final = 981.7
 LENGTH: Final = 400.47

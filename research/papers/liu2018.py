@@ -8,20 +8,17 @@ variance if there are gusts; see :mod:`research.papers.coasts`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from benchmarks.seeds import over_seeds
-from benchmarks.tables import Table
+from benchmarks.tables import Plot, Table
 from research.papers import liu_claims as claims
 from research.papers import liu_numerics as numerics
 from research.papers import liu_tables as tables
+from research.papers.liu_numerics import Outcome
 from research.papers.liu_streams import trial
-
-if TYPE_CHECKING:
-    from benchmarks.tables import Plot
-    from research.papers.liu_numerics import Outcome
 
 _FIRST: Final = 5000
 _SHORT: Final = 20_000

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import coasts as data
 from research.papers.liu_numerics import printed_mils, regularised_rls
 from trainid_lab.resistance.least_squares import least_squares, ridge, unpacked
-from trainid_lab.resistance.recursive import covariance
+from trainid_lab.resistance.recursive import Vector, covariance
 from trainid_lab.resistance.regressions import (
     Regression,
     RegressionState,
@@ -23,13 +24,7 @@ from trainid_lab.resistance.regressions import (
 )
 from trainid_ros.train.forces import G
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from trainid_lab.resistance.recursive import Vector
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 COUNT: Final = 1032
 STD: Final = 0.75
 PENALTY: Final = 50.0

@@ -5,24 +5,20 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import coasts as data
 from trainid_lab.resistance.least_squares import add, solve, unpacked
 from trainid_lab.resistance.recursive import Factors, Vector, covariance, forget, rls, shrink, start
 from trainid_lab.resistance.regressions import mils
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[Any]
-    Pair = tuple[Vector, float]
-
+Array = NDArray[Any]
+Pair = tuple[Vector, float]
 _P0: Final = 1e6
 LONG: Final = 100_000
 MU: Final = 0.99

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import coasts as data
 from research.papers.liu_errata import COUNT, STD, Errata, Record, errata, regressors
@@ -21,12 +22,8 @@ from trainid_lab.resistance.segments import Observations, Segments, Windows, dif
 from trainid_lab.resistance.windowed import Residuals
 from trainid_ros.setup.pipelines import RESISTANCE
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Theta = tuple[float, float, float]
 
 CHANGES: Final = (0.5, 1.0, 2.0, 4.0)

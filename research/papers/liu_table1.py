@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from research.papers import coasts as data
@@ -14,11 +15,7 @@ from trainid_lab.resistance.least_squares import Prior, fit_with_prior, least_sq
 from trainid_lab.resistance.regressions import Regression, innovation_step, run
 from trainid_lab.resistance.segments import Cutter, Observations, Segments, Windows, observe
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 LENGTHS: Final = (1, 2, 4, 6)
 PENALTY: Final = 50.0
 PRINTED: Final = (

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,12 +11,20 @@ from matplotlib.figure import Figure
 from benchmarks.tables import Plot, Table
 from research.papers import coasts as data
 from research.papers.liu_claims import judged
-from research.papers.liu_streams import BY_FLAG, FAULTS, PLANS, PREPARATIONS, SETTLINGS, STREAMS, TRACKERS, TRUTHS
+from research.papers.liu_streams import (
+    BY_FLAG,
+    FAULTS,
+    PLANS,
+    PREPARATIONS,
+    SETTLINGS,
+    STREAMS,
+    TRACKERS,
+    TRUTHS,
+    Settling,
+    Trial,
+)
 from research.papers.liu_table1 import FIG2, LENGTHS, PRINTED, WINDOWS, dilution, seen_by
-
-if TYPE_CHECKING:
-    from research.papers.liu_streams import Settling, Trial
-    from trainid_lab.resistance.segments import Cutter
+from trainid_lab.resistance.segments import Cutter
 
 _TARGETED: Final = '11 samples, 50 % overlap, LS'
 _EARLY: Final = 70

@@ -9,20 +9,16 @@ also take arrays; only decisions are implemented twice, and a test checks that b
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.speed_model import integral_rls, rls
 from trainid_ros.interface.state import encode, restore
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
-    from trainid_ros.speed_model.am_vff_rls import Method, Symmetric, Theta
+from trainid_ros.speed_model.am_vff_rls import Method, Symmetric, Theta
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

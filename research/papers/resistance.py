@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,6 +17,10 @@ from research.papers.resistance_runs import (
     GUST,
     JUMP_STD,
     JUMPS,
+    CoastErrors,
+    JumpResult,
+    MetroResult,
+    ObservedErrors,
     coast_errors,
     jump_results,
     kernel_cost,
@@ -24,11 +29,6 @@ from research.papers.resistance_runs import (
 )
 from research.papers.spoiled import OBSERVED, SPEEDS
 from research.peers.metro_stream import SCENARIOS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from research.papers.resistance_runs import CoastErrors, JumpResult, MetroResult, ObservedErrors
 
 # Ratio to the bound above which a run has failed.
 _FAILED: Final = 4.0

@@ -6,9 +6,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import coasts as coast_data
 from research.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_kmh, in_si
@@ -20,17 +21,11 @@ from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mil
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent, robust_fit
+from trainid_ros.resistance.change_points import ChangePointConfig, Normal, Tracker, independent, robust_fit
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.train.train_file import Davis
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from trainid_ros.resistance.change_points import Normal
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 # Prior standard deviation of the term of each parameter in w at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)
 _FAST: Final = 22.0

@@ -9,22 +9,18 @@ half of a burst and positive in the second, as by a wheel that slips and regains
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers.coasts import KMH, CoastPlan, Coasts, white_observations
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    SpeedKind = Callable[[Array, float, np.random.Generator], Array]
-
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+SpeedKind = Callable[[Array, float, np.random.Generator], Array]
 NOISE_STD: Final = 0.75
 _BURST: Final = (5, 15)
 _ERROR: Final = (4.0, 20.0)

@@ -12,17 +12,15 @@ w [N/kN of the nominal weight], ``c = k m_nominal / m``, the gradient i [per mil
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.forces import G
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,9 @@ assumed instead. Seeds below 1000 were used to tune the two windows; the experim
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,9 +21,6 @@ from research.papers import xia2023_models as models
 from research.papers import xia2023_online as ways
 from research.papers import xia2023_product as product
 from research.papers.xia2023_models import derivative_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 _FIRST_SEED: Final = 5000
 # Refits of 20 samples and metro runs are slow, so they use fewer seeds.

@@ -7,11 +7,13 @@ Their equations and methods are here as printed, including errors, for compariso
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import highspeed_line as data
 from research.papers.highspeed_line import INERTIA
@@ -28,14 +30,9 @@ from trainid_lab.resistance.trajectory.stages import (
 )
 from trainid_ros.resistance.davis_fit import DavisFitConfig, Trajectory, fit_davis, recur
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    # Theta, final value of (8) if it decides, and iterations, from a start.
-    Fitted = tuple[NDArray[np.float64], float | None, int]
-    Fit = Callable[[NDArray[np.float64]], Fitted]
+# Theta, final value of (8) if it decides, and iterations, from a start.
+Fitted = tuple[NDArray[np.float64], float | None, int]
+Fit = Callable[[NDArray[np.float64]], Fitted]
 
 
 def printed_objective(

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import cmath
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.papers import highspeed_line as data
 from research.papers.xia2023_fits import CASES, KINDS, NOISE, in_time, printed_objective, record
@@ -23,9 +24,6 @@ from trainid_lab.resistance.trajectory.stages import (
 )
 from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.train.train_file import Line
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SPEEDS: Final = (270.0, 290.0, 305.0)
 _QUIET: Final = DavisFitConfig(

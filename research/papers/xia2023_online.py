@@ -7,9 +7,10 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from research.papers import highspeed_line as data
@@ -20,9 +21,6 @@ from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowCon
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 ENDS: Final = (22e3, 52e3, 64e3, 82e3, 120e3)
 # b as printed, a tenth of that in Table 3.

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.days import assumed_train, samples_of
 from benchmarks.yizhuang_day import DRY, yizhuang_day
@@ -23,11 +25,6 @@ from trainid_lab.resistance.trajectory.window import RowNoise, WindowPrior, fit_
 from trainid_ros.interface.results import Reason
 from trainid_ros.resistance.davis_fit import DavisFitConfig, PieceCollector, Trajectory, fit_davis
 from trainid_ros.sim.scenario import simulate
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 SEGMENT: Final = 513
 TROUBLES: Final[tuple[Scenario, ...]] = ('clean', 'slip', 'out5')

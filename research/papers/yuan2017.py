@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -44,9 +45,6 @@ from research.papers.yuan_methods import (
 from trainid_lab.speed_model import integral_rls
 from trainid_lab.speed_model.rls import NO_CLAMP
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 

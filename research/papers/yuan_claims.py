@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +14,6 @@ from research.papers.line_scores import Score, moving, rms
 from research.papers.lockstep import Track
 from research.papers.station_lines import NOISES, Lines, Noise, measured
 from research.papers.yuan_methods import PRINTED, paper
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 WHITE: Final = NOISES[0]
 _SHARP: Final = 0.005

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.seeds import over_seeds
@@ -17,13 +18,7 @@ from benchmarks.tables import Plot, Table
 from research.papers import zheng2015_metro as metro
 from research.papers import zheng2015_paper as paper
 from research.papers.brake_runs import JUMP_AFTER_S, jump_run
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.axes import Axes
-
-    from research.papers.zheng2015_paper import Errors, Estimates, PaperRun
+from research.papers.zheng2015_paper import Errors, Estimates, PaperRun
 
 Filter = Callable[['PaperRun', int], 'Estimates']
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,6 @@ from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator, Dist
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.setup.pipelines import BRAKE_RATE
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Array = NDArray[np.float64]
 

@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from research.peers.metro_stream import NOISE_SD
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from research.peers.metro_stream import MetroStream
+from research.peers.metro_stream import NOISE_SD, MetroStream
 
 Item = tuple[Any, ...]
 

@@ -13,19 +13,16 @@ All operations are vectorised; one seed takes about 20 ms. The scenarios of one 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import Davis
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Scenario = Literal['clean', 'out5', 'slip', 'step']
 SCENARIOS: Final[tuple[Scenario, ...]] = get_args(Scenario)
 

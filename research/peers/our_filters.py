@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from research.peers.hand_filters import START, START_SD, VARIANCE, RowPeer, speeds_of, square
-from research.peers.metro_stream import INERTIA, PERIOD
+from research.peers.metro_stream import INERTIA, PERIOD, MetroStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
@@ -19,11 +19,7 @@ from trainid_ros.resistance.davis_posterior import MIN_FORCE_STD
 from trainid_ros.resistance.vmils import tracker_of
 from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 
-if TYPE_CHECKING:
-    from research.peers.metro_stream import MetroStream
-
-    Item = tuple[Any, ...]
-
+Item = tuple[Any, ...]
 P: Final = 10
 OUTLIERS: Final = 0.05
 PRIOR: Final = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)

@@ -15,14 +15,15 @@ import time
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.seeds import over_seeds
 from benchmarks.stepping import step_and_estimate
 from benchmarks.tables import Table
-from research.papers.brake_runs import metro_run, metro_train
+from research.papers.brake_runs import BrakeRun, metro_run, metro_train
 from research.peers.contest import FIRST_SEED, installed
 from trainid_lab.brake_rate.particles import (
     SPEED,
@@ -36,19 +37,12 @@ from trainid_lab.brake_rate.particles import (
     systematic,
 )
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.motion_model import STATES
+from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.results import Rejection
 from trainid_ros.setup.pipelines import BRAKE_RATE
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from research.papers.brake_runs import BrakeRun
-    from trainid_ros.brake_rate.motion_model import Errors, Start, Transition
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 # Few stops per drive allow many seeds; the variation between drives exceeds that between stops.
 _STOPS: Final = 2
 _SHORT_STOPS: Final = 1

@@ -9,21 +9,15 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from research.peers.hand_filters import GATE, START, START_SD, VARIANCE, RowPeer, speeds_of
-from research.peers.metro_stream import BEFORE, INERTIA, PERIOD, SPEED_SD
+from research.peers.hand_filters import GATE, START, START_SD, VARIANCE, Item, RowPeer, speeds_of
+from research.peers.metro_stream import BEFORE, INERTIA, PERIOD, SPEED_SD, MetroStream
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from research.peers.hand_filters import Item
-    from research.peers.metro_stream import MetroStream
-
-    Floats = NDArray[np.float64]
-
+Floats = NDArray[np.float64]
 DRIFT: Final = 4e-5
 """Drift of a, b, c per update, relative to their values."""
 _TRUTH: Final = np.array((BEFORE.a, BEFORE.b, BEFORE.c))

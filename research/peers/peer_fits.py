@@ -14,18 +14,20 @@ import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from research.papers.brake_runs import metro_train
-from research.peers.contest import FIRST_SEED, REPOSITORY, growth, installed, time_in_turns
+from research.peers.contest import FIRST_SEED, REPOSITORY, Times, growth, installed, time_in_turns
 from research.peers.hand_filters import VARIANCE, HandRls
-from research.peers.metro_stream import INERTIA, PERIOD, SPEED_SD, curve_error, metro_stream
+from research.peers.metro_stream import INERTIA, PERIOD, SPEED_SD, Scenario, curve_error, metro_stream
 from research.peers.our_filters import OUTLIERS, PRIOR, P
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
 from trainid_ros.brake_rate.gsma import Gsma
@@ -34,20 +36,11 @@ from trainid_ros.estimators.settings import AmVffRlsConfig, GsmaConfig
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.resistance.davis_fit import DavisFitConfig, Trajectory, fit_davis
 from trainid_ros.setup.pipelines import am_vff_rls
+from trainid_ros.train.train_file import Davis
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from research.peers.contest import Times
-    from research.peers.metro_stream import Scenario
-    from trainid_ros.train.train_file import Davis
-
-    Floats = NDArray[np.float64]
-    Simulation = Callable[[float, float, float, float, Floats, Floats], None]
-    Item = tuple[Any, ...]
-
+Floats = NDArray[np.float64]
+Simulation = Callable[[float, float, float, float, Floats, Floats], None]
+Item = tuple[Any, ...]
 _RIDES: Final[tuple[Scenario, ...]] = ('clean', 'slip', 'out5')
 _MIN_TICKS: Final = 400
 _MANY_ROWS: Final = 10_000

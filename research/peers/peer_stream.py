@@ -5,31 +5,26 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
 from research.peers import peer_filters as peers
 from research.peers.contest import FIRST_SEED, Times, copied, growth, installed, time_in_turns
 from research.peers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
-from research.peers.metro_stream import SCENARIOS, curve_error, metro_stream
+from research.peers.metro_stream import SCENARIOS, MetroStream, curve_error, metro_stream
 from research.peers.our_filters import MilsPlain, MilsTracker, VMilsRaw
+from trainid_ros.train.train_file import Davis
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    from research.peers.metro_stream import MetroStream
-    from trainid_ros.train.train_file import Davis
-
+Floats = NDArray[np.float64]
 REFERENCE: Final = 'hand RLS, floats'
 OURS: Final = 'trainid V-MILS p = 10, with step detection'
 OUR_NODE: Final = 'trainid V-MILS as shipped, raw speed'

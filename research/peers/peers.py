@@ -8,13 +8,11 @@ run, and the tables say so.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from benchmarks.tables import Plot, Table
 from research.peers import peer_brake, peer_fits, peer_stream
 from research.peers.contest import PEERS
-
-if TYPE_CHECKING:
-    from benchmarks.tables import Plot, Table
 
 _PARTS: Final = (peer_stream.measure, peer_fits.measure, peer_brake.measure, peer_fits.measure_costs)
 

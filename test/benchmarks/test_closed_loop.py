@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from ato.days import CONTROLLERS, Bound, DayPlan, Drive, plan_day
 from benchmarks.closed_loop import Outcome, _bounds, _rides, _stops, outcome_of
+from benchmarks.tables import Table
 from trainid_ros.sim.plant import StopEvent
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from benchmarks.tables import Table
 
 WORLDS = ('metro', 'emu', 'tram')
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,6 +14,8 @@ from scipy.stats import binom
 from benchmarks import hidden_cases, hidden_cases_b
 from benchmarks.explain import (
     GENERATORS,
+    Generator,
+    Outcome,
     Spec,
     alarmed,
     exact,
@@ -23,11 +25,6 @@ from benchmarks.explain import (
     try_case,
     within_two,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from benchmarks.explain import Generator, Outcome
 
 pytestmark = pytest.mark.slow
 

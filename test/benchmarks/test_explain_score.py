@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import io
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import pytest
 from benchmarks.explain import (
     CRASHED,
     GENERATORS,
+    Generator,
     Named,
     Outcome,
     Rate,
@@ -35,9 +36,6 @@ from benchmarks.explain import (
 )
 from benchmarks.hidden_case import Answer, HiddenEffect
 from benchmarks.tables import Plot, as_markdown
-
-if TYPE_CHECKING:
-    from benchmarks.explain import Generator
 
 WIND = HiddenEffect('headwind', (('speed', 5.0),), (), 60.0)
 DRAG = HiddenEffect('local_drag', (), (), 40.0)

@@ -3,30 +3,23 @@ from __future__ import annotations
 
 import ast
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks import hidden_cases, hidden_cases_b
 from benchmarks.hidden_cases.effects import COUNTS_FROM_START, LIBRARY, OUTSIDE, Hidden, Moment, traction_scale
 from benchmarks.hidden_cases.make import make_case, measure_gaps, ride_case
-from benchmarks.hidden_cases.motion import STEP, Ride
-from benchmarks.hidden_cases.world import Track, draw_world
-from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import ModuleType
-
-    from numpy.typing import NDArray
-
-    from benchmarks.hidden_cases.motion import Log
-    from benchmarks.hidden_cases.world import World
-    from trainid_ros.interface.records import Record
+from benchmarks.hidden_cases.motion import STEP, Log, Ride
+from benchmarks.hidden_cases.world import Track, World, draw_world
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 G = 9.81
 

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
+from benchmarks.hidden_case import Case
 from benchmarks.hidden_cases_b import LIBRARY, NEAR, OUTSIDE, PAIRS, SENSOR_EXTRA, make_case
 from benchmarks.hidden_cases_b.case import balance_residual
 from benchmarks.hidden_cases_b.motion import NEUTRAL
@@ -17,9 +16,6 @@ from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import parse_train_file
-
-if TYPE_CHECKING:
-    from benchmarks.hidden_case import Case
 
 
 def test_names_are_in_the_library_or_outside_effects() -> None:

@@ -5,19 +5,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.worlds import CLEAN, FIELD, UNKNOWNS, WORLDS, Drive, Rates, drive
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.interface.scalars import find_fault
 from trainid_ros.train.train_file import dump_train_file, parse_train_file
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 G = 9.80665
 TOPICS: tuple[type[Record], ...] = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)

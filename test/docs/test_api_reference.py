@@ -6,8 +6,8 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 from unittest.mock import Mock
 
 import pytest
@@ -15,9 +15,6 @@ import pytest
 from tools.api_reference import PAGES, api_page, module_text
 from tools.docs_site import on_files
 from tools.documents import ROOT, links
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MODULE = '''
 """Head, see :mod:`other`.

@@ -7,7 +7,8 @@ import ast
 import math
 import re
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -22,9 +23,6 @@ from trainid_ros.interface.results import ResistanceEstimate, Status
 from trainid_ros.setup.pipelines import BRAKE_RATE, RESISTANCE, SPEED_MODEL
 from trainid_ros.sim.worlds import UNKNOWNS, WORLDS
 from trainid_ros.train.effects import EFFECTS, FOLDERS_VARIABLE, Davis, TrackPoint
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def text_of(name: str) -> str:

@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from tools.documents import ROOT, anchors, documents, links, resolve, rewrite
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PAGES = (*documents(), ROOT / 'bags' / 'README.md')
 

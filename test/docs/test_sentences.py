@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from tools.documents import ROOT, documents
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 LIMIT = 30  # words
 WHOLE = 40  # words of a sentence with what follows its colons

@@ -13,8 +13,9 @@ Means have the shape (n + 1,), covariances (n + 1, n + 1).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,7 @@ from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Error
 from trainid_ros.estimators.settings import BrakeRateConfig, JumpConfig
 from trainid_ros.interface.state import State, declare, decode, definite, encode
 from trainid_ros.interface.vectors import vec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 
 def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:

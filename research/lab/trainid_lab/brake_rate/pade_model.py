@@ -13,15 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_lab.brake_rate.particles import LinearStep
+from trainid_lab.brake_rate.particles import Array, LinearStep
 from trainid_ros.interface.errors import InputError
-
-if TYPE_CHECKING:
-    from trainid_lab.brake_rate.particles import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,15 +8,12 @@ Arrays over N particles have the particles in the last axis.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.brake_rate.motion_model import STATES, Errors
-
-if TYPE_CHECKING:
-    from trainid_ros.brake_rate.motion_model import Start, Transition
+from trainid_ros.brake_rate.motion_model import STATES, Errors, Start, Transition
 
 Array = NDArray[np.float64]
 

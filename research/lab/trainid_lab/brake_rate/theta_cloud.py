@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_lab.brake_rate.particles import (
     Array,
@@ -23,9 +24,6 @@ from trainid_lab.brake_rate.particles import (
     normalise,
     systematic,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # Index offsets of the values in a printed group from its middle.
 _GROUP: Final = np.array([[1], [0], [-1]])

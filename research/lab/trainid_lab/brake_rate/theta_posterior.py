@@ -12,16 +12,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.brake_rate.particles import (
     SPEED,
+    Array,
     Correction,
+    LinearStep,
     effective_number,
     error_covariance,
     errors_of,
@@ -36,12 +39,7 @@ from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.state import decode, encode
 from trainid_ros.interface.vectors import vec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from trainid_lab.brake_rate.particles import Array, LinearStep
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,14 +24,12 @@ Observations in a run of fewer than p good ones are never used.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from trainid_lab.resistance.least_squares import add, solve
 from trainid_lab.resistance.recursive import Factors, Symmetric, Vector, forget, rls, shrink, start
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 Regressors: TypeAlias = tuple[Vector, ...]
 Values: TypeAlias = tuple[float, ...]
@@ -109,8 +107,7 @@ class RegressionState:
     steps: int = 0  # Steps made
 
 
-if TYPE_CHECKING:
-    Step = Callable[[RegressionState, Vector, float, Regression], RegressionState]
+Step = Callable[[RegressionState, Vector, float, Regression], RegressionState]
 
 
 def begin(regression: Regression) -> RegressionState:

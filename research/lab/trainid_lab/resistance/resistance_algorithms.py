@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from trainid_lab.resistance.regressions import innovation_step, solve_step, strict_step
+from trainid_lab.resistance.regressions import Step, innovation_step, solve_step, strict_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_lab.resistance.windowed import WindowedConfig, WindowedRegression
 from trainid_ros.estimators.algorithm_registry import Algorithm
 from trainid_ros.interface.results import ResistanceEstimate
-
-if TYPE_CHECKING:
-    from trainid_lab.resistance.regressions import Step
 
 _ONE: Final = frozenset({'innovation_length'})
 _NO_PENALTY: Final = frozenset({'penalty', 'record_length'})

@@ -15,21 +15,17 @@ omits the rotating masses and uses g = 10.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.forces import specific_inertia
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
+Array = NDArray[np.float64]
 # Rounded speeds differ by whole quanta; without this tolerance, 62.3 - 61.8 falls short of 0.5.
 _ROUNDING = 1e-9
 

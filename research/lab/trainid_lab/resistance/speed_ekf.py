@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_ros.estimators.settings import PriorSettings, prior_variances
 from trainid_ros.interface.errors import check_settings, setting
-from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State as Declared
 from trainid_ros.interface.state import declare, encode, restore
 from trainid_ros.resistance.davis_posterior import (
@@ -39,11 +39,8 @@ from trainid_ros.resistance.davis_posterior import (
     resistance_estimate,
 )
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-
-if TYPE_CHECKING:
-    from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
 
 State = tuple[float, ...]
 

@@ -20,10 +20,10 @@ from __future__ import annotations
 import math
 import statistics
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
-from trainid_lab.resistance.recursive import covariance, prediction_variance
-from trainid_lab.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
+from trainid_lab.resistance.recursive import Vector, covariance, prediction_variance
+from trainid_lab.resistance.regressions import Regression, RegressionState, Step, begin, skip, strict_step
 from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
@@ -31,12 +31,8 @@ from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import is_accurate, largest_std, representative_speeds
 from trainid_ros.resistance.window_learner import WindowResult, WindowSample, observe_resistance
 from trainid_ros.stream.known_force import Admission, KnownForce
-
-if TYPE_CHECKING:
-    from trainid_lab.resistance.recursive import Vector
-    from trainid_lab.resistance.regressions import Step
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
 
 _LAGS: Final = 8
 _MEMORY: Final = 51

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from trainid_lab.speed_model.rls import MethodNumbers, Numbers, output, regressor, times, updated
 from trainid_ros.estimators.settings import SpeedModelConfig
@@ -25,9 +25,7 @@ from trainid_ros.interface.errors import setting
 from trainid_ros.speed_model.am_vff_rls import Learned, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-
-if TYPE_CHECKING:
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 # x, theta, P, steps since the last regression, last clipped speed, variance of x due to noise, standard deviation of x
 # due to theta; then a block for each step in the window: phi of the step and the clipped speed at its start.

@@ -16,16 +16,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, TypeAlias
+from typing import ClassVar, Final, NamedTuple, TypeAlias
 
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
 from trainid_ros.interface.state import State, declare
 from trainid_ros.speed_model.am_vff_rls import Learned, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
-
-if TYPE_CHECKING:
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 Numbers: TypeAlias = tuple[float, ...]
 """State of an algorithm as it is saved: its speed x, then theta, then what else it stores."""

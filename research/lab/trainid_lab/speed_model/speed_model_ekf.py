@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import setting
-from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Symmetric, Theta, Tuning
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-
-if TYPE_CHECKING:
-    from trainid_ros.speed_model.am_vff_rls import Symmetric, Theta
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages, first_derivatives
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SCALE: Final = np.array([1.0, 0.02, 0.001, 1.0])
 """Typical sizes of a, b, c and v_0, used to scale the steps."""

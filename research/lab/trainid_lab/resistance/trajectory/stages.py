@@ -23,18 +23,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.resistance.davis_fit import recur
 from trainid_ros.train.forces import G
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from trainid_ros.train.train_file import Line, Pairs
+from trainid_ros.train.train_file import Line, Pairs
 
 STALL_SPEED: Final = 1.0
 """Lower limit of the modelled speed [m/s]: for parameters far from the truth (7) has no real root."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -32,10 +32,8 @@ from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.resistance.davis_posterior import largest_std
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-
-if TYPE_CHECKING:
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
 
 # Standard deviation of the known force in the speed prediction, in addition to gusts [N/kN].
 _PREDICTION: Final = 1.0
