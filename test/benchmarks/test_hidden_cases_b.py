@@ -6,10 +6,9 @@ import pytest
 
 from benchmarks.hidden_case import Case
 from benchmarks.hidden_cases_b import LIBRARY, NEAR, OUTSIDE, PAIRS, SENSOR_EXTRA, make_case
-from benchmarks.hidden_cases_b.case import balance_residual
+from benchmarks.hidden_cases_b.case import balance_residual, draw_instruments
 from benchmarks.hidden_cases_b.motion import NEUTRAL
 from benchmarks.hidden_cases_b.scene import Wish, draw_scene, drive
-from benchmarks.hidden_cases_b.sensing import draw_instruments
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample

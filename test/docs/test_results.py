@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.run import PARTS, main
-from benchmarks.summary import missing_quotes, revisions, summary
+from benchmarks.run import PARTS, main, missing_quotes, revisions, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [*PARTS]

@@ -103,15 +103,6 @@ def information_of(estimate: DavisPosterior) -> Information:
     return A, B, C, D, E, F, A * a + B * b + C * c, B * a + D * b + E * c, C * a + E * b + F * c
 
 
-def is_definite(info: Information) -> bool:
-    """Return whether P^-1 has only positive pivots, so that it is the inverse of a covariance."""
-    A, B, C, D, E, F = info[:6]
-    if not A > 0.0:
-        return False
-    d1, e = D - B * B / A, E - B * C / A
-    return d1 > 0.0 and F - C * C / A - e * e / d1 > 0.0
-
-
 def is_finite(numbers: tuple[float, ...]) -> bool:
     """Return whether all numbers are finite."""
     return all(map(math.isfinite, numbers))
