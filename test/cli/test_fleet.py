@@ -26,7 +26,7 @@ from trainid_ros.interface.errors import NoAnswerError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.fleet.plan import FleetRun
+    from trainid_ros.fleet.table_file import FleetRun
 
 
 NAMES = ('T1/one', 'T1/two', 'T2/one', 'T2/two')

@@ -13,7 +13,6 @@ import pytest
 from trainid_ros.bag.types import table_of
 from trainid_ros.cli.main import main
 from trainid_ros.fleet.mixed_model import has_estimate, is_known
-from trainid_ros.fleet.plan import Plan, PlannedBag, Setup, make_plan
 from trainid_ros.fleet.run_fleet import (
     TASK_BAGS,
     Odometer,
@@ -24,7 +23,7 @@ from trainid_ros.fleet.run_fleet import (
     rows_on_cluster,
     run_plan,
 )
-from trainid_ros.fleet.table_file import COLUMNS, NAMES, Row, empty_row, read_table
+from trainid_ros.fleet.table_file import COLUMNS, NAMES, Plan, PlannedBag, Row, Setup, empty_row, make_plan
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import Status
@@ -175,17 +174,6 @@ def test_what_a_kill_or_a_loss_of_power_leaves_is_no_row(plan: Plan, table: Path
     part.write_bytes(whole)
     part.rename(path)
     assert len(known_rows(plan, table)) == 2
-
-
-def test_a_stopped_run_leaves_its_rows_in_the_table(plan: Plan, table: Path) -> None:
-    def stopped(plan: Plan, bags: Sequence[PlannedBag], advance: Callable[[float], None]) -> Rows:
-        yield next(made_up(plan, bags, advance))
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_plan(plan, table, {}, stopped, lambda _: None)
-    assert [row['bag'] for row in read_table(table)[0]] == [plan.bags[0].path]
-    assert list(known_rows(plan, table)) == [plan.key(plan.bags[0])]
 
 
 def test_rows_that_exist_are_not_made_again(plan: Plan, table: Path) -> None:

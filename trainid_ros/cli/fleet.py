@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import nullcontext
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli import output
 from trainid_ros.cli.output import print_json, progress, report_error, show, warn
-from trainid_ros.fleet import plan as plans
-from trainid_ros.fleet.run_fleet import check_setup, known_rows, rows_folder, rows_here, rows_on_cluster, run_plan
-from trainid_ros.fleet.table_file import check_table, read_table
+from trainid_ros.fleet import table_file as files
+from trainid_ros.fleet.run_fleet import known_rows, prepared, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
@@ -25,26 +25,24 @@ if TYPE_CHECKING:
 
     from trainid_ros.fleet.analysis import CauseByBags, FleetView, TrainView
     from trainid_ros.fleet.changes import Change, Departure
-    from trainid_ros.fleet.table_file import Row
-
 
 _NAMED_ERRORS: Final = 3  # failures that are printed; all are in the table
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay all bags and write the table."""
-    check_table(args.out)
-    if args.out.exists() and not (plans.plan_file(args.out).exists() or rows_folder(args.out).exists()):
+    files.check_table(args.out)
+    if args.out.exists() and not (files.plan_file(args.out).exists() or rows_folder(args.out).exists()):
         raise InputError(f'{args.out}: exists already, and no run of fleet has written it; choose another --out')
     plan = _plan(args)
     if not args.replace:
         _check_plan(plan, args.out)
     rows_folder(args.out).mkdir(parents=True, exist_ok=True)
-    plan.write(plans.plan_file(args.out))
+    plan.write(files.plan_file(args.out))
     known = known_rows(plan, args.out)
     try:
         place = (
-            nullcontext(rows_here(args.jobs or processors()))
+            nullcontext(partial(rows_here, args.jobs or processors()))
             if args.scheduler is None
             else rows_on_cluster(args.scheduler)
         )
@@ -52,41 +50,41 @@ def run(args: argparse.Namespace) -> int:
             advance(len(known))
             table = run_plan(plan, args.out, known, rows, advance)
     except (KeyboardInterrupt, SystemExit):  # Ctrl-C, or SIGTERM
-        done = len(read_table(args.out)[0])
+        done = len(files.read_table(args.out)[0])
         warn(f'stopped: {done} of {pluralise(len(plan.bags), "bag")} are in {args.out}; the same command goes on')
         raise
     return _report(args, table, len(known))
 
 
-def _check_plan(plan: plans.Plan, table: Path) -> None:
+def _check_plan(plan: files.Plan, table: Path) -> None:
     """Raise InputError if a table is there whose rows would be lost or made in another way."""
-    old = plans.read_plan(table)
+    old = files.read_plan(table)
     bags = {bag['path'] for bag in old.get('bags', ())}
     if not table.exists() or not bags:
         return
     if lost := bags - {bag.path for bag in plan.bags}:
         problem = f'{len(lost)} of its {pluralise(len(bags), "bag")} are not given now, such as {min(lost)}'
-    elif plans.setup_of(old) != plan.setup:
+    elif files.setup_of(old) != plan.setup:
         problem = 'it was made with another train file, mapping, parameter file, namespace or --max-chunk'
     else:
         return
     raise InputError(f'{table}: is the table of another plan: {problem}; choose another --out, or --replace it')
 
 
-def _plan(args: argparse.Namespace) -> plans.Plan:
+def _plan(args: argparse.Namespace) -> files.Plan:
     """Return the plan: all bags listed, none decoded."""
-    rule = plans.label_rule(args.label, args.namespace)
+    rule = files.label_rule(args.label, args.namespace)
     # A report may be made from another folder.
     mapping = args.map or mapping_in(args.params, args.namespace)
     params, mapping = (path and path.absolute() for path in (args.params, mapping))
-    setup = plans.Setup(args.train.absolute(), params, mapping, args.namespace, args.max_chunk)
-    check_setup(setup)
-    bags = plans.find_bags(args.bags)
+    setup = files.Setup(args.train.absolute(), params, mapping, args.namespace, args.max_chunk)
+    prepared(setup)
+    bags = files.find_bags(args.bags)
     with progress('list', total=len(bags), unit='bags') as advance:
-        return plans.make_plan(setup, plans.list_bags(bags, rule, advance))
+        return files.make_plan(setup, files.list_bags(bags, rule, advance))
 
 
-def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
+def _report(args: argparse.Namespace, table: list[files.Row], known: int) -> int:
     """Print a summary; return the exit code: failures are rows, so one estimate is enough for success."""
     errors = [row for row in table if row['error']]
     for row in errors[:_NAMED_ERRORS]:
@@ -115,15 +113,24 @@ def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
 
 def report(args: argparse.Namespace) -> int:
     """Analyse the tables, print what stands out, and write the report; NoAnswerError if the tables hold too little."""
-    from trainid_ros.fleet.analysis import analyse  # noqa: PLC0415
+    from trainid_ros.fleet.analysis import analyse, name_cause  # noqa: PLC0415 - with SciPy
 
     if args.out is not None:
         output.check_output(args.out, args.tables, HTML_START)
     runs = _read(args)
     view = analyse([run.row for run in runs], args.false_alarm_days)
-    named = _name_causes(args, view, runs)
+    named = {}
+    if worst := [train for train in view.found if train.main][: args.explain]:
+        with progress('explain', total=len(worst), unit='trains') as advance:
+            for train in worst:
+                named[train.name] = name_cause(view, train, runs)
+                advance(1.0)
     if args.out is not None:
-        _write(args, view, named)
+        from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415 - with matplotlib
+        from trainid_ros.report.page import write_page  # noqa: PLC0415
+
+        notes = {train.name: (_named_text(train, named[train.name]),) for train in view.found if train.name in named}
+        write_page(fleet_page(view, ', '.join(map(str, args.tables)), args.false_alarm_days, notes), args.out)
     if args.json:
         print_json(to_json(view, args.false_alarm_days, named))
     else:
@@ -133,39 +140,15 @@ def report(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace) -> list[plans.FleetRun]:
+def _read(args: argparse.Namespace) -> list[files.FleetRun]:
     """Return the rows of all tables, each train of a bag once, with how their table was made."""
-    runs: dict[tuple[str, str, str], plans.FleetRun] = {}
+    runs: dict[tuple[str, str, str], files.FleetRun] = {}
     for path in args.tables:
-        rows, about = read_table(path)
-        setup = plans.setup_of(about) or plans.setup_of(plans.read_plan(path))
+        rows, about = files.read_table(path)
+        setup = files.setup_of(about) or files.setup_of(files.read_plan(path))
         namespace = '' if setup is None else setup.namespace.strip('/')
-        runs |= {(row['bag'], row['train'], namespace): plans.FleetRun(row, setup) for row in rows}
+        runs |= {(row['bag'], row['train'], namespace): files.FleetRun(row, setup) for row in rows}
     return list(runs.values())
-
-
-def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[plans.FleetRun]) -> dict[str, CauseByBags]:
-    """Return what ``explain`` finds in the bags of the worst trains, by their names."""
-    worst = [train for train in view.found if train.main][: args.explain]
-    if not worst:
-        return {}
-    from trainid_ros.fleet.analysis import name_cause  # noqa: PLC0415 - as in run
-
-    named = {}
-    with progress('explain', total=len(worst), unit='trains') as advance:
-        for train in worst:
-            named[train.name] = name_cause(view, train, runs)
-            advance(1.0)
-    return named
-
-
-def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, CauseByBags]) -> None:
-    from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
-    from trainid_ros.report.page import write_page  # noqa: PLC0415
-
-    notes = {train.name: (_named_text(train, named[train.name]),) for train in view.found if train.name in named}
-    names = ', '.join(str(path) for path in args.tables)
-    write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
 
 
 def _named_text(train: TrainView, cause: CauseByBags) -> str:
@@ -206,12 +189,15 @@ def to_json(view: FleetView, limit: float, named: Mapping[str, CauseByBags]) -> 
             v.channel.name: {'mean': v.fit.mean, 'std': v.fit.stds, 'degrees': v.fit.degrees} for v in view.channels
         },
         'contradicted': dict(view.contradicted),
-        'found': [_train(view, train) | _named(named.get(train.name)) for train in view.found],
+        'found': [_train(view, train, named.get(train.name)) for train in view.found],
     }
 
 
-def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
-    days = view.labels.days
+def _train(view: FleetView, train: TrainView, cause: CauseByBags | None) -> dict[str, Any]:
+    days, explained = view.labels.days, {}
+    if cause is not None:
+        effects = {effect.name: {'bags': count, **dict(effect.parameters)} for effect, count in cause.effects}
+        explained = {'explained': {'bags': cause.bags, 'effects': effects, 'problem': cause.problem}}
     return {
         'train': train.name,
         'evidence': train.evidence,
@@ -225,7 +211,8 @@ def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
             for departure in train.departures
         ],
         'outliers': {o.channel.name: {'size': o.size, 'std': o.std, 'sigmas': o.sigmas} for o in train.outliers},
-        'causes': {cause.title: cause.probability for cause in train.causes},
+        'causes': {found.title: found.probability for found in train.causes},
+        **explained,
     }
 
 
@@ -237,10 +224,3 @@ def _step(view: FleetView, found: Change | Departure) -> dict[str, Any]:
         for v, step in zip(view.channels, found.steps, strict=True)
     }
     return {'certain': view.labels.days[found.alarm], 'evidence': found.evidence, 'steps': steps}
-
-
-def _named(cause: CauseByBags | None) -> dict[str, Any]:
-    if cause is None:
-        return {}
-    effects = {effect.name: {'bags': count, **dict(effect.parameters)} for effect, count in cause.effects}
-    return {'explained': {'bags': cause.bags, 'effects': effects, 'problem': cause.problem}}

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which trains stand out in a table: those that have changed, and those that always differed from the others.
 
-The cause of a change is named from the bags of the train, by the discrepancy workflow before and after it. A bag of the
-usual days shows what is wrong with the train file for this train at all times; what the bags of its main departure show
-besides is new. Each bag is explained alone, since wind and load differ from day to day.
+The cause of a change is named from the bags of the train, by the discrepancy workflow before and after it: what those
+of its main departure show besides that of the usual days is new. Each bag is explained alone, since wind and load
+differ from day to day.
 """
 
 from __future__ import annotations
@@ -12,26 +12,14 @@ import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.fleet.changes import Cause, Change, Departure, Series, causes_of, departures, find_changes, usual_days
-from trainid_ros.fleet.mixed_model import (
-    CHANNELS,
-    ROUNDS,
-    Cells,
-    Channel,
-    Labels,
-    MixedFit,
-    cells_of,
-    fit,
-    has_estimate,
-    labels_of,
-    robust_std,
-)
+from trainid_ros.fleet.mixed_model import CHANNELS, ROUNDS, cells_of, fit, has_estimate, labels_of, robust_std
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError, TrainIdError
 from trainid_ros.train.train_file import load_train_file
@@ -40,12 +28,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from trainid_ros.explain.result import Explanation, FoundEffect
-    from trainid_ros.fleet.mixed_model import Array, Flags
-    from trainid_ros.fleet.plan import FleetRun
-    from trainid_ros.fleet.table_file import Row
+    from trainid_ros.fleet.mixed_model import Array, Cells, Channel, Flags, Labels, MixedFit
+    from trainid_ros.fleet.table_file import FleetRun, Row
 
-_MIN_CELLS: Final = 4  # Minimum number of days of trains, all trains together, for a channel to be compared
-_SCREEN_ROUNDS: Final = 2  # Rounds of weights of fits that must not be spoilt by a fault
+_MIN_CELLS: Final = 4  # Days of trains, all trains together, for a channel to be compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +71,10 @@ class LevelOutlier:
 class TrainView:
     """One train."""
 
-    name: str  # Its name
+    name: str
     number: int  # Index in the labels
     series: tuple[Series, ...]  # Its values by channel
-    changes: tuple[Change, ...]  # Its changes
+    changes: tuple[Change, ...]
     departures: tuple[Departure, ...]  # Days on which it was away from its usual level
     outliers: tuple[LevelOutlier, ...]  # Channels in which it always differed
     causes: tuple[Cause, ...]  # What the main departure may be, the most probable first
@@ -104,18 +90,13 @@ class TrainView:
         levels = (0.5 * outlier.sigmas**2 for outlier in self.outliers)
         return max((*(change.evidence for change in self.changes), *levels), default=0.0)
 
-    @property
-    def stands_out(self) -> bool:
-        """Whether it is named."""
-        return bool(self.changes or self.outliers)
-
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
     """The whole fleet."""
 
-    labels: Labels  # Its labels
-    channels: tuple[ChannelView, ...]  # Its channels
+    labels: Labels
+    channels: tuple[ChannelView, ...]
     trains: tuple[TrainView, ...]  # Its trains by evidence, the strongest first
     # Trains with runs that were left out as their inputs contradict each other, with how many
     contradicted: tuple[tuple[str, int], ...] = ()
@@ -123,14 +104,13 @@ class FleetView:
     @property
     def found(self) -> tuple[TrainView, ...]:
         """Trains that stand out."""
-        return tuple(train for train in self.trains if train.stands_out)
+        return tuple(train for train in self.trains if train.changes or train.outliers)
 
 
 def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     """Return what stands out in the rows of a fleet; ``limit`` are the train-days for one false alarm.
 
-    Raises:
-        NoAnswerError: Too few runs of known trains and days have an estimate.
+    NoAnswerError if too few runs of known trains and days have an estimate.
     """
     labels = labels_of(rows)
     cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
@@ -156,12 +136,11 @@ def _fit_and_test(
     A fault in the data widens the spread by which it is judged. So the model is fitted without what may be a fault,
     then without what the last fit found, until the same is found again.
     """
-    trains = range(len(labels.trains))
     usual = _screen(labels, cells, min(limit, 50.0))  # train-days for one false alarm
     for _ in range(5):
         in_usual_days = [(usual[c.train, 0] <= c.day) & (c.day < usual[c.train, 1]) for _, c in cells]
         views = _fit(labels, cells, in_usual_days)
-        series = [_series(views, labels, k) for k in trains]
+        series = [_series(views, labels, k) for k in range(len(labels.trains))]
         changes = [find_changes(own, limit) for own in series]
         last, usual = usual, _usual(series, changes)
         if np.array_equal(last, usual):
@@ -175,14 +154,13 @@ def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
     A train of a small fleet is judged by the others alone, since it is much of the data.
     """
     trains = range(len(labels.trains))
+    rounds = 2  # of weights: these fits must not be spoilt by a fault
     if len(trains) > 12:
-        views = _fit(labels, cells, [None] * len(cells), _SCREEN_ROUNDS)
+        views = _fit(labels, cells, [None] * len(cells), rounds)
         series = [_series(views, labels, k) for k in trains]
     else:
-        series = []
-        for k in trains:
-            views = _fit(labels, cells, [c.train != k for _, c in cells], _SCREEN_ROUNDS)
-            series.append(_series(views, labels, k))
+        others = (_fit(labels, cells, [c.train != k for _, c in cells], rounds) for k in trains)
+        series = [_series(views, labels, k) for k, views in enumerate(others)]
     return _usual(series, [find_changes(own, limit) for own in series])
 
 
@@ -213,21 +191,17 @@ def _train(
 ) -> TrainView:
     outliers = () if changes else tuple(filter(None, (_outlier(view, number) for view in views)))
     found = TrainView(labels.trains[number], number, series, tuple(changes), departures(series, changes), outliers, ())
-    return replace(found, causes=_causes(views, found))
-
-
-def _causes(views: Sequence[ChannelView], train: TrainView) -> tuple[Cause, ...]:
-    """Return what the main departure may be, or the difference of a train that always differed."""
-    steps: dict[str, tuple[float, float] | None] = {}  # with standard deviations
-    if train.main is not None:
-        for view, step in zip(views, train.main.steps, strict=True):
+    # By what share of the mean it departed, or always differed, with the standard deviation.
+    steps: dict[str, tuple[float, float] | None] = {}
+    if found.main is not None:
+        for view, step in zip(views, found.main.steps, strict=True):
             steps[view.channel.name] = step and (step.size / view.fit.mean, step.std / abs(view.fit.mean))
-    elif train.outliers:
+    elif outliers:
         for view in views:
-            level, mean = float(view.fit.train[train.number]), view.fit.mean
-            spread = float(np.hypot(view.fit.train_std[train.number], view.fit.stds['train']))
+            level, mean = float(view.fit.train[number]), view.fit.mean
+            spread = float(np.hypot(view.fit.train_std[number], view.fit.stds['train']))
             steps[view.channel.name] = level / mean, spread / abs(mean)
-    return causes_of(steps) if steps else ()
+    return replace(found, causes=causes_of(steps) if steps else ())
 
 
 def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
@@ -241,27 +215,20 @@ def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     return LevelOutlier(view.channel, float(effects[number]), float(view.fit.train_std[number]), sigmas)
 
 
-class Named(NamedTuple):
-    """An effect that is new: as found where its evidence is greatest, and in how many of the bags it was found."""
-
-    effect: FoundEffect
-    bags: int
-
-
 @dataclass(frozen=True, slots=True)
 class CauseByBags:
-    """What ``explain`` found: number of bags after the change, new effects, the most evident first, or why not."""
+    """What ``explain`` found: number of bags after the change, new effects, the most evident first, or why not.
+
+    Each effect is as found where its evidence is greatest, with the number of bags in which it was found.
+    """
 
     bags: int
-    effects: tuple[Named, ...] = ()
+    effects: tuple[tuple[FoundEffect, int], ...] = ()
     problem: str = ''
 
 
 def name_cause(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> CauseByBags:
-    """Return what has changed by the bags of a train with a departure.
-
-    Each bag is explained with the train file and mapping that it was replayed with.
-    """
+    """Return what has changed by the bags of a train, each explained with the files that it was replayed with."""
     usual, away = _bags(view, train, runs)
     try:
         known = [effect for run in usual for effect in _explain(run).effects]
@@ -273,7 +240,7 @@ def name_cause(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> C
         if not any(_are_equal(new, old) for old in known):
             by_name[new.name].append(new)
     ranked = sorted(by_name.values(), key=lambda effects: -sum(effect.evidence for effect in effects))
-    named = (Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
+    named = ((max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
     return CauseByBags(len(away), tuple(named))
 
 
@@ -284,10 +251,10 @@ def _bags(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> tuple[
         return [], []
     own = [run for run in runs if run.row['train'] == train.name and run.row['day'] and run.row['status']]
     own.sort(key=lambda run: (run.row['day'], run.row['start'] or 0.0))
-    first, end = days[departure.first], None if departure.end is None else days[departure.end]
+    first, end = days[departure.first], '9999' if departure.end is None else days[departure.end]
     before = [run for run in own if run.row['day'] < first]
-    away = [run for run in own if run.row['day'] >= first and (end is None or run.row['day'] < end)]
-    after = [run for run in own if end is not None and run.row['day'] >= end]
+    away = [run for run in own if first <= run.row['day'] < end]
+    after = [run for run in own if run.row['day'] >= end]
     return before[-1:] or after[:1], away[:3]  # effects that hold are in the first ones already
 
 
@@ -303,12 +270,7 @@ def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
 
 
 def _explain(run: FleetRun) -> Explanation:
-    """Explain a bag.
-
-    Raises:
-        InputError: It cannot be used, or it is not known how.
-        NoAnswerError: It holds too little motion.
-    """
+    """Explain a bag; InputError if it cannot be used, or it is not known how, NoAnswerError with too little motion."""
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415 - takes long to load
 
     row, setup = run

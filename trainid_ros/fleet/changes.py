@@ -13,15 +13,13 @@ Without a change R(n) - n is a martingale, so an alarm at R >= C comes less ofte
 Statist. 13 (1985) 206): C is the number of train-days for one false alarm. After an alarm the test goes on from the
 step found, so that a repair is a change too.
 
-What a change may be is told by the channels that show it: a hint, until ``explain`` has seen the bags. A cause of size
-theta changes channel c by theta d_c, as a share of the mean of the fleet. With a normal prior of theta
-and a slack for what the directions leave out, the steps found are normal, and Bayes' rule gives the probability of
-each cause; 'other' changes each channel on its own.
+The channels that show a change hint at its cause. A cause of size theta changes channel c by theta d_c, as a share of
+the mean of the fleet. With a normal prior of theta and a slack for what the directions leave out, the steps found are
+normal, and Bayes' rule gives the probability of each cause; 'other' changes each channel on its own.
 
 A departure from the usual level lasts from the first change away from it to the change back. The usual level is that
 before the first change, unless the train was then far from the others and came near them later: a table may begin with
-a fault. What lies between two changes is a part; parts that lie to the same side of the usual
-level belong to one departure.
+a fault. Parts between two changes that lie to the same side of the usual level belong to one departure.
 """
 
 from __future__ import annotations
@@ -45,7 +43,6 @@ OTHER: Final = 'other'
 _SHOWING: Final = 0.5  # Probability that a step shows in a channel, q [1]
 _WINDOW: Final = 60  # Number of newest days in which a step is searched
 _MIN_AFTER: Final = 2  # Minimum number of days with data after a step
-_FAR: Final = 0.01  # Prior share of trains that are far from the others [1]
 _TINY: Final = 1e-300  # Lower limit of a density, so that its logarithm is finite
 _BACK: Final = 0.4  # Share of a departure below which the train is back [1]
 
@@ -61,7 +58,7 @@ class Series(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Mean and standard deviation of the level of a channel."""
+    """Level of a channel with its standard deviation."""
 
     mean: float
     std: float
@@ -107,7 +104,8 @@ class _Segment:
         self.level = np.linspace(low - room, high + room, count)
         kernel = _weights(self.level[:, None] - self.level[None, :], series.step_std)
         far = _weights(self.level, math.hypot(level_std, series.step_std))
-        self.prior = (1.0 - _FAR) * _weights(self.level, level_std) + _FAR * far
+        # One train in a hundred may be far from the others.
+        self.prior = (1.0 - 0.01) * _weights(self.level, level_std) + 0.01 * far
         z2 = ((series.value[:, None] - self.level) / series.std[:, None]) ** 2
         each = np.where(known[:, None], log_t(z2, series.degrees), 0.0)
         self.total = np.vstack([np.zeros(count), np.cumsum(each, axis=0)])  # of the first n days, (days + 1, grid)
@@ -120,7 +118,8 @@ class _Segment:
         ks = np.arange(first, n)
         gained = self.total[n] - self.total[ks]
         top = gained.max(axis=1, keepdims=True)
-        after = _log((self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)) + top[:, 0]
+        density = (self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)
+        after = np.log(np.maximum(density, _TINY)) + top[:, 0]
         found: Array = self._log_before[ks] + after - self._log_before[n]
         return np.where(self.known[n] - self.known[ks] >= _MIN_AFTER, found, 0.0)
 
@@ -200,17 +199,12 @@ def _weights(at: Array, std: float) -> Array:
     return found
 
 
-def _log(x: Array) -> Array:
-    found: Array = np.log(np.maximum(x, _TINY))
-    return found
-
-
 def _posterior(prior: Array, log_likelihood: Array) -> tuple[Array, Array]:
     """Return weights of the grid after data, shape (rows, grid), and ln of the evidence, shape (rows,)."""
     top = log_likelihood.max(axis=1, keepdims=True)
     weight = prior * np.exp(log_likelihood - top)
     total = np.maximum(weight.sum(axis=1, keepdims=True), _TINY)
-    return weight / total, _log(total[:, 0]) + top[:, 0]
+    return weight / total, np.log(total[:, 0]) + top[:, 0]
 
 
 class Cause(NamedTuple):
@@ -222,13 +216,13 @@ class Cause(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """A cause: direction by channel, size of theta, and sign of theta (0 for both)."""
+    """A cause of changes."""
 
     effect: str
     title: str
-    direction: Mapping[str, float]
-    size: float
-    sign: int
+    direction: Mapping[str, float]  # By channel
+    size: float  # Standard deviation of theta [1]
+    sign: int  # Of theta, 0 for both
 
 
 _KINDS: Final = (
@@ -264,8 +258,8 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     log_p = np.array([*found, _log_normal(step, other)])
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
-    causes = [Cause(kind.effect, kind.title, float(share)) for kind, share in zip(_KINDS, p, strict=False)]
-    causes.append(Cause(OTHER, 'no single known cause', float(p[-1])))
+    titles = [*((kind.effect, kind.title) for kind in _KINDS), (OTHER, 'no single known cause')]
+    causes = (Cause(*title, float(share)) for title, share in zip(titles, p, strict=True))
     return tuple(sorted((c for c in causes if c.probability >= 0.05), key=lambda cause: -cause.probability))
 
 
@@ -324,7 +318,7 @@ def departures(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[D
         return ()
     parts = _parts(changes)
     usual = _usual(channels, parts)
-    steps = [_steps(channels, parts[usual], part) for part in parts]
+    steps = [tuple(map(_step, channels, parts[usual].levels, part.levels)) for part in parts]
     # In steps that matter; 0 where a channel has no data.
     sizes = [
         np.array([step.size / series.step_std if step else 0.0 for series, step in zip(channels, own, strict=True)])
@@ -341,16 +335,13 @@ def departures(channels: Sequence[Series], changes: Sequence[Change]) -> tuple[D
         else:
             groups.append([k])
             away = True
-    return tuple(_departure(changes, parts, group, steps[_main(steps, group)]) for group in groups)
-
-
-def _departure(
-    changes: Sequence[Change], parts: Sequence[_Part], group: Sequence[int], steps: tuple[Step | None, ...]
-) -> Departure:
-    # Change k - 1 begins part k; if the table begins with it, its end is what shows it.
-    mine = [changes[max(k - 1, 0)] for k in group]
-    evidence = max(change.evidence for change in mine)
-    return Departure(parts[group[0]].first, parts[group[-1]].end, mine[0].alarm, evidence, steps)
+    found = []
+    for group in groups:
+        # Change k - 1 begins part k; if the table begins with it, its end is what shows it.
+        mine, main = [changes[max(k - 1, 0)] for k in group], _main(steps, group)
+        evidence = max(change.evidence for change in mine)
+        found.append(Departure(parts[group[0]].first, parts[group[-1]].end, mine[0].alarm, evidence, steps[main]))
+    return tuple(found)
 
 
 def _parts(changes: Sequence[Change]) -> list[_Part]:
@@ -371,17 +362,13 @@ def _usual(channels: Sequence[Series], parts: Sequence[_Part]) -> int:
     return 0 if distances[0] < 5.0 else distances.index(min(distances))
 
 
-def _steps(channels: Sequence[Series], usual: _Part, part: _Part) -> tuple[Step | None, ...]:
-    """Return the steps from the usual level to a part with ln of their Bayes factors, for normal levels."""
-    found: list[Step | None] = []
-    for series, before, after in zip(channels, usual.levels, part.levels, strict=True):
-        if before is None or after is None:
-            found.append(None)
-            continue
-        noise, total = before.std**2 + after.std**2, before.std**2 + after.std**2 + series.step_std**2
-        square = (after.mean - before.mean) ** 2
-        found.append(Step(before, after, 0.5 * (square / noise - square / total - math.log(total / noise))))
-    return tuple(found)
+def _step(series: Series, before: Level | None, after: Level | None) -> Step | None:
+    """Return the step between two normal levels with ln of its Bayes factor, None without data."""
+    if before is None or after is None:
+        return None
+    noise, total = before.std**2 + after.std**2, before.std**2 + after.std**2 + series.step_std**2
+    square = (after.mean - before.mean) ** 2
+    return Step(before, after, 0.5 * (square / noise - square / total - math.log(total / noise)))
 
 
 def _main(steps: Sequence[tuple[Step | None, ...]], group: Sequence[int]) -> int:

@@ -7,13 +7,11 @@
 with a common effect b for each line, weather, day, and line on a day. The standard deviations s and the factor kappa on
 what the estimators state (an error that a train repeats every day is in u, not in e) maximise the marginal likelihood
 with mu, u and b integrated out (empirical Bayes; with a flat prior of mu this is REML). Trains are eliminated first, so
-that a system of the size of the common effects is left (Henderson's equations and their Schur complement).
+that a system of the size of the common effects is left (Henderson's equations and their Schur complement). Of small
+fleets the most likely s_T and kappa are often zero: weak log-normal priors keep them from it.
 
 omega are the weights of Student's t (iteratively reweighted least squares), so that single bad runs do not count; its
 degrees of freedom are those under which the residuals are most likely.
-
-Small fleets tell little of s_T and kappa, and the most likely values are often zero. Weak log-normal priors keep them
-from it: fifty trains outweigh them.
 
 Sources: Harville, J. Am. Stat. Assoc. 72 (1977) 320; Henderson, Biometrics 31 (1975) 423; Lange, Little and Taylor,
 J. Am. Stat. Assoc. 84 (1989) 881.
@@ -47,7 +45,6 @@ ROUNDS: Final = 4
 """Number of rounds, after which the weights have converged."""
 MIN_TRAINS: Final = 4
 """Minimum number of trains on most days for effects of days: with fewer they would absorb those of the trains."""
-_USABLE: Final = frozenset({'CONVERGING', 'VALID', 'HOLDING', 'STALE'})  # Status of estimates that are compared
 _DEGREES: Final = (4.0, 8.0, 16.0, 32.0)  # Degrees of freedom of Student's t among which the data choose
 
 
@@ -90,11 +87,13 @@ class Cells:
     weather: Indices
 
 
+_LABELS: Final = ('train', 'day', 'line', 'weather')
+
+
 def labels_of(rows: Sequence[Row]) -> Labels:
     """Return all labels in use, in order; rows without train or day do not count."""
     known = [row for row in rows if is_known(row)]
-    columns = ('train', 'day', 'line', 'weather')
-    return Labels(*(tuple(sorted({row[column] or '' for row in known})) for column in columns))
+    return Labels(*(tuple(sorted({row[column] or '' for row in known})) for column in _LABELS))
 
 
 def is_known(row: Row) -> bool:
@@ -104,29 +103,27 @@ def is_known(row: Row) -> bool:
 
 def has_estimate(row: Row) -> bool:
     """Return whether a row has an estimate of a known train and day, whatever its inputs."""
-    return bool(row['train'] and row['day'] and row['status'] in _USABLE)
+    return bool(row['train'] and row['day'] and row['status'] in {'CONVERGING', 'VALID', 'HOLDING', 'STALE'})
 
 
 def cells_of(rows: Sequence[Row], channel: Channel, labels: Labels) -> Cells:
     """Return the cells of a channel; rows without a finite value are left out."""
-    names = {'train': labels.trains, 'day': labels.days, 'line': labels.lines, 'weather': labels.weathers}
-    index = {column: {name: k for k, name in enumerate(found)} for column, found in names.items()}
+    names = (labels.trains, labels.days, labels.lines, labels.weathers)
+    index = [(column, {name: k for k, name in enumerate(found)}) for column, found in zip(_LABELS, names, strict=True)]
     runs: dict[tuple[int, ...], list[tuple[float, float]]] = defaultdict(list)
     for row in rows:
         value, std = row[channel.name], row[f'{channel.name}_std']
         if not is_known(row) or value is None or std is None or not std > 0.0 or not math.isfinite(value + std):
             continue
-        runs[tuple(numbers[row[column] or ''] for column, numbers in index.items())].append((value, std))
-    keys = np.array(sorted(runs), dtype=np.intp).reshape(-1, 4)
-    means = [_mean(runs[key]) for key in sorted(runs)]
+        runs[tuple(numbers[row[column] or ''] for column, numbers in index)].append((value, std))
+    keys, means = sorted(runs), []
+    for key in keys:
+        weights = [1.0 / (std * std) for _, std in runs[key]]
+        total = sum(weights)
+        mean = sum(w * value for w, (value, _) in zip(weights, runs[key], strict=True)) / total
+        means.append((mean, total**-0.5))
     value, std = np.array(means).reshape(-1, 2).T
-    return Cells(value, std, *keys.T)
-
-
-def _mean(runs: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    weights = [1.0 / (std * std) for _, std in runs]
-    total = sum(weights)
-    return sum(w * value for w, (value, _) in zip(weights, runs, strict=True)) / total, total**-0.5
+    return Cells(value, std, *np.array(keys, dtype=np.intp).reshape(-1, 4).T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,21 +134,16 @@ class SharedEffects:
     factor: Indices  # Factor of each effect, shape (m,); -1 for the mean, whose prior is flat
     names: tuple[str, ...]  # Names of the factors
 
-    def at_cells(self, b: Array) -> Array:
-        """Return the sum of the effects of each cell, shape (n,)."""
-        found: Array = b[self.of_cell].sum(axis=1)
-        return found
-
 
 @dataclass(frozen=True, slots=True)
 class MixedFit:
     """The fitted model of one channel."""
 
     mean: float  # Mean of the fleet
-    train: Array  # Effect of each train, shape (trains,), 0 where it has no cell; and its standard deviation
-    train_std: Array  # See ``train``
-    common: Array  # Mean and common effects of each cell, shape (n,), and the variance of the latter
-    common_variance: Array  # See ``common``
+    train: Array  # Effect of each train, shape (trains,), 0 where it has no cell
+    train_std: Array  # Its standard deviation
+    common: Array  # Mean and common effects of each cell, shape (n,)
+    common_variance: Array  # Variance of the latter
     variance: Array  # Variance of each cell, without the weights, shape (n,)
     stds: dict[str, float]  # Standard deviation of the effects by name; 'train', 'error', and the factor 'stated' [1]
     degrees: float  # Degrees of freedom of the errors
@@ -222,7 +214,8 @@ class _Problem:
 
     def common(self, solution: _Solution) -> Array:
         """Return mean and common effects of each cell, shape (n,)."""
-        return self.origin + self.effects.at_cells(solution.b)
+        found: Array = self.origin + solution.b[self.effects.of_cell].sum(axis=1)
+        return found
 
     def common_variance(self, x: Array) -> Array:
         """Return the variance of the common effects of each cell, shape (n,), given mean and trains.
@@ -262,14 +255,9 @@ class _Solution(NamedTuple):
 
 
 def fit(cells: Cells, labels: Labels, level_std: float, used: Flags | None = None, rounds: int = ROUNDS) -> MixedFit:
-    """Fit the model.
+    """Fit the model, given the usual standard deviation among trains, with a number of rounds of weights.
 
-    Args:
-        cells: Values.
-        labels: Names of trains and so on.
-        level_std: Usual standard deviation among trains.
-        used: Cells that count, shape (n,); all if None. The others only get their common effects.
-        rounds: How often the weights are found anew.
+    Only cells in ``used``, shape (n,), count, all if it is None; the others get their common effects.
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
     problem = _Problem(cells, shared_effects(cells, labels), len(labels.trains), used, level_std)
@@ -279,12 +267,8 @@ def fit(cells: Cells, labels: Labels, level_std: float, used: Flags | None = Non
         x = minimize(problem.loss, x, method='L-BFGS-B', bounds=bounds, options={'ftol': 1e-7, 'eps': 1e-4}).x
         solution = problem.solve(x)
         z2 = (cells.value - problem.common(solution) - solution.u[cells.train]) ** 2 / solution.v
-        degrees = _likeliest_degrees(z2[used])
+        degrees = max(_DEGREES, key=lambda degrees: float(log_t(z2[used], degrees).sum()))
         problem.weights = used * (degrees + 1.0) / (degrees + z2)
-    return _fit_of(problem, x, degrees)
-
-
-def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
     solution, names = problem.solve(x), ('stated', 'error', 'train', *problem.effects.names)
     inverse = cho_solve(solution.cholesky, np.eye(solution.b.size))
     gain = solution.coupling / solution.of_train[:, None]
@@ -311,7 +295,3 @@ def log_t(z2: Array, degrees: float) -> Array:
     half = 0.5 * (degrees + 1.0)
     constant = math.lgamma(half) - math.lgamma(0.5 * degrees) - 0.5 * math.log(math.pi * degrees)
     return constant - half * np.log1p(z2 / degrees)
-
-
-def _likeliest_degrees(z2: Array) -> float:
-    return max(_DEGREES, key=lambda degrees: float(log_t(z2, degrees).sum()))

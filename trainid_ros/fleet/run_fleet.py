@@ -5,8 +5,7 @@ Each bag is replayed as by ``trainid replay``; a failure is a row too. The error
 the distance by the speed to that by the position, from stop to stop. Positions corrected by balises or at platforms do
 not depend on the wheels. Where they are integrated from the same wheels, the ratio is one and says nothing.
 
-Each row is kept in a file beside the table, whose name is the digest of all that determines it. A run that was stopped
-or killed is repeated: the rows that exist are taken.
+Each row is kept in a file beside the table, named by the digest of all that determines it, for the next run.
 
 On a cluster, bags are replayed by the workers of a Dask scheduler. These are processes with one thread each: the replay
 is plain Python, and threads would only wait for each other. Bags and train file have the same paths on all machines.
@@ -29,8 +28,7 @@ from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.worker_pool import each_bag, killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.fleet.plan import LABELS, day_of
-from trainid_ros.fleet.table_file import SPEEDS, Row, empty_row, reason_column, share_column, write_table
+from trainid_ros.fleet import table_file as files
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.files import write_whole
@@ -44,12 +42,9 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from trainid_ros.bag.types import RecordTable
-    from trainid_ros.fleet.plan import Plan, PlannedBag, Setup
+    from trainid_ros.fleet.table_file import Plan, PlannedBag, Row, Setup
     from trainid_ros.inputs.mapped_inputs import MappedInputs
-    from trainid_ros.interface.results import ResistanceEstimate
     from trainid_ros.setup.params_file import Setup as NodeSetup
 
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
@@ -68,10 +63,9 @@ class Odometer:
     def add(self, table: RecordTable) -> None:
         """Take in records; others than speeds do not count."""
         chosen = np.flatnonzero(table.topic == SPEED)
-        if chosen.size:
-            self._add(table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen])
-
-    def _add(self, stamp_ns: NDArray[np.int64], speed: NDArray[np.float64], position: NDArray[np.float64]) -> None:
+        if not chosen.size:
+            return
+        stamp_ns, speed, position = table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen]
         gap = np.diff(stamp_ns, prepend=self._stamp_ns or stamp_ns[0]) / NS_PER_S
         before = np.concatenate(([self._speed], speed[:-1]))
         # A leg with a gap of two seconds has no known distance.
@@ -147,32 +141,27 @@ def killed_row(revision: str, bag: PlannedBag) -> Row:
 
 def listed_row(bag: PlannedBag, revision: str) -> Row:
     """Return what the list says of a bag."""
-    row = empty_row() | {'bag': bag.path, 'start': bag.start_s, 'revision': revision}
+    row = files.empty_row() | {'bag': bag.path, 'start': bag.start_s, 'revision': revision}
     return row | labels_in_row(bag, bag.start_s) | {'error': bag.error or None}
 
 
 def labels_in_row(bag: PlannedBag, start_s: float | None) -> Row:
     """Return the labels of a bag; ``start_s`` is the time of its first message [s], None if it is not known."""
-    labels: Row = {name: getattr(bag, name) or None for name in LABELS}
-    return labels | {'day': day_of(bag.day, start_s, Path(bag.path))}
+    labels: Row = {name: getattr(bag, name) or None for name in files.LABELS}
+    return labels | {'day': files.day_of(bag.day, start_s, Path(bag.path))}
 
 
 @lru_cache(maxsize=1)
-def _prepared(setup: Setup) -> tuple[tuple[NodeSetup, ...], Callable[[], MappedInputs] | None]:
-    """Return setups of the nodes and what makes the inputs, read once in each process."""
+def prepared(setup: Setup) -> tuple[tuple[NodeSetup, ...], Callable[[], MappedInputs] | None]:
+    """Return setups of the nodes and what makes the inputs, read once in each process; InputError if unusable."""
     train_file = load_train_file(setup.train)
     setups = node_setups(train_file, str(setup.train), setup.params, namespace=setup.namespace)
     return setups, mapped_inputs(setup.mapping, setups[0].train_file)
 
 
-def check_setup(setup: Setup) -> None:
-    """Raise InputError if train file, parameters or mapping cannot be used."""
-    _prepared(setup)
-
-
 def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], None]) -> None:
     """Replay a bag and fill its row; InputError if it cannot be used."""
-    setups, inputs = _prepared(setup)
+    setups, inputs = prepared(setup)
     opening, reading = in_two(advance)
     with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
         pipelines = Pipelines(*(item.realigned(reader.mapping.alignment).pipeline() for item in setups))
@@ -184,9 +173,13 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
         row['start'] = span[0] / NS_PER_S
         row |= labels_in_row(bag, row['start'])
     row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
-    row |= _resistance(outcome) | _brake(outcome)
+    row |= _resistance(outcome)
     for name in ('contradiction', 'finding'):
         row[name] = row[name] and reader.mapping.named(row[name])
+    brake = outcome.brake_rate.output
+    row |= {'brake_status': brake.status.name, 'brake_used': brake.used}
+    if brake.used:
+        row |= {'brake_rate': brake.estimate.brake_rate, 'brake_rate_std': brake.estimate.brake_rate_std}
     row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
     if before is not None and (learned := _dead_time(pipelines)) is not None and learned[1] < before[1]:
         row['dead_time'], row['dead_time_std'] = learned
@@ -205,28 +198,17 @@ def _resistance(outcome: Replay) -> Row:
         'rejected': result.output.rejected,
         'contradiction': outcome.contradiction.finding or None,
         'finding': '; '.join(findings) or None,
-        **{reason_column(reason): count for reason, count in result.rejections},
-        **{share_column(status): result.statuses[status] / outputs for status in Status},
+        **{files.reason_column(reason): count for reason, count in result.rejections},
+        **{files.share_column(status): result.statuses[status] / outputs for status in Status},
     }
-    reason = outcome.why_no_resistance()
-    return row | ({'error': reason} if reason else _davis(w))
-
-
-def _davis(w: ResistanceEstimate) -> Row:
-    row: Row = {'a': w.a, 'b': w.b, 'c': w.c, 'speed_min': w.speed_min, 'speed_max': w.speed_max}
+    if reason := outcome.why_no_resistance():
+        return row | {'error': reason}
+    row |= {name: getattr(w, name) for name in ('a', 'b', 'c', 'speed_min', 'speed_max')}
     row |= {f'{name}_std': std for name, std in zip('abc', deviations(w.covariance), strict=True)}
-    for v in SPEEDS:
+    for v in files.SPEEDS:
         row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
     for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
         row[name] = _known(getattr(w, name))
-    return row
-
-
-def _brake(outcome: Replay) -> Row:
-    output = outcome.brake_rate.output
-    row: Row = {'brake_status': output.status.name, 'brake_used': output.used}
-    if output.used:
-        row |= {'brake_rate': output.estimate.brake_rate, 'brake_rate_std': output.estimate.brake_rate_std}
     return row
 
 
@@ -263,7 +245,7 @@ def known_rows(plan: Plan, table: Path) -> dict[str, Row]:
     for bag in plan.bags:
         key = plan.key(bag)
         try:
-            row = empty_row() | json.loads((rows_folder(table) / f'{key}.json').read_text(encoding='utf-8'))
+            row = files.empty_row() | json.loads((rows_folder(table) / f'{key}.json').read_text(encoding='utf-8'))
         except (FileNotFoundError, ValueError):  # a loss of power may leave anything
             continue
         rows[key] = row | labels_in_row(bag, row['start'])
@@ -271,13 +253,10 @@ def known_rows(plan: Plan, table: Path) -> dict[str, Row]:
 
 
 def run_plan(plan: Plan, table: Path, known: dict[str, Row], rows: Rows, advance: Callable[[float], None]) -> list[Row]:
-    """Write the table of a plan and return its rows, in the order of the plan.
+    """Write the table of a plan and return its rows, in the order of the plan; InputError if a file cannot be written.
 
     Whatever ends the work, such as Ctrl-C, the table holds the rows that are there. ``known`` are rows of earlier runs
     by key; ``advance`` is called with the number of bags done since its last call.
-
-    Raises:
-        InputError: A file cannot be written.
     """
     keys = [plan.key(bag) for bag in plan.bags]
     left = [(key, bag) for key, bag in zip(keys, plan.bags, strict=True) if key not in known]
@@ -293,28 +272,23 @@ def run_plan(plan: Plan, table: Path, known: dict[str, Row], rows: Rows, advance
                     write_whole(rows_folder(table) / f'{key}.json', write)
     finally:
         written = [done[key] for key in keys if key in done]
-        write_table(written, table, plan.to_json() | {'bags': len(plan.bags)})
+        files.write_table(written, table, plan.to_json() | {'bags': len(plan.bags)})
     return written
 
 
-def rows_here(jobs: int) -> Rows:
-    """Return what replays bags in processes of this machine."""
-
-    def rows(
-        plan: Plan, bags: Sequence[PlannedBag], advance: Callable[[float], None]
-    ) -> Generator[tuple[int, Row], None, None]:
-        work, killed = partial(bag_row, plan.setup, plan.revision), partial(killed_row, plan.revision)
-        return each_bag(work, bags, jobs, advance, killed)
-
-    return rows
+def rows_here(
+    jobs: int, plan: Plan, bags: Sequence[PlannedBag], advance: Callable[[float], None]
+) -> Generator[tuple[int, Row], None, None]:
+    """Replay bags in a number of processes of this machine."""
+    work, killed = partial(bag_row, plan.setup, plan.revision), partial(killed_row, plan.revision)
+    return each_bag(work, bags, jobs, advance, killed)
 
 
 @contextmanager
 def rows_on_cluster(address: str) -> Iterator[Rows]:
-    """Connect to a scheduler; yield what replays bags there.
+    """Connect to a scheduler and yield what replays bags there; InputError if that is of no use.
 
-    Raises:
-        InputError: There is none, it has no workers, or workers with several threads.
+    It may not be there, have no workers, or workers with several threads.
     """
     from distributed import Client  # noqa: PLC0415 - optional
 
@@ -332,7 +306,7 @@ def rows_on_cluster(address: str) -> Iterator[Rows]:
             if worker['nthreads'] > 1:
                 has = f'worker {name} has {worker["nthreads"]} threads'
                 raise InputError(f'--scheduler {address}: {has}; start it with --nthreads 1')
-        yield lambda plan, bags, advance: _rows(client, plan, bags, advance)
+        yield partial(_rows, client)
 
 
 def _check_address(address: str) -> None:
@@ -364,5 +338,4 @@ def _rows(
 
 
 def _task_rows(setup: Setup, revision: str, bags: Sequence[PlannedBag]) -> list[Row]:
-    """Return the rows of the bags of one task."""
     return [bag_row(setup, revision, bag, lambda _: None) for bag in bags]
