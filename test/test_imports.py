@@ -62,7 +62,7 @@ def run(code: str, bytecode: Path | None = None) -> str:
 
 def modules() -> list[str]:
     inner = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
-    found = {*PACKAGE.glob('*.py'), PACKAGE / 'report' / 'viewer.py', *inner}
+    found = {*PACKAGE.glob('*.py'), PACKAGE / 'report' / 'recording.py', *inner}
     parts = (
         path.relative_to(PACKAGE.parent).with_suffix('').parts for path in sorted(found) if path.stem != '__init__'
     )

@@ -13,20 +13,21 @@ import numpy as np
 import pytest
 import yaml
 
+from test.report import conftest as report
 from trainid_ros.cli import demo
 from trainid_ros.cli.demo import MISSION, V_MILS, Comparison, Published, compare, describe_resistance, line
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.report import HTML_START
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.train_file import Davis, TrainFile
 
-START_NS = 1_700_000_000 * NS_PER_S
-RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0, 0.3)
-BRAKE = BrakeRateEstimate(0.91, 0.05, 0.0, 10.0, 0.0, 0.0, 100.0, False, 0.01, 0.001, float('nan'))
+START_NS = report.START_NS
+RESISTANCE = replace(report.RESISTANCE, covariance=(0.0,) * 9)
+BRAKE = replace(report.BRAKE, brake_rate=0.91, test_ratio=float('nan'))
 TRUTH = Truth(START_NS, ((0.0, 1.5, 0.02, 0.001),), ((0.0, 1.0), (60.0, 0.95)))
 
 
@@ -39,30 +40,27 @@ def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(demo, name, fail)
 
 
-@pytest.mark.usefixtures('_nothing_runs')
-@pytest.mark.parametrize('only', [(), ('--only', 'explain'), ('--only', 'yizhuang')])
-@pytest.mark.parametrize('inside', ['', 'deeper'])
-def test_a_file_as_output_folder_is_refused_at_once(
-    tmp_path: Path, one_error: Callable[[], str], only: tuple[str, ...], inside: str
-) -> None:
-    out = tmp_path / 'out'
-    out.write_text('my own file', encoding='utf-8')
-    assert main(['demo', *only, '--out', str(out / inside)]) == 2
-    assert 'cannot be written' in one_error()
-    assert out.read_text(encoding='utf-8') == 'my own file'
+ALL, EXPLAIN, PLAYED = (), ('--only', 'explain'), ('--only', 'yizhuang')
 
 
 @pytest.mark.usefixtures('_nothing_runs')
-@pytest.mark.parametrize('only', [(), ('--only', 'explain')])
-def test_a_page_of_somebody_else_is_refused_at_once(
-    tmp_path: Path, one_error: Callable[[], str], only: tuple[str, ...]
+@pytest.mark.parametrize(
+    ('name', 'out', 'chapters', 'problem'),
+    [
+        *(('out', out, only, 'cannot be written') for out in ('out', 'out/deeper') for only in (ALL, EXPLAIN, PLAYED)),
+        ('explain/report.html', '', ALL, 'explain/report.html: exists and was not written by trainid'),
+        ('explain/report.html', '', EXPLAIN, 'explain/report.html: exists and was not written by trainid'),
+    ],
+)
+def test_a_file_of_somebody_else_is_refused_at_once(
+    tmp_path: Path, one_error: Callable[[], str], name: str, out: str, chapters: tuple[str, ...], problem: str
 ) -> None:
-    page = tmp_path / 'explain' / 'report.html'
-    page.parent.mkdir()
-    page.write_text('my own page', encoding='utf-8')
-    assert main(['demo', *only, '--out', str(tmp_path)]) == 2
-    assert f'{page}: exists and was not written by trainid' in one_error()
-    assert page.read_text(encoding='utf-8') == 'my own page'
+    own = tmp_path / name
+    own.parent.mkdir(exist_ok=True)
+    own.write_text('my own file', encoding='utf-8')
+    assert main(['demo', *chapters, '--out', str(tmp_path / out)]) == 2
+    assert problem in one_error()
+    assert own.read_text(encoding='utf-8') == 'my own file'
 
 
 @pytest.mark.usefixtures('_nothing_runs')
@@ -70,7 +68,7 @@ def test_only_the_chapters_played_need_their_folders(tmp_path: Path) -> None:
     (tmp_path / 'explain').write_text('my own file', encoding='utf-8')
     (tmp_path / 'report.html').write_text(f'{HTML_START}an earlier report', encoding='utf-8')
     with pytest.raises(pytest.fail.Exception, match='a chapter ran'):
-        main(['demo', '--only', 'yizhuang', '--out', str(tmp_path)])
+        main(['demo', *PLAYED, '--out', str(tmp_path)])
 
 
 def newest() -> dict[demo.Node, Output[Any]]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test.report.conftest import BRAKE
 from trainid_ros.cli.output import (
     check_output,
     print_json,
@@ -23,12 +24,10 @@ from trainid_ros.cli.output import (
     warn,
 )
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.results import BrakeRateEstimate, Output, Status
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.interface.text import in_ascii
 from trainid_ros.report import HTML_START
 from trainid_ros.report.page import page
-
-BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
 
 
 class Colour(IntEnum):

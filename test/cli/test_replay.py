@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
@@ -11,12 +12,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
+from pyarrow import parquet
 
+from test.own_bag import messages_of
 from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.inputs.mapping import date_time_ns
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, stamp_of
+from trainid_ros.interface.results import Status
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import Contradiction
 from trainid_ros.train.train_file import dump_train_file, load_train_file
@@ -291,3 +296,39 @@ def test_a_mass_that_nobody_weighed_is_not_known_as_well(
     train.write_text(dump_train_file(replace(file, train=replace(file.train, mass_std=share))), encoding='utf-8')
     call(standing_bag, train=train)
     assert ('ato/mass: no messages, so train.mass_std = 0.002' in capsys.readouterr().err) is warned
+
+
+@pytest.fixture(scope='module')
+def outputs(driven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('outputs')
+    for name in ('bag', 'e.parquet', 'e.csv'):
+        assert call(driven_bag, '--out', str(folder / name)) == 0
+    return folder
+
+
+@pytest.fixture(scope='module')
+def expected(outputs: Path) -> dict[int, Any]:
+    """Return the resistances of the bag by stamp."""
+    return {stamp_of(message): message for message in messages_of(outputs / 'bag', 'trainid/resistance')}
+
+
+def test_parquet_holds_the_estimates_with_units_and_covariance(outputs: Path, expected: dict[int, Any]) -> None:
+    table = parquet.read_table(outputs / 'e.parquet')
+    assert table.schema.field('resistance_b').metadata == {b'unit': b'N/kN per m/s'}
+    columns = ('resistance_a', 'resistance_covariance', 'resistance_status', 'resistance_used')
+    rows = zip(table['time'].cast('int64').to_pylist(), *(table[name].to_pylist() for name in columns), strict=True)
+    assert list(rows) == [
+        (stamp_ns, message.a, message.covariance.tolist(), Status(message.status).name, message.used)
+        for stamp_ns, message in expected.items()
+    ]
+    assert sum(column.null_count for column in table.columns) == 0
+
+
+def test_csv_holds_the_estimates_with_units_in_its_header(outputs: Path, expected: dict[int, Any]) -> None:
+    with (outputs / 'e.csv').open(encoding='utf-8', newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert [date_time_ns(row['time']) for row in rows] == list(expected)
+    for row, message in zip(rows, expected.values(), strict=True):
+        assert float(row['resistance_a [N/kN]']) == message.a
+        assert float(row['resistance_a_std [N/kN]']) ** 2 == pytest.approx(message.covariance[0])
+        assert row['resistance_status'] == Status(message.status).name

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from trainid_ros.cli.main import main
-from trainid_ros.report.viewer import switch_off_telemetry
+from trainid_ros.report.recording import switch_off_telemetry
 
 
 def test_without_rerun_one_line_names_the_extra(driven_bag: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ class TestWithRerun:
             return SimpleNamespace(returncode=0)
 
         monkeypatch.setenv('DISPLAY', ':0')
-        monkeypatch.setattr('trainid_ros.cli.view.subprocess.run', run)
+        monkeypatch.setattr('trainid_ros.cli.replay.subprocess.run', run)
         assert main(['view', str(driven_bag)]) == 0
         ((command, start, telemetry_off),) = opened
         assert command[:5] == [sys.executable, '-m', 'rerun', '--bind', '127.0.0.1']
@@ -69,7 +69,7 @@ class TestWithRerun:
         said = 'INFO a line of Rerun\nError: winit at mod.rs:788: Failed to open connection to X server\n\n'
         ended = SimpleNamespace(returncode=1, stderr=said)
         monkeypatch.setenv('DISPLAY', ':99')
-        monkeypatch.setattr('trainid_ros.cli.view.subprocess.run', lambda *_, **__: ended)
+        monkeypatch.setattr('trainid_ros.cli.replay.subprocess.run', lambda *_, **__: ended)
         assert main(['view', str(driven_bag)]) == 2
         wanted = 'cannot run on this display: Failed to open connection to X server; give --out FILE.rrd'
         assert wanted in one_error()

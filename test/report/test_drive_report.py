@@ -1,25 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report is one self-contained file, also for drives with little data."""
+"""The report is one self-contained file, also for drives with little data; its scores are those calculated by hand."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from test.report.conftest import TRUTH
 from test.report.pages import check_page, colours_of_figures, words
 from trainid_ros.interface.errors import InputError
-from trainid_ros.report.drive_report import render_report, write_report
+from trainid_ros.report.drive_report import (
+    render_report,
+    resistance_at,
+    resistance_std,
+    score_brake_rate,
+    score_resistance,
+    write_report,
+)
 from trainid_ros.report.page import styled_figure, to_svg
 from trainid_ros.report.recording import Recorder
 from trainid_ros.sim.truth import Truth
-
-pytestmark = pytest.mark.slow  # drawing takes seconds
 
 FIGURES = (
     'Running resistance and Davis parameters over time', 'Resistance curve against speed', 'Brake rate over time',
@@ -33,18 +40,21 @@ def text(make_chapter: Callable[..., Any]) -> str:
     return render_report('Two <trials>', (make_chapter(240), replace(make_chapter(120), title='Second')))
 
 
+@pytest.mark.slow
 def test_every_chapter_has_each_figure_once(text: str) -> None:
     for label in FIGURES:
         assert text.count(f'aria-label="{label}"') == 2
     assert text.count('<svg') == 2 * len(FIGURES)
 
 
+@pytest.mark.slow
 def test_page_is_whole_and_alone_and_text_is_escaped(text: str) -> None:
     assert {'table', 'svg', 'dl', 'nav'} <= check_page(text, 3_000_000)
     assert '<title>Two &lt;trials&gt;</title>' in text
     assert 'Trial &lt;1&gt;' in text
 
 
+@pytest.mark.slow
 def test_numbers_of_the_table(text: str) -> None:
     cells = re.findall(r'<td[^>]*>(.*?)</td>', text)
     at = cells.index('w at 10 m/s (36 km/h)')
@@ -55,10 +65,12 @@ def test_numbers_of_the_table(text: str) -> None:
     assert 'a note' in text
 
 
+@pytest.mark.slow
 def test_figures_use_the_colours_of_the_page(text: str) -> None:
     assert {'ink', 'estimate', 'grid'} <= colours_of_figures(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('seconds', 'options', 'figures'),
     [
@@ -77,6 +89,7 @@ def test_little_is_known(make_chapter: Callable[..., Any], seconds: int, options
     assert ('truth' in text, 'error / std' in text) == (has_truth, has_truth)
 
 
+@pytest.mark.slow
 def test_empty_traces_give_tables_without_figures(make_chapter: Callable[..., Any]) -> None:
     chapter = replace(make_chapter(30), recording=Recorder().finish())
     text = render_report('r', (chapter,))
@@ -84,11 +97,13 @@ def test_empty_traces_give_tables_without_figures(make_chapter: Callable[..., An
     assert 'nan' not in words(text)
 
 
+@pytest.mark.slow
 def test_output_is_deterministic(make_chapter: Callable[..., Any]) -> None:
     chapters = (make_chapter(60),)
     assert render_report('r', chapters) == render_report('r', chapters)
 
 
+@pytest.mark.slow
 def test_folders_are_created_and_write_errors_reported(make_chapter: Callable[..., Any], tmp_path: Path) -> None:
     chapters = (replace(make_chapter(30), recording=Recorder().finish()),)
     write_report('r', chapters, tmp_path / 'a' / 'b' / 'report.html')
@@ -98,6 +113,7 @@ def test_folders_are_created_and_write_errors_reported(make_chapter: Callable[..
         write_report('r', chapters, tmp_path / 'file' / 'report.html')
 
 
+@pytest.mark.slow
 def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -> None:
     bad = '<img src=x onerror=alert(1)>&"'
     chapter = replace(make_chapter(60), title=bad, bag=bad, train_file_name=bad, how=bad, notes=(bad,))
@@ -110,3 +126,58 @@ def test_the_label_of_a_figure_is_no_markup() -> None:
     with styled_figure(1.0) as figure:
         text = to_svg(figure, 'Train T1" onclick="x')
     assert 'aria-label="Train T1&quot; onclick=&quot;x"' in text
+
+
+def test_axes_show_values_and_not_what_to_add_to_them() -> None:
+    with styled_figure(2.0) as figure:
+        figure.subplots().plot([0.0, 1.0, 2.0], [1.0001, 1.0002, 1.0004])
+        text = to_svg(figure, 'wheel ratio')
+    assert '1.0002' in text
+    assert '+1' not in text
+
+
+def test_resistance_and_its_standard_deviation() -> None:
+    theta = np.array([[1.0, 0.1, 0.01], [2.0, 0.0, 0.0]])
+    np.testing.assert_allclose(resistance_at(theta, 10.0), [3.0, 2.0])
+    P = np.array([[4.0, -0.1, 0.0], [-0.1, 0.01, 0.0], [0.0, 0.0, 1e-4]])
+    # phi = (1, 10, 100): 4 - 2 * 10 * 0.1 + 100 * 0.01 + 10000 * 1e-4 = 4
+    assert resistance_std(P, 10.0) == pytest.approx(2.0)
+    assert resistance_std(np.diag([-1e-18, 0.0, 0.0]), 5.0) == 0.0  # negative by rounding
+
+
+def test_scores_follow_steps_of_the_truth(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(120)
+    score = score_resistance(chapter.recording, chapter.truth)
+    assert score is not None
+    # a = 1.6 throughout, truth 1.5 up to 60 s and 1.7 after; the first 20 s are not usable.
+    assert score.outputs == 100
+    assert score.bias == pytest.approx((40 * 0.1 - 60 * 0.1) / 100)
+    assert score.rms == pytest.approx(0.1)
+    assert score.last == pytest.approx(-0.1)
+    # std of w at 10 m/s: sqrt(0.04 + 100 * 1e-4 + 1e4 * 1e-8) = 0.224
+    assert score.inside_68 == 1.0
+
+
+def test_coverage_is_the_share_inside_the_band(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(120)
+    score = score_brake_rate(chapter.recording, chapter.truth)
+    assert score is not None
+    # Rate 0.9 with std 0.05: the truth is 1.0 (outside of both bands) for 40 s, then 0.9 for 60 s.
+    assert score.inside_68 == score.inside_95 == pytest.approx(0.6)
+
+
+def test_no_score_without_a_true_brake_rate_or_a_usable_output(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(15)
+    assert score_resistance(chapter.recording, chapter.truth) is None
+    assert score_brake_rate(make_chapter(120).recording, Truth(0, ((0.0, 1.0, 0.0, 0.0),))) is None
+
+
+def test_modes_statuses_and_observability_are_spans(make_chapter: Callable[..., Any]) -> None:
+    recording = make_chapter(240).recording
+    modes = recording.modes
+    assert [span.label for span in modes] == ['traction', 'coast', 'brake', 'standstill'] * 2
+    assert all(first.end_s == second.start_s for first, second in pairwise(modes))
+    assert [span.end_s - span.start_s for span in modes[:-1]] == [30.0] * 7
+    assert [span.label for span in recording.resistance.statuses[:3]] == ['CONVERGING', 'VALID', 'HOLDING']
+    assert [(span.start_s, span.end_s) for span in recording.observable] == [(60.0, 90.0), (180.0, 210.0)]
+    assert recording.duration_s == 239.0

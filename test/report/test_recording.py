@@ -12,22 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from test.report.conftest import RESISTANCE, START_NS
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
-from trainid_ros.interface.results import Output, ResistanceEstimate, Status
-from trainid_ros.report.recording import CAPACITY, PlausibleStamps, Recorder
+from trainid_ros.interface.results import Output, Status
+from trainid_ros.report.recording import CAPACITY, Recorder
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
 DRIVEN_S = 160
-START_NS = 1_700_000_000 * NS_PER_S
-ESTIMATE = ResistanceEstimate(
-    a=1.0, b=2.0, c=3.0, covariance=tuple(map(float, range(9))), resistance=0.0, resistance_std=0.0, speed=4.0,
-    innovation=0.0, innovation_variance=1.0, test_ratio=0.0, speed_min=1.0, speed_max=9.0, resistance_std_max=0.3,
-)  # fmt: skip
+ESTIMATE = replace(RESISTANCE, covariance=tuple(map(float, range(9))), speed_min=1.0, speed_max=9.0)
 
 
 def outputs(count: int, **changes: Callable[[int], float]) -> Recorder:
@@ -128,11 +125,3 @@ def test_inputs_after_a_pause_are_shown(tmp_path: Path) -> None:
     assert shown[-1] == stamps[-1]
     assert len(stamps) - 10 < len(shown) <= len(stamps)
     assert recording.duration_s == pytest.approx((stamps[-1] - stamps[0]) / NS_PER_S, abs=0.2)
-
-
-def test_a_step_is_followed_once_a_sample_has_shown_it() -> None:
-    stamps, later = PlausibleStamps(), START_NS + 900 * NS_PER_S
-    assert [stamps.accept(ns) for ns in (START_NS, 0, later, START_NS + NS_PER_S)] == [True, False, False, True]
-    stamps.follow(later)
-    assert stamps.accept(later + NS_PER_S)
-    assert not stamps.accept(later + 10**15)

@@ -21,14 +21,22 @@ import pytest
 
 from test.chromium import Chromium, find_chromium, ink
 from test.hang import HANG_S
+from test.report.conftest import BRAKE, START_NS
 from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.interface.records import NS_PER_S, SpeedRecord
+from trainid_ros.interface.records import SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.monitor.trains import SHOWN, resistance_at
-from trainid_ros.report.recording import input_panels
-from trainid_ros.report.viewer import SHARES, USED, ViewRecorder, estimate_panel, switch_off_telemetry, time_range
+from trainid_ros.report.recording import (
+    SHARES,
+    USED,
+    ViewRecorder,
+    estimate_panel,
+    input_panels,
+    switch_off_telemetry,
+    time_range,
+)
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
@@ -39,7 +47,6 @@ BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
 PLOTS = ('inputs/speed', 'inputs/force', 'inputs/gradient', 'inputs/brake_command')
 ESTIMATES = ('resistance', 'speed_model', 'brake_rate')
 NAMES = {ResistanceEstimate: 'resistance', SpeedModelEstimate: 'speed model', BrakeRateEstimate: 'brake rate'}
-START = 1_700_000_000 * NS_PER_S
 
 
 @pytest.fixture(scope='module')
@@ -174,11 +181,10 @@ def empty(finding: str = '') -> tuple[ViewRecorder, Any]:
 
 def test_findings_are_events() -> None:
     recorder, stream = empty()
-    estimate = BrakeRateEstimate(0.9, 0.05, 0.0, 10.0, 0.0, 0.0, 100.0, False, 0.0, 0.0, 0.0)
     for k, finding in enumerate(('', 'ato/speed looks like km/h', 'ato/speed looks like km/h', '')):
         stream.finding = finding
-        recorder.on_output(Output(START + k, estimate, Status.CONVERGING, 0, 0, None), START)
-    found = [(item.stamp_ns - START, item.is_bad, item.text) for item in recorder.events[1:]]
+        recorder.on_output(Output(START_NS + k, BRAKE, Status.CONVERGING, 0, 0, None))
+    found = [(item.stamp_ns - START_NS, item.is_bad, item.text) for item in recorder.events[1:]]
     assert found == [
         (1, True, 'inputs contradict each other: ato/speed looks like km/h'),
         (3, False, 'inputs agree again: ato/speed looks like km/h'),

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -21,7 +22,6 @@ DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
-_MAX_MB: Final = 4095  # offsets within a chunk have 32 bits
 
 
 def namespace(text: str) -> str:
@@ -33,17 +33,7 @@ def namespace(text: str) -> str:
     return text
 
 
-def positive(text: str) -> float:
-    """Return a finite number above zero; ArgumentTypeError for anything else."""
-    return _finite(text, 'a number > 0', lambda value: value > 0.0)
-
-
-def not_negative(text: str) -> float:
-    """Return a finite number, zero or above; ArgumentTypeError for anything else."""
-    return _finite(text, 'a number >= 0', lambda value: value >= 0.0)
-
-
-def _finite(text: str, wanted: str, is_wanted: Callable[[float], bool]) -> float:
+def _finite(wanted: str, is_wanted: Callable[[float], bool], text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -53,6 +43,11 @@ def _finite(text: str, wanted: str, is_wanted: Callable[[float], bool]) -> float
     return value
 
 
+positive: Final = partial(_finite, 'a number > 0', lambda value: value > 0.0)
+"""Returns a finite number above zero; ArgumentTypeError for anything else."""
+_not_negative: Final = partial(_finite, 'a number >= 0', lambda value: value >= 0.0)
+
+
 def whole(text: str) -> int:
     """Return a whole number, zero or above; ArgumentTypeError for anything else."""
     if not text.isdecimal():
@@ -60,10 +55,10 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def megabytes(text: str) -> int:
-    """Return a size in bytes, given in whole MB from 1 to 4095; ArgumentTypeError for anything else."""
-    if not (text.isdecimal() and 1 <= int(text) <= _MAX_MB):
-        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to {_MAX_MB}')
+def _megabytes(text: str) -> int:
+    """Return a size in bytes, given in whole MB; the offsets within a chunk have 32 bits."""
+    if not (text.isdecimal() and 1 <= int(text) <= 4095):
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of MB from 1 to 4095')
     return int(text) << 20
 
 
@@ -110,7 +105,7 @@ VERBS: Final = (
     ),
     Verb(
         'view', 'show a bag and its estimates in the Rerun viewer',
-        'bag --map --max-chunk --train --params --algorithm --out --namespace',
+        'bag --map --max-chunk --train --params --algorithm --out --namespace', 'replay.view',
     ),
     Verb(
         'replay', 'run the estimators over bags, off line',
@@ -166,7 +161,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'import --map': _path('MAPPING.yaml', 'mapping file: inputs from columns and units', required=True),
     '--suggest-map': _flag('print a mapping file for a bag, with reasons as comments'),
     '--max-chunk': _value(
-        megabytes, 64 << 20, 'MB', 'leave out chunks of a bag that unpack to more than this (default: 64)'
+        _megabytes, 64 << 20, 'MB', 'leave out chunks of a bag that unpack to more than this (default: 64)'
     ),
     '--train': _path('T.yaml', 'train file', required=True),
     'run --train': _path('T.yaml', 'train file (parameter train_file)'),
@@ -193,10 +188,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--truth': _path('FILE', 'truth for the report (default: truth.yaml in the bag, if any)'),
     'demo --rate': _value(positive, DEMO_RATE, 'R', f'playback rate, x real time (default: {DEMO_RATE:g})'),
     'play --rate': _value(positive, 1.0, 'R', 'recorded seconds per second (default: 1)'),
-    '--start': _value(not_negative, 0.0, 'S', 'skip the first seconds'),
+    '--start': _value(_not_negative, 0.0, 'S', 'skip the first seconds'),
     'monitor --duration': _value(positive, 0.0, 'S', 'end after this many seconds'),
     'play --duration': _value(positive, 0.0, 'S', 'play only this many seconds'),
-    'fit --duration': _value(not_negative, math.inf, 'S', 'fit only this many seconds'),
+    'fit --duration': _value(_not_negative, math.inf, 'S', 'fit only this many seconds'),
     '--loop': _flag('start over at the end'),
     '--wait': _value(
         int,

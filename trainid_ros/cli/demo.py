@@ -16,20 +16,19 @@ from collections import Counter
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 import yaml
 
-from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, require_topics
+from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
 from trainid_ros.cli.explain import REPORT_HTML, describe, explain_runs, prepare_folder, to_json, write_all
 from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show
 from trainid_ros.cli.processes import ProcessGroup, isolate
-from trainid_ros.estimators.pipeline import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
@@ -51,23 +50,18 @@ if TYPE_CHECKING:
     from trainid_ros.explain.result import Explanation
 
     Say = Callable[[str], None]
+    Replayed = dict['Node', tuple[EstimatorPipeline[Any], 'Published']]
 
 HIDDEN: Final = 'local_drag:start=4500,end=5700,permille=1.5'
-_HIDDEN_DAVIS: Final = Davis(1.74, 0.02, 0.0086)
-_HIDDEN_RUNS, _HIDDEN_STOPS, _HIDDEN_SEED = 8, 5, 2017
 _TITLES: Final = {
     'altrios_manifest': 'Freight train on a real route, from an independent simulator',
     'yizhuang_day': 'A day on the Beijing Yizhuang line',
 }
-_MAX_START_S: Final = 60.0  # within which all nodes must publish
-_QUIET_S: Final = 15.0  # without an estimate after the bag was played, after which none comes any more
-_SURPLUS_S: Final = 1.5  # without an estimate, after which none comes that a replay does not have
+_MAX_START_S: Final = 60.0  # within which all nodes must publish [s]
 _POLL_S: Final = 0.05
-_LINE_S: Final = 5.0  # between the lines that show the newest estimates
+_LINE_S: Final = 5.0  # between the lines that show the newest estimates [s]
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
 _DEPTH: Final = 40000
-# Nor are estimates dropped while the demo is busy with the replay [ns].
-_LIFESPAN_NS: Final = 3600 * NS_PER_S
 
 
 class Node(NamedTuple):
@@ -127,13 +121,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 class DemoBag(NamedTuple):
-    """A bag with its title, its train file and, if known, its truth."""
+    """A bag of the demo."""
 
     path: Path
     title: str
     train_path: Path
     train_file: TrainFile
-    truth: Truth | None
+    truth: Truth | None  # None if unknown
 
 
 def stock_bag(name: str) -> Path:
@@ -153,34 +147,23 @@ def _live(bags: list[DemoBag], args: argparse.Namespace, report: Path, say: Say)
     logs: Path = args.out / 'log'
     logs.mkdir(parents=True, exist_ok=True)
     say(f'ROS 2 domain {isolate(logs)}, logs in {logs}')
-    duration_s = DEMO_QUICK_S if args.quick else math.inf
     played = []
     for bag in bags:
         folder = logs / bag.path.name
         folder.mkdir(exist_ok=True)
         say(f'\n{bag.title}: {bag.path} at {args.rate:g} x real time')
-        played.append(_conclude(bag, *play_live(bag, args.rate, duration_s, folder, say)))
+        played.append(_play(bag, args.rate, DEMO_QUICK_S if args.quick else math.inf, folder, say))
         for note in played[-1].chapter.notes:
             say(note)
     drive_report.write_report('trainid demo', [one.chapter for one in played], report)
     return played
 
 
-def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: Say) -> tuple[Live, Replayed]:
-    """Play a bag to nodes in separate processes, collect what they publish, and replay the bag off line.
+def _play(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: Say) -> Played:
+    """Play a bag to nodes in separate processes, collect what they publish, and compare it with a replay.
 
-    Nodes that are slower than the playback catch up at its end, while the bag is replayed and after.
-
-    Args:
-        bag: The bag.
-        rate: Recorded seconds per second [1].
-        duration_s: Length of the bag to play [s].
-        folder: Where logs and parameters go; it must exist.
-        say: Shows a line of text.
-
-    Raises:
-        InputError: The bag cannot be played.
-        NoAnswerError: A process failed; the message gives the end of its log.
+    Nodes that are slower than the playback catch up at its end, while the bag is replayed and after. Logs and
+    parameters go to a folder. InputError if the bag cannot be played, NoAnswerError if a process fails.
     """
     with BagReader(bag.path) as reader:
         require_topics(reader)
@@ -212,17 +195,17 @@ def play_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: S
             group.check(may_end='bag_player')
             live.take(subscriptions)
             time.sleep(_POLL_S)
-        replayed = Replayed(bag, duration_s, live.recorder)
+        replayed = _replay(bag, duration_s, live.recorder)
         last_s = time.monotonic()
-        # Where nothing lacks any more, a surplus would follow at once.
-        while time.monotonic() < last_s + (_QUIET_S if live.lacks(replayed) else _SURPLUS_S):
+        # Seconds of silence after which no estimate comes any more, or none that the replay does not have.
+        while time.monotonic() < last_s + (15.0 if live.lacks(replayed) else 1.5):
             group.check(may_end='bag_player')
             if live.take(subscriptions):
                 last_s = time.monotonic()
             time.sleep(_POLL_S)
         if killed := group.stop():
             raise NoAnswerError(f'{", ".join(killed)} did not stop on SIGTERM and was killed')
-    return live, replayed
+    return _conclude(bag, live, replayed)
 
 
 def node_parameters() -> str:
@@ -232,7 +215,8 @@ def node_parameters() -> str:
         topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS] + [(node.topic, 'publisher')]
         lossless: dict[str, Any] = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
         qos = {f'/{name}': {entity: dict(lossless)} for name, entity in topics}
-        qos[f'/{node.topic}']['publisher']['lifespan'] = _LIFESPAN_NS
+        # No estimate is dropped while the demo is busy with the replay.
+        qos[f'/{node.topic}']['publisher']['lifespan'] = 3600 * NS_PER_S
         return {'algorithm': getattr(node.settings, node.kind.name).algorithm, 'qos_overrides': qos}
 
     return yaml.safe_dump({node.name: {'ros__parameters': parameters(node)} for node in NODES})
@@ -261,21 +245,20 @@ def _subscribed() -> Iterator[tuple[Any, Mapping[Node, Any]]]:
 
 
 class Published:
-    """Outputs of a node or of its replay: the newest one, and stamps and digests of the estimates.
+    """Digests of the outputs of a node or of its replay, and the newest output.
 
     Repeats that report missing input are left out: a clock causes those, and a replay has none.
     """
 
     def __init__(self) -> None:
-        self.digests: list[tuple[int, int]] = []
+        self.digests: list[tuple[int, int]] = []  # with stamps
         self.newest: Output[Any] | None = None
 
     def add(self, output: Output[Any]) -> bool:
         """Take in an output; return False for a repeat."""
         if output.status is Status.STALE and output.stamp_ns == (self.digests[-1][0] if self.digests else 0):
             return False
-        values = _values(output.estimate, type(output.estimate))
-        self.digests.append((output.stamp_ns, hash(repr(values))))
+        self.digests.append((output.stamp_ns, hash(repr(_values(output.estimate, type(output.estimate))))))
         self.newest = output
         return True
 
@@ -313,7 +296,7 @@ class Live:
 
     def lacks(self, replayed: Replayed) -> bool:
         """Return whether a node has published fewer estimates than its replay."""
-        return any(len(one.digests) < len(replayed.published[node].digests) for node, one in self.published.items())
+        return any(len(self.published[node].digests) < len(other.digests) for node, (_, other) in replayed.items())
 
     def _receive(self, node: Node, message: Any) -> bool:
         kind = node.kind.topic.estimate
@@ -345,13 +328,13 @@ def line(newest: Mapping[Node, Output[Any]], truth: Truth | None) -> str:
 
 
 class Comparison(NamedTuple):
-    """Live estimates against those of a replay."""
+    """Numbers of estimates: live ones against those of a replay."""
 
-    replayed: int  # Estimates of the replay
-    received: int  # Live estimates received
-    equal: int  # Live estimates that equal the replayed ones to the bit
-    missing: int  # Replayed estimates without a live one
-    extra: int  # Live estimates without a replayed one
+    replayed: int
+    received: int
+    equal: int  # To the bit
+    missing: int  # Replayed ones without a live one
+    extra: int  # Live ones without a replayed one
 
     @property
     def exact(self) -> bool:
@@ -362,10 +345,8 @@ class Comparison(NamedTuple):
         """Return the comparison in words."""
         if self.exact:
             return f'live equals replay to the bit: all {self.replayed} messages'
-        return (
-            f'live differs from replay: {self.equal} of {self.replayed} estimates are equal to the bit, '
-            f'{self.missing} were missed, {self.extra} have no counterpart'
-        )
+        differ = f'live differs from replay: {self.equal} of {self.replayed} estimates are equal to the bit'
+        return f'{differ}, {self.missing} were missed, {self.extra} have no counterpart'
 
 
 def compare(received: list[tuple[int, int]], replayed: list[tuple[int, int]]) -> Comparison:
@@ -385,7 +366,7 @@ class Played(NamedTuple):
     def summary(self) -> str:
         """Return the results as lines of text."""
         chapter, answer, f = self.chapter, self.answer, self.chapter.brake_rate
-        true = None if chapter.truth is None else drive_report.final_truth(chapter.recording, chapter.truth)[0]
+        true = chapter.final_truth()[0]
         lines = (
             chapter.title,
             f'{chapter.recording.duration_s / 60.0:.0f} min of driving, {chapter.how}',
@@ -417,33 +398,29 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     return f'{head}, {output.status.name}, {counts}', f'  {", ".join(values)}'
 
 
-class Replayed:
-    """What the pipelines of the nodes make of a bag off line, up to a duration [s]; the inputs go to a recorder."""
-
-    def __init__(self, bag: DemoBag, duration_s: float, recorder: Recorder) -> None:
-        self.published = {node: Published() for node in NODES}
-        self.pipelines = {node: node.kind.pipeline(bag.train_file, node.settings) for node in NODES}
-        self.priors = {node: pipeline.current() for node, pipeline in self.pipelines.items()}
-        share_streams(self.pipelines.values())
-        with BagReader(bag.path) as reader, progress('replay for comparison') as advance:
-            span = reader.time_range()
-            end_ns = math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
-            rows = (row for _, row in reader.rows(end_ns))
-            while part := list(islice(rows, PROGRESS_EVERY)):
-                for row in part:
-                    recorder.add_record(record_of(*row))
-                    record = SharedRecord(row)
-                    for node, pipeline in self.pipelines.items():
-                        pipeline.take(record.events(pipeline.stream), self.published[node].add)
-                advance(len(part))
+def _replay(bag: DemoBag, duration_s: float, recorder: Recorder) -> Replayed:
+    """Replay a bag through the pipelines of the nodes, up to a duration [s]; the inputs go to a recorder."""
+    replayed = {node: (node.kind.pipeline(bag.train_file, node.settings), Published()) for node in NODES}
+    share_streams(pipeline for pipeline, _ in replayed.values())
+    with BagReader(bag.path) as reader, progress('replay for comparison'):
+        span = reader.time_range()
+        end_ns = math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
+        for _, row in reader.rows(end_ns):
+            recorder.add_record(record_of(*row))
+            record = SharedRecord(row)
+            for pipeline, published in replayed.values():
+                pipeline.take(record.events(pipeline.stream), published.add)
+    return replayed
 
 
 def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
     """Compare what the nodes published with the replay, and score it."""
-    digests = {node.label: (live.published[node].digests, replayed.published[node].digests) for node in NODES}
-    comparisons = {label: compare(*both) for label, both in digests.items()}
+    compared = {node: compare(live.published[node].digests, other.digests) for node, (_, other) in replayed.items()}
     # A node that published nothing live still has its prior.
-    newest: dict[str, Any] = {node.key: live.published[node].newest or replayed.priors[node] for node in NODES}
+    newest: dict[str, Any] = {
+        node.key: live.published[node].newest or node.kind.pipeline(bag.train_file, node.settings).current()
+        for node in NODES
+    }
     recording, beside, truth = live.recorder.finish(), live.v_mils.finish(), bag.truth
     rate = recording.duration_s / (live.last_s - live.first_s) if live.last_s > live.first_s else math.nan
     chapter = drive_report.Chapter(
@@ -454,9 +431,9 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         f'live over ROS 2 at {rate:.0f} x real time, then off line',
         recording,
         **{node.key: newest[node.key] for node in MISSION},
-        rejections={node.label: replayed.pipelines[node].rejections for node in MISSION},
+        rejections={node.label: replayed[node][0].rejections for node in MISSION},
         truth=truth,
-        notes=tuple(f'{label}: {comparison}' for label, comparison in comparisons.items()),
+        notes=tuple(f'{node.label}: {comparison}' for node, comparison in compared.items()),
         others=(('V-MILS', beside.resistance),),
     )
     answer = {
@@ -469,27 +446,25 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
             'v_mils': truth and drive_report.score_resistance(beside, truth),
             'brake_rate': truth and drive_report.score_brake_rate(recording, truth),
         },
-        'live_against_replay': {label: comparison._asdict() for label, comparison in comparisons.items()},
+        'live_against_replay': {node.label: comparison._asdict() for node, comparison in compared.items()},
     }
-    return Played(chapter, answer, all(comparison.exact for comparison in comparisons.values()))
+    return Played(chapter, answer, all(comparison.exact for comparison in compared.values()))
 
 
 def _hidden(folder: Path, say: Say) -> tuple[TrainFile, Explanation]:
     """Simulate runs with an effect that the train file lacks, explain the gap, and return that file and the result."""
-    line = f'{_HIDDEN_RUNS} runs on the Yizhuang line, there and back'
-    say(f'{line}; hidden: {HIDDEN}, and a, b, c unlike the train file')
-    path = stock_bag('yizhuang') / 'train.yaml'
+    say(f'8 runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and a, b, c unlike the train file')
+    path, hidden = stock_bag('yizhuang') / 'train.yaml', Davis(1.74, 0.02, 0.0086)
     full = load_train_file(path)
-    stated = replace(full, line=replace(full.line, stops=full.line.stops[:_HIDDEN_STOPS]))
-    true = replace(stated, resistance=_HIDDEN_DAVIS, effects=parse_effects([HIDDEN]))
+    stated = replace(full, line=replace(full.line, stops=full.line.stops[:5]))
+    true = replace(stated, resistance=hidden, effects=parse_effects([HIDDEN]))
     bag = folder / 'bag'
     shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo
     with BagWriter(bag) as writer:
-        for record in simulate(Scenario(true, runs=_HIDDEN_RUNS), np.random.default_rng(_HIDDEN_SEED)).records:
+        for record in simulate(Scenario(true, runs=8), np.random.default_rng(2017)).records:
             writer.write_record(record)
     explanation = explain_runs(read_runs([bag], stated), stated, [bag])
-    a, b, c = _HIDDEN_DAVIS.a, _HIDDEN_DAVIS.b, _HIDDEN_DAVIS.c
-    notes = (f'Hidden in the simulation: {HIDDEN}; a = {a}, b = {b}, c = {c}.',)
+    notes = (f'Hidden in the simulation: {HIDDEN}; a = {hidden.a}, b = {hidden.b}, c = {hidden.c}.',)
     write_all(folder, explanation, stated, str(path), [bag], notes)
     return stated, explanation
 
@@ -507,10 +482,7 @@ def describe_hidden(stated: TrainFile, explanation: Explanation, folder: Path) -
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Handle termination signals like Ctrl-C, so that child processes are stopped.
-
-    A signal during a call into ROS can surface as a RuntimeError of that call; it still counts as an interruption.
-    """
+    """Handle signals like Ctrl-C, so that child processes are stopped; ROS may turn one into a RuntimeError."""
     received: list[int] = []
 
     def interrupt(number: int, _frame: object) -> NoReturn:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros import __version__
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.explain.dataset import Run
-    from trainid_ros.explain.result import Explanation, FoundEffect
+    from trainid_ros.explain.result import Explanation
     from trainid_ros.train.train_file import TrainFile
 
 REPORT_JSON: Final = 'report.json'
@@ -118,20 +119,13 @@ def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path
     """Run the workflow, showing its steps on a terminal; NoAnswerError if there is too little motion."""
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415
 
-    with _steps() as advance:
-        return explain(runs, train_file, provenance=provenance(bags, len(runs)), advance=advance)
-
-
-@contextmanager
-def _steps() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows the current step on standard error, if that is a terminal."""
+    run = partial(explain, runs, train_file, provenance=provenance(bags, len(runs)))
     if not sys.stderr.isatty():
-        yield lambda _text: None
-        return
+        return run()
     from rich.console import Console  # noqa: PLC0415
 
     with Console(stderr=True).status('explain') as status:
-        yield lambda text: status.update(f'explain: {text}')
+        return run(advance=lambda text: status.update(f'explain: {text}'))
 
 
 def provenance(bags: Sequence[Path], runs: int) -> str:
@@ -161,9 +155,7 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
             'gap': {
                 'metric': 'rms speed',
                 'unit': 'm/s',
-                'before': gap and gap.before,
-                'after': gap and gap.after,
-                'noise_floor': gap and gap.noise_floor,
+                **{name: gap and getattr(gap, name) for name in ('before', 'after', 'noise_floor')},
                 'runs_held_out': gap.runs_held_out if gap else 0,
             },
             'remaining': e.remaining if e else reason,
@@ -175,43 +167,35 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
 
 def describe(explanation: Explanation, prior: TrainFile) -> str:
     """Return the findings as text; ``prior`` is the train file that was explained."""
-    from trainid_ros.report.words import (  # noqa: PLC0415
-        davis_rows,
-        drive_text,
-        gap_sentence,
-        headline,
-        strong_text,
-        strongest,
-    )
+    from trainid_ros.report import words  # noqa: PLC0415
 
-    head = f'{explanation.verdict.value.upper()}: {headline(explanation)}\n{drive_text(explanation)}'
-    davis = [('value', 'train file', 'estimate ± std', 'unit'), *davis_rows(explanation, prior)]
+    head = f'{explanation.verdict.value.upper()}: {words.headline(explanation)}\n{words.drive_text(explanation)}'
+    effects = [
+        (
+            f'{effect.name}: {effect.title} ({"sensor" if effect.origin == "sensor" else "physics"})',
+            effect.equation,
+            words.parameters_text(effect),
+            words.how_sure(effect),
+            f'where: {effect.where}',
+            *(
+                f'could also be {twin.name}; to distinguish: {twin.drive or "no drive is known"}'
+                for twin in effect.twins
+            ),
+        )
+        for effect in explanation.effects
+    ]
     # Where the gap is if no effect explains it.
-    unnamed = [] if explanation.effects else ['\n'.join(strong_text(part) for part in strongest(explanation))]
+    parts = [] if effects else words.strongest(explanation)
+    davis = [('value', 'train file', 'estimate ± std', 'unit'), *words.davis_rows(explanation, prior)]
     blocks = (
         head,
-        *(_describe_effect(effect) for effect in explanation.effects),
-        *filter(None, unnamed),
-        gap_sentence(explanation),
+        *('\n  '.join(lines) for lines in effects),
+        *filter(None, ['\n'.join(parts)]),
+        words.gap_sentence(explanation),
         table(davis, numbers=(1,)),
         explanation.remaining,
     )
     return '\n\n'.join(blocks)
-
-
-def _describe_effect(effect: FoundEffect) -> str:
-    from trainid_ros.report.words import how_sure, parameters_text  # noqa: PLC0415
-
-    what = 'sensor' if effect.origin == 'sensor' else 'physics'
-    lines = (
-        f'{effect.name}: {effect.title} ({what})',
-        effect.equation,
-        parameters_text(effect),
-        how_sure(effect),
-        f'where: {effect.where}',
-        *(f'could also be {twin.name}; to distinguish: {twin.drive or "no drive is known"}' for twin in effect.twins),
-    )
-    return '\n  '.join(lines)
 
 
 def write_all(

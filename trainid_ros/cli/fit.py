@@ -8,11 +8,11 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from trainid_ros.bag.reader import require_topics
-from trainid_ros.cli.bags import davis_rows, opened
-from trainid_ros.cli.output import print_json, progress, show, table, warn
+from trainid_ros.cli.output import davis_rows, opened, print_json, progress, show, table, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import deviations
 from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, PieceCollector, check_plausible, fit_davis
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
@@ -75,10 +75,8 @@ def collect(
 ) -> UndisturbedMotion:
     """Return the undisturbed motion within a part of a bag, by log time.
 
-    Records before that part are processed too: they give the state of the brake and the mass of the train.
-
-    Raises:
-        InputError: A required topic is missing, or the part lies outside the bag.
+    Records before that part are processed too: they give the state of the brake and the mass of the train. InputError
+    if a required topic is missing, or the part lies outside the bag.
     """
     require_topics(reader)
     first_ns, last_ns = reader.time_range() or (0, 0)
@@ -103,18 +101,18 @@ def collect(
 
 def to_json(fit: DavisFit) -> dict[str, Any]:
     """Return the object of ``--json``."""
-    a, b, c = fit.theta.tolist()
     fitted = {'iterations': fit.iterations, 'mse': fit.mse, 'converged': fit.converged}
-    return {'a': a, 'b': b, 'c': c, 'std': _deviations(fit), **fitted, 'speed_range': list(fit.speed_range)}
+    values = dict(zip('abc', fit.theta.tolist(), strict=True))
+    return {**values, 'std': _stds(fit), **fitted, 'speed_range': list(fit.speed_range)}
 
 
-def _deviations(fit: DavisFit) -> list[float]:
-    return [math.sqrt(variance) for variance in fit.covariance.diagonal().tolist()]
+def _stds(fit: DavisFit) -> list[float]:
+    return deviations(fit.covariance.ravel().tolist())
 
 
 def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
     """Return the fit as text."""
-    rows = [('value', 'estimate', 'std', 'unit'), *davis_rows(fit.theta.tolist(), _deviations(fit))]
+    rows = [('value', 'estimate', 'std', 'unit'), *davis_rows(fit.theta.tolist(), _stds(fit))]
     slow, fast = fit.speed_range
     for v in (slow, 0.5 * (slow + fast), fast):
         w, std = fit.resistance(v)

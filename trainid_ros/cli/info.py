@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.reader import NAMESPACE
-from trainid_ros.cli.bags import BagResult, run_per_bag
-from trainid_ros.cli.output import table, to_plain
+from trainid_ros.cli.output import BagResult, run_per_bag, table, to_plain
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.bag_info import inspect
 from trainid_ros.interface.errors import InputError
@@ -87,9 +86,7 @@ def describe(info: BagInfo) -> str:
     return '\n\n'.join(blocks[:3]) + '\n' + '\n'.join(blocks[3:])
 
 
-_HEADINGS = (
-    'topic', 'type', 'count', 'rate Hz', 'gaps', 'late', 'duplicate', 'zero', 'not finite', 'log - stamp s',
-)  # fmt: skip
+_HEADINGS = ['topic', 'type', 'count', 'rate Hz', 'gaps', 'late', 'duplicate', 'zero', 'not finite', 'log - stamp s']
 
 
 def _topic_row(topic: TopicInfo) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ import sys
 import time
 from contextlib import nullcontext
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from trainid_ros.cli.arguments import LIVE_NODES
-from trainid_ros.cli.output import EXIT_NO_ANSWER, progress, show
+from trainid_ros.cli.output import EXIT_NO_ANSWER, opened, progress, show
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import OWN, load_mapping
 from trainid_ros.interface.errors import InputError
@@ -54,8 +54,6 @@ def run_nodes(args: argparse.Namespace) -> int:
 
 def play(args: argparse.Namespace) -> int:
     """Play a bag to its end or until SIGINT or SIGTERM."""
-    from trainid_ros.cli.bags import opened  # noqa: PLC0415
-
     mapping = OWN if args.map is None else load_mapping(args.map)
     with opened(args, mapping=mapping):
         pass  # an unreadable bag is reported before ROS starts
@@ -98,11 +96,6 @@ def _refused(failure: str, nodes: Sequence[ManagedNode]) -> InputError:
     return InputError(failure)
 
 
-_SCREEN_S: Final = 0.25  # between two screens [s]
-_LINES_S: Final = 1.0  # between two lines of text [s]
-_DISCOVERY_S: Final = 3.0  # for which ROS may be looking for publishers before the duration begins [s]
-
-
 def monitor(args: argparse.Namespace) -> int:
     """Show what is published until SIGINT or SIGTERM, or for a time; return 1 if nothing was in that time."""
     from rich.console import Console  # noqa: PLC0415
@@ -128,31 +121,27 @@ def monitor(args: argparse.Namespace) -> int:
 
     with Live(console=console, screen=True, auto_refresh=False) if draws else nullcontext() as live:
         display = (
-            Display(_LINES_S, args.duration, print_lines)
+            Display(1.0, args.duration, print_lines)
             if live is None
-            else Display(_SCREEN_S, args.duration, lambda: live.update(Screen(node.views(), node.notice), refresh=True))
+            else Display(0.25, args.duration, lambda: live.update(Screen(node.views(), node.notice), refresh=True))
         )
         spin_nodes([node], until=lambda: display.draw_if_due(has_found=bool(node.trains.by_namespace)))
     return EXIT_NO_ANSWER if display.is_over and not node.trains.has_messages(time.monotonic()) else 0
 
 
 class Display:
-    """Draws at intervals, for a time that begins when a train is found, or ROS has had time to find one.
-
-    Attributes:
-        is_over: True if it ended because the time was over.
-    """
+    """Draws at intervals, for a time that begins when a train is found, or ROS has had time to find one."""
 
     def __init__(
         self, every_s: float, duration_s: float, draw: Callable[[], None], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.is_over = False
+        self.is_over = False  # at the end of the time
         self._every_s = every_s
         self._duration_s = duration_s or math.inf
         self._draw = draw
         self._clock = clock
         self._next_s = clock()
-        self._begin_s = self._next_s + _DISCOVERY_S
+        self._begin_s = self._next_s + 3.0  # ROS may be looking for publishers until then
 
     def draw_if_due(self, *, has_found: bool) -> bool:
         """Draw if it is time, and take in whether a train is found; return True at the end."""

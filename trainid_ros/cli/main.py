@@ -40,11 +40,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    Args:
-        argv: Arguments without the program name; those of the process if None.
-    """
+    """Run the command line, with the arguments of the process if none are given, and return its exit code."""
     if argv is None:  # stand-alone process: clean up on SIGTERM too
         signal.signal(signal.SIGTERM, _end)
     # The matrices are small: on a busy machine, threads waiting for each other make the work five times slower.

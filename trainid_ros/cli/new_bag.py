@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from trainid_ros.sim.scenario import Simulation
     from trainid_ros.sim.worlds import Case
 
 TRAIN_FILE: Final = 'train.yaml'
@@ -56,7 +55,17 @@ def import_table(args: argparse.Namespace) -> int:
             advance(share)
         if not writer.message_count:
             raise InputError(f'{args.file}: nothing in {pluralise(table.rows, "row")} has a time and a value')
-    _print_imported(args, table, counts, (last_ns - first_ns) / NS_PER_S)
+    _warn_of_table(args, table, counts)
+    duration_s, rows = (last_ns - first_ns) / NS_PER_S, pluralise(table.rows, 'row')
+    blank = {name: count for name, count in table.blank.items() if count}
+    if args.json:
+        read = {'rows': table.rows, 'blank': blank, 'duration_s': duration_s}
+        print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **read})
+        return 0
+    show(f'{args.out}: {counts.total()} messages from {rows} over {duration_s:.1f} s')
+    show('\n'.join(f'  {topic}: {count}' for topic, count in counts.items()))
+    if blank:
+        show('rows without a value: ' + ', '.join(f'{name} {count}' for name, count in blank.items()))
     return 0
 
 
@@ -72,7 +81,7 @@ def _new_bag(path: Path) -> Iterator[BagWriter]:
         writer.path.rename(path)
 
 
-def _print_imported(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
+def _warn_of_table(args: argparse.Namespace, table: TableRecords, counts: Counter[str]) -> None:
     for line in table.warnings:
         warn(line)
     for (name, number), count in table.unlisted.most_common(5):
@@ -84,15 +93,6 @@ def _print_imported(args: argparse.Namespace, table: TableRecords, counts: Count
         warn(f'{args.file}: {pluralise(table.repeated, "row")} with the time of the one before')
     if missing := [topic for topic, count in counts.items() if not count]:
         warn(f'{args.out}: no messages on {", ".join(missing)}: the mapping names no column with values')
-    blank = {name: count for name, count in table.blank.items() if count}
-    if args.json:
-        read = {'rows': table.rows, 'blank': blank, 'duration_s': duration_s}
-        print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **read})
-        return
-    show(f'{args.out}: {counts.total()} messages from {pluralise(table.rows, "row")} over {duration_s:.1f} s')
-    show('\n'.join(f'  {topic}: {count}' for topic, count in counts.items()))
-    if blank:
-        show('rows without a value: ' + ', '.join(f'{name} {count}' for name, count in blank.items()))
 
 
 def simulate(args: argparse.Namespace) -> int:
@@ -113,7 +113,16 @@ def simulate(args: argparse.Namespace) -> int:
         simulation = replace(simulation, truth=replace(simulation.truth, unknowns=case.true_values))
         (args.out / TRAIN_FILE).write_text(dump_train_file(case.stated), encoding='utf-8')
     save_truth(simulation.truth, args.out / TRUTH_FILE)
-    _print_simulated(args, simulation)
+    if args.json:
+        counts = Counter(input_topic(record).name for record in simulation.records)
+        run = {'duration_s': simulation.duration_s, 'runs': len(simulation.arrivals), 'seed': args.seed}
+        truth = plain_truth(simulation.truth)
+        print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **run, 'truth': truth})
+        return 0
+    runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
+    show(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+    if args.world:
+        show(f'stated train file: {args.out / TRAIN_FILE}')
     return 0
 
 
@@ -137,16 +146,3 @@ def _scenario(args: argparse.Namespace) -> Scenario:
     scenario = Scenario(replace(file, effects=(*file.effects, *parse_effects(args.effect))), runs=args.runs)
     check_scenario(scenario)
     return scenario
-
-
-def _print_simulated(args: argparse.Namespace, simulation: Simulation) -> None:
-    counts = Counter(input_topic(record).name for record in simulation.records)
-    if not args.json:
-        runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
-        show(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
-        if args.world:
-            show(f'stated train file: {args.out / TRAIN_FILE}')
-        return
-    run = {'duration_s': simulation.duration_s, 'runs': len(simulation.arrivals), 'seed': args.seed}
-    truth = plain_truth(simulation.truth)
-    print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **run, 'truth': truth})

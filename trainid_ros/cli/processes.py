@@ -19,15 +19,13 @@ from trainid_ros.interface.files import shared_path
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Time in which children end after SIGTERM, before they are killed [s].
-_MAX_END_S: Final = 6.0
+_MAX_END_S: Final = 6.0  # in which children end after SIGTERM, before they are killed [s]
 
 
 class ProcessGroup:
     """``trainid`` commands that all end with the ``with`` block: SIGTERM first, SIGKILL for those that remain.
 
-    Should the block itself be interrupted, the kernel ends them with this process. Their logs are in a folder, which
-    must exist.
+    Should the process be killed, the kernel ends them too. Their logs are in a folder, which must exist.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -89,18 +87,14 @@ class ProcessGroup:
                     os.killpg(child.pid, number)
 
 
-# ROS recommends domains up to 101; 0 is the default of all processes.
-_MAX_DOMAIN: Final = 101
-
-
 def free_domain(first: int) -> int:
     """Return a domain whose ports are all free, searching from ``first``; InputError if all are in use."""
-    for step in range(_MAX_DOMAIN):
-        domain = 1 + (first + step) % _MAX_DOMAIN
+    # ROS recommends domains up to 101; 0 is the default of all processes.
+    for domain in (1 + (first + step) % 101 for step in range(101)):
         # By the RTPS specification: the first port of all, the ports of a domain, those of its first participants.
         if all(_is_free(7400 + 250 * domain + offset) for offset in (0, 10, 11, 12, 13)):
             return domain
-    raise InputError(f'ROS_DOMAIN_ID: all domains from 1 to {_MAX_DOMAIN} are in use')
+    raise InputError('ROS_DOMAIN_ID: all domains from 1 to 101 are in use')
 
 
 def _is_free(port: int) -> bool:
@@ -128,9 +122,8 @@ def isolate(logs: Path) -> int:
         'ROS_DOMAIN_ID': str(domain),
         'ROS_LOG_DIR': str(logs.absolute()),
     }
-    # This older switch would disable the range above.
-    os.environ.pop('ROS_LOCALHOST_ONLY', None)
-    os.environ.pop('ROS_STATIC_PEERS', None)
+    for older in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS'):  # the first would disable the range above
+        os.environ.pop(older, None)
     return domain
 
 

@@ -1,21 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid replay``: the estimators over bags, off line, as fast as the machine goes."""
+"""``trainid replay`` and ``view``: the estimators over bags, off line, printed or in the Rerun viewer."""
 
 from __future__ import annotations
 
 import math
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
 import time
 from collections import Counter
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.bags import BagResult, beside, davis_rows, load_setups, run_per_bag
-from trainid_ros.cli.output import check_output, table, to_plain
+from trainid_ros.cli import output
 from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.inspection.bag_info import brake_sign
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
@@ -24,7 +30,7 @@ from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.davis_posterior import observe, resistance_std
 from trainid_ros.resistance.suggested_drive import suggested_drive
-from trainid_ros.setup.params_file import mapping_in
+from trainid_ros.setup.params_file import mapping_in, node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
@@ -32,37 +38,49 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
-    from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.report.recording import Recorder, Recording
+    from trainid_ros.report.recording import Recorder
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.setup.params_file import Setup
-    from trainid_ros.sim.truth import Truth
-    from trainid_ros.train.train_file import TrainFile
-
-# A load that nobody weighs varies by more than this share of the mass [1].
-_UNWEIGHED: Final = 0.02
-
 
 Drives = tuple['SuggestedDrive | None', 'SuggestedDrive | None']
 """What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
+
+
+def _load_setups(
+    args: argparse.Namespace, train: Path, warn: Callable[[str], None] = lambda _: None
+) -> tuple[Setup, ...]:
+    """Return the set-ups of the three nodes by a train file and the options; InputError if a file cannot be used."""
+    foreign = () if args.map is None else load_mapping(args.map).topics
+    train_file = load_train_file(train)
+    return node_setups(
+        train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
+    )
+
+
+def _pipelines(setups: Sequence[Setup], reader: BagReader) -> Pipelines:
+    return Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
+
+
+def _beside(bag: Path, name: str) -> Path:
+    """Return the path of a file in the folder of a bag."""
+    return (bag if bag.is_dir() else bag.parent) / name
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay bags and print what was identified."""
     args.map = args.map or mapping_in(args.params, args.namespace)
     # What cannot be used for any bag is reported once.
-    mapped_inputs(args.map, load_setups(args, args.train)[0].train_file)
+    mapped_inputs(args.map, _load_setups(args, args.train)[0].train_file)
     if len(args.bags) > 1:
         _check_outputs(args)
     for out, report in (_outputs(args, bag) for bag in args.bags):
         if report is not None:
             if out is not None and out.resolve() == report.resolve():
                 raise InputError(f'{report}: is given for two outputs; choose another name for one of them')
-            check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
-    return run_per_bag(args, _replay, 'replay')
+            output.check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
+    return output.run_per_bag(args, _replay, 'replay')
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -93,27 +111,48 @@ def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | N
     return out, None if args.report is None else args.report / f'{_name(bag)}.html'
 
 
-def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
+def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> output.BagResult:
     warnings: list[str] = []
-    setups = load_setups(args, args.train, warnings.append)
+    setups = _load_setups(args, args.train, warnings.append)
     out, report = _outputs(args, bag)
-    truth = None if report is None else _find_truth(bag, args.truth)
+    truth = args.truth or _beside(bag, 'truth.yaml')
+    known = load_truth(truth) if report is not None and (args.truth or truth.is_file()) else None
     with ExitStack() as stack:
         inputs = mapped_inputs(args.map, setups[0].train_file)
         opening, reading = in_two(advance)
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
         observers, recorder = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
+        pipelines = _pipelines(setups, reader)
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start
-        warnings += _unweighed(reader, setups[0].train_file)
+        share = setups[0].train_file.train.mass_std
+        if share < 0.02 and reader.missing(MASS_TOPIC):  # a load that nobody weighs varies by more
+            warnings.append(
+                f'{MASS_TOPIC.name}: no messages, so train.mass_std = {share:g} must cover the load too: state at '
+                'least 0.02 unless it never changes'
+            )
         if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):
             warnings.append(reader.mapping.named(wrong))
-    if report is not None and recorder is not None:
-        _write_report(args, bag, outcome, recorder.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
+    if report is not None and recorder is not None:
+        from trainid_ros.report.drive_report import Chapter, write_report  # noqa: PLC0415
+
+        chapter = Chapter(
+            title=bag.name,
+            bag=str(bag),
+            train_file_name=str(args.train),
+            train_file=load_train_file(args.train),
+            how=f'off line {_pace(outcome, wall_s)}',
+            recording=recorder.finish(),
+            resistance=first.output,
+            speed_model=outcome.speed_model.output,
+            brake_rate=outcome.brake_rate.output,
+            rejections={name: dict(result.rejections) for name, result in _results(outcome).items()},
+            truth=known,
+        )
+        write_report(f'trainid replay: {bag.name}', (chapter,), report)
     drives: Drives = (None, None)
     if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
         drives = (
@@ -128,17 +167,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         shown = reader.mapping.named(describe(outcome, setups, wall_s, drives))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
     reason = outcome.why_no_resistance()
-    return BagResult(shown, (*warnings, *reader.warnings), f'{bag}: {reason}' if reason else '')
-
-
-def _unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
-    """Say so where no mass is recorded, and the train file states one as if the load were weighed at each stop."""
-    share = train_file.train.mass_std
-    text = (
-        f'{MASS_TOPIC.name}: no messages, so train.mass_std = {share:g} must cover the load too: state at least '
-        f'{_UNWEIGHED:g} unless it never changes'
-    )
-    return [text] if share < _UNWEIGHED and reader.missing(MASS_TOPIC) else []
+    return output.BagResult(shown, (*warnings, *reader.warnings), f'{bag}: {reason}' if reason else '')
 
 
 def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], Recorder | None]:
@@ -157,26 +186,28 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     return observers, recorder
 
 
-def _find_truth(bag: Path, given: Path | None) -> Truth | None:
-    """Return the truth of a bag: from the file given, or from the one in its directory, None without either."""
-    path = given or beside(bag, 'truth.yaml')
-    return load_truth(path) if given is not None or path.is_file() else None
-
-
 def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
+    w = resistance.output.estimate
     body = {
         'samples': resistance.samples,
         'duration_s': outcome.duration_s,
         'used': resistance.output.used,
         'rejected': dict(resistance.rejections),
-        'resistance': _resistance(resistance),
-        'speed_model': {**_parameters(model), 'status': model.output.status, **_counters(model)},
+        'resistance': {
+            **_parameters(w),
+            'std': deviations(w.covariance),
+            'status': resistance.output.status,
+            'speed_range': [w.speed_min, w.speed_max] if w.speed_max > 0.0 else [None, None],
+            **{name: _with_std(w, name) for name in ('force_scale', 'force_delay')},
+            'findings': list(force_findings(w)),
+            'why_converging': resistance.why_converging,
+        },
+        'speed_model': {**_parameters(model.output.estimate), **_state(model)},
         'brake_rate': {
-            **_with_std(brake, 'brake_rate'),
-            'status': brake.output.status,
-            **_counters(brake),
+            **_with_std(brake.output.estimate, 'brake_rate'),
+            **_state(brake),
             'findings': list(outcome.brake_findings),
         },
         'input_finding': outcome.contradiction.finding,
@@ -187,34 +218,21 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
         'algorithms': {setup.kind.name: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
-    plain: dict[str, Any] = to_plain(body)
+    plain: dict[str, Any] = output.to_plain(body)
     return plain
 
 
-def _resistance(result: Result[ResistanceEstimate]) -> dict[str, Any]:
-    w = result.output.estimate
-    return {
-        **_parameters(result),
-        'std': deviations(w.covariance),
-        'status': result.output.status,
-        'speed_range': [w.speed_min, w.speed_max] if w.speed_max > 0.0 else [None, None],
-        **{name: _with_std(result, name) for name in ('force_scale', 'force_delay')},
-        'findings': list(force_findings(w)),
-        'why_converging': result.why_converging,
-    }
+def _state(result: Result[Any]) -> dict[str, Any]:
+    last = result.output
+    counts = {'used': last.used, 'rejected': dict(result.rejections)}
+    return {'status': last.status, **counts, 'why_converging': result.why_converging}
 
 
-def _counters(result: Result[Any]) -> dict[str, Any]:
-    return {'used': result.output.used, 'rejected': dict(result.rejections), 'why_converging': result.why_converging}
-
-
-def _parameters(result: Result[Any]) -> dict[str, float]:
-    estimate = result.output.estimate
+def _parameters(estimate: Any) -> dict[str, float]:
     return {name: getattr(estimate, name) for name in parameters(type(estimate))}
 
 
-def _with_std(result: Result[Any], name: str) -> dict[str, float]:
-    estimate = result.output.estimate
+def _with_std(estimate: Any, name: str) -> dict[str, float]:
     return {'value': getattr(estimate, name), 'std': getattr(estimate, f'{name}_std')}
 
 
@@ -231,9 +249,22 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dr
 
 
 def _estimates(outcome: Replay) -> str:
-    w = outcome.resistance.output.estimate
-    rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
-    shown = table(rows, numbers=(1, 2))
+    resistance, rate, model = outcome.resistance.output, outcome.brake_rate.output, outcome.speed_model.output
+    w, f, status = resistance.estimate, rate.estimate, resistance.status.name
+    rows: list[tuple[str, ...]] = [('value', 'estimate', 'std', 'unit', 'status')]
+    rows += [(*row, status) for row in output.davis_rows((w.a, w.b, w.c), deviations(w.covariance))]
+    for v in (10.0, 15.0, 20.0):
+        name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
+        std = resistance_std(w.covariance, v)
+        rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
+    if not math.isnan(w.force_scale):
+        rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))
+        rows.append(('force delay', f'{w.force_delay:.3f}', f'{w.force_delay_std:.2g}', 's', status))
+    rows.append(('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate.status.name))
+    known = quantities(SpeedModelEstimate)
+    for name, value in _parameters(model.estimate).items():
+        rows.append((name, f'{value:.6g}', '', known[name].unit, model.status.name))
+    shown = output.table(rows, numbers=(1, 2))
     seen = [f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'] if '*' in shown else []
     converging = (
         f'{name} CONVERGING: {result.why_converging}'
@@ -245,32 +276,8 @@ def _estimates(outcome: Replay) -> str:
 
 def _results(outcome: Replay) -> dict[str, Result[Any]]:
     """Return the results by the names of the estimators for people."""
-    return {
-        'resistance': outcome.resistance, 'speed model': outcome.speed_model, 'brake rate': outcome.brake_rate
-    }  # fmt: skip
-
-
-def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
-    w, status = outcome.resistance.output.estimate, outcome.resistance.output.status.name
-    known = davis_rows((w.a, w.b, w.c), deviations(w.covariance))
-    rows: list[tuple[str, ...]] = [(*row, status) for row in known]
-    for v in (10.0, 15.0, 20.0):
-        name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
-        std = resistance_std(w.covariance, v)
-        rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
-    if not math.isnan(w.force_scale):
-        rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))
-        rows.append(('force delay', f'{w.force_delay:.3f}', f'{w.force_delay_std:.2g}', 's', status))
-    return rows
-
-
-def _other_rows(outcome: Replay) -> list[tuple[str, ...]]:
-    f, m = outcome.brake_rate.output.estimate, outcome.speed_model.output.estimate
-    rate_status, model_status = outcome.brake_rate.output.status.name, outcome.speed_model.output.status.name
-    known = quantities(SpeedModelEstimate)
-    rate = ('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate_status)
-    names = parameters(SpeedModelEstimate)
-    return [rate, *((name, f'{getattr(m, name):.6g}', '', known[name].unit, model_status) for name in names)]
+    names = ('resistance', 'speed model', 'brake rate')
+    return dict(zip(names, (outcome.resistance, outcome.speed_model, outcome.brake_rate), strict=True))
 
 
 def _usage(outcome: Replay) -> str:
@@ -282,7 +289,7 @@ def _usage(outcome: Replay) -> str:
         ('used', *(str(result.output.used) for result in results.values())),
         *((f'rejected: {reason.text}', *(str(count.get(reason, 0)) for count in counts)) for reason in reasons),
     ]
-    return table(rows, numbers=(1, 2, 3))
+    return output.table(rows, numbers=(1, 2, 3))
 
 
 def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
@@ -297,33 +304,63 @@ def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
     return '\n'.join((*lines, f'{seen.text}; prior variance removed: {shares}'))
 
 
-def _write_report(
-    args: argparse.Namespace,
-    bag: Path,
-    outcome: Replay,
-    recording: Recording,
-    truth: Truth | None,
-    how: str,
-    path: Path,
-) -> None:
-    from trainid_ros.report.drive_report import Chapter, write_report  # noqa: PLC0415
-
-    chapter = Chapter(
-        title=bag.name,
-        bag=str(bag),
-        train_file_name=str(args.train),
-        train_file=load_train_file(args.train),
-        how=how,
-        recording=recording,
-        resistance=outcome.resistance.output,
-        speed_model=outcome.speed_model.output,
-        brake_rate=outcome.brake_rate.output,
-        rejections={name: dict(result.rejections) for name, result in _results(outcome).items()},
-        truth=truth,
-    )
-    write_report(f'trainid replay: {bag.name}', (chapter,), path)
-
-
 def _pace(outcome: Replay, wall_s: float) -> str:
     speed = outcome.duration_s / wall_s if wall_s > 0.0 else math.nan
     return f'in {wall_s:.1f} s ({speed:.0f} x real time)'
+
+
+_ELSEWHERE: Final = 'give --out FILE.rrd, and open that where there is one'
+
+
+def view(args: argparse.Namespace) -> int:
+    """Replay a bag and write a recording or open it in the viewer."""
+    if args.out is not None and args.out.suffix != '.rrd':
+        raise InputError(f'{args.out}: the name of a recording must end in .rrd, or Rerun does not open it')
+    args.map = args.map or mapping_in(args.params, args.namespace)
+    from trainid_ros.report.recording import RRD_START, switch_off_telemetry  # noqa: PLC0415
+
+    switch_off_telemetry()
+    import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
+
+    train: Path = args.train or _beside(args.bag, 'train.yaml')
+    if args.train is None and not args.bag.exists():
+        raise InputError(f'{args.bag}: no such bag')
+    if args.train is None and not train.is_file():
+        raise InputError(f'{args.bag}: there is no {train.name} beside it: give --train T.yaml')
+    if args.out is not None:
+        output.check_output(args.out, (train, args.params, args.bag), RRD_START)
+        _write_view(args, train, args.out)
+        output.show(f'{args.out}: open it with: rerun {shlex.quote(str(args.out))}')
+        return 0
+    if not any(map(os.environ.get, ('DISPLAY', 'WAYLAND_DISPLAY'))):
+        raise InputError(f'there is no display to open the viewer on: {_ELSEWHERE}')
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f'{args.bag.resolve().stem}.rrd'
+        _write_view(args, train, path)
+        _open_viewer(path)
+    return 0
+
+
+def _open_viewer(path: Path) -> None:
+    """Open a recording until the viewer is closed; InputError if it cannot run, as without an X server."""
+    # Its server is for this machine alone.
+    command = [sys.executable, '-m', 'rerun', '--bind', '127.0.0.1', '--port', 'auto', str(path)]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, errors='replace', check=False)
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        reason = said[-1].rpartition(': ')[2].strip() if said else f'exit code {done.returncode}'
+        raise InputError(f'the viewer cannot run on this display: {reason}; {_ELSEWHERE}')
+
+
+def _write_view(args: argparse.Namespace, train: Path, out: Path) -> None:
+    from trainid_ros.report.recording import ViewRecorder, write_recording  # noqa: PLC0415
+
+    setups = _load_setups(args, train, output.warn)
+    with output.opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
+        pipelines = _pipelines(setups, reader)
+        recorder = ViewRecorder(pipelines)
+        with output.progress(f'replaying {args.bag.name}', reader.input_count) as advance:
+            replay_through(pipelines, reader, advance, (recorder,))
+        for text in reader.warnings:
+            output.warn(text)
+    write_recording(recorder, args.bag.resolve().stem, out)

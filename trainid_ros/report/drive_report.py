@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -50,6 +50,13 @@ class Chapter:
     truth: Truth | None = None  # True parameters, None if unknown
     notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
     others: tuple[tuple[str, Track], ...] = ()  # Resistance by other algorithms, by name
+
+    def final_truth(self) -> tuple[Davis | None, float | None]:
+        """Return the true resistance and brake rate [1] at the end, None where unknown."""
+        if self.truth is None:
+            return None, None
+        (point,) = _points(self.truth, self.recording, [self.recording.duration_s])
+        return point.resistance, point.brake_rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +114,9 @@ def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None
     """Score the brake rate [1], None if the truth is unknown or no output was usable."""
     track = recording.brake_rate
     true = true_rate(truth, recording, track.time_s)
-    return (
-        None
-        if true is None
-        else _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
-    )
-
-
-def final_truth(recording: Recording, truth: Truth) -> tuple[Davis, float | None]:
-    """Return the true resistance and brake rate [1] at the end of the recording."""
-    (point,) = _points(truth, recording, [recording.duration_s])
-    return point.resistance, point.brake_rate
+    if true is None:
+        return None
+    return _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
 
 
 def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> AccuracyScore | None:
@@ -159,11 +158,19 @@ def render_report(title: str, chapters: Sequence[Chapter]) -> str:
 
 
 def _content(chapter: Chapter) -> dict[str, object]:
+    train, recording = chapter.train_file.train, chapter.recording
+    start = datetime.fromtimestamp(recording.start_ns / NS_PER_S, UTC)
     return {
         'title': chapter.title,
-        'facts': _facts(chapter),
+        'facts': (
+            ('Bag', chapter.bag),
+            ('Train file', chapter.train_file_name),
+            ('Train', f'{train.mass / 1000.0:.0f} t, {train.length:.0f} m, {train.cars} cars'),
+            ('Duration', f'{recording.duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
+            ('Run', chapter.how),
+        ),
         'notes': chapter.notes,
-        'cards': (_resistance_card(chapter), _brake_card(chapter), _model_card(chapter)),
+        'cards': _cards(chapter),
         'estimates': _estimates_table(chapter),
         'scores': _scores_table(chapter),
         'rejections': _rejections_table(chapter),
@@ -178,50 +185,35 @@ def _content(chapter: Chapter) -> dict[str, object]:
     }
 
 
-def _facts(chapter: Chapter) -> tuple[tuple[str, str], ...]:
-    train, duration_s = chapter.train_file.train, chapter.recording.duration_s
-    start = datetime.fromtimestamp(chapter.recording.start_ns / NS_PER_S, UTC)
-    return (
-        ('Bag', chapter.bag),
-        ('Train file', chapter.train_file_name),
-        ('Train', f'{train.mass / 1000.0:.0f} t, {train.length:.0f} m, {train.cars} cars'),
-        ('Duration', f'{duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
-        ('Run', chapter.how),
-    )
-
-
-def _card(name: str, value: str, unit: str, output: Output[Any], remark: str, *more: str) -> dict[str, object]:
-    """Return the last estimate of one estimator: value with its unit, status with a remark, and further lines."""
-    return {'name': name, 'value': value, 'unit': unit, 'status': output.status.name, 'remark': remark, 'more': more}
-
-
-def _resistance_card(chapter: Chapter) -> dict[str, object]:
-    estimate = chapter.resistance.estimate
+def _cards(chapter: Chapter) -> list[dict[str, object]]:
+    """Return the last estimate of each estimator: value with its unit, status with a remark, and further lines."""
+    w, f, m = chapter.resistance.estimate, chapter.brake_rate.estimate, chapter.speed_model.estimate
+    true, true_rate = chapter.final_truth()
     low, high = chapter.recording.resistance.speed_range
     # The speed of the table nearest to the middle of the range learned from.
     speed = min(SPEEDS, key=lambda speed: abs(speed - 0.5 * (low + high)))
-    w = resistance_at(_theta(estimate), speed)
-    std = resistance_std(np.array(estimate.covariance).reshape(3, 3), speed)
+    value = resistance_at(_theta(w), speed)
+    std = resistance_std(np.array(w.covariance).reshape(3, 3), speed)
     learned = f'{KM_H * low:.0f} to {KM_H * high:.0f} km/h' if high > low else 'nothing yet'
-    truth = None if chapter.truth is None else davis(final_truth(chapter.recording, chapter.truth)[0], speed)
-    more = () if truth is None else (f'truth {truth:.2f}, error {float(w) - truth:+.2f} N/kN',)
-    name, value = f'Running resistance at {_speed_text(speed)}', f'{w:.2f} ± {std:.2f}'
-    return _card(name, value, 'N/kN', chapter.resistance, f'learned from {learned}', *more)
-
-
-def _brake_card(chapter: Chapter) -> dict[str, object]:
-    estimate = chapter.brake_rate.estimate
-    rate = None if chapter.truth is None else final_truth(chapter.recording, chapter.truth)[1]
-    value = f'{estimate.brake_rate:.3f} ± {estimate.brake_rate_std:.3f}'
-    more = () if rate is None else (f'truth {rate:.3f}, error {estimate.brake_rate - rate:+.3f}',)
-    return _card('Brake rate', value, '', chapter.brake_rate, '1 = nominal', *more)
-
-
-def _model_card(chapter: Chapter) -> dict[str, object]:
-    estimate = chapter.speed_model.estimate
-    remark = f'mass factor (train file {1.0 + chapter.train_file.train.rotary_mass:.3f})'
-    model = f'a1 {number(estimate.a1)}, a2 {number(estimate.a2, 7)}, b1 {number(estimate.b1)}, d0 {number(estimate.d0)}'
-    return _card('Speed model', number(estimate.mass_factor), '', chapter.speed_model, remark, model)
+    error = math.nan if true is None else float(value) - davis(true, speed)
+    cards = (
+        (
+            f'Running resistance at {_speed_text(speed)}', f'{value:.2f} ± {std:.2f}', 'N/kN', chapter.resistance,
+            f'learned from {learned}',
+            '' if true is None else f'truth {davis(true, speed):.2f}, error {error:+.2f} N/kN',
+        ),
+        (
+            'Brake rate', f'{f.brake_rate:.3f} ± {f.brake_rate_std:.3f}', '', chapter.brake_rate, '1 = nominal',
+            '' if true_rate is None else f'truth {true_rate:.3f}, error {f.brake_rate - true_rate:+.3f}',
+        ),
+        (
+            'Speed model', number(m.mass_factor), '', chapter.speed_model,
+            f'mass factor (train file {1.0 + chapter.train_file.train.rotary_mass:.3f})',
+            f'a1 {number(m.a1)}, a2 {number(m.a2, 7)}, b1 {number(m.b1)}, d0 {number(m.d0)}',
+        ),
+    )  # fmt: skip
+    names = ('name', 'value', 'unit', 'output', 'remark', 'more')
+    return [dict(zip(names, card, strict=True)) for card in cards]
 
 
 def _speed_text(speed: float) -> str:
@@ -232,7 +224,7 @@ def _estimates_table(chapter: Chapter) -> Table:
     """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
     estimate, rate = chapter.resistance.estimate, chapter.brake_rate.estimate
     theta, P = _theta(estimate), np.array(estimate.covariance).reshape(3, 3)
-    true, true_braking = (None, None) if chapter.truth is None else final_truth(chapter.recording, chapter.truth)
+    true, true_braking = chapter.final_truth()
     low, high = chapter.recording.resistance.speed_range
     combinations = [*zip('abc', DAVIS_UNITS, np.eye(3), strict=True)]
     for speed in SPEEDS:
@@ -242,15 +234,13 @@ def _estimates_table(chapter: Chapter) -> Table:
     for name, unit, phi in combinations:
         std = math.sqrt(max(0.0, float(phi @ P @ phi)))
         known = None if true is None else float(phi @ _theta(true))
-        rows.append(
-            _row(name, unit, float(phi @ theta), std, float(phi @ _theta(chapter.train_file.resistance)), known)
-        )
+        rows.append((name, unit, float(phi @ theta), std, float(phi @ _theta(chapter.train_file.resistance)), known))
     prior = chapter.train_file.brake.rate
-    rows.append(_row('brake rate', '1 = nominal', rate.brake_rate, rate.brake_rate_std, prior, true_braking))
+    rows.append(('brake rate', '1 = nominal', rate.brake_rate, rate.brake_rate_std, prior, true_braking))
     head = ('', 'unit', 'estimate', 'std', 'train file', 'truth', 'error', 'error / std')
     width = len(head) if chapter.truth is not None else 5
     caption = 'Estimates at the end. * outside the speed range learned from.'
-    return Table(caption, head[:width], [row[:width] for row in rows], 2)
+    return Table(caption, head[:width], [_row(*row)[:width] for row in rows], 2)
 
 
 def _phi(speed: float) -> Array:
@@ -304,8 +294,8 @@ def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
     return tuple(float(round(low + share * (high - low))) for share in (0.15, 0.5, 0.9))
 
 
-def _handles(chapter: Chapter) -> list[Artist]:
-    truth = [page.TRUTH_LINE] if chapter.truth is not None else []
+def _handles(*, has_truth: bool) -> list[Artist]:
+    truth = [page.TRUTH_LINE] if has_truth else []
     return [page.ESTIMATE_LINE, page.BAND_68, page.BAND_95, *truth, page.PRIOR_LINE]
 
 
@@ -321,7 +311,7 @@ def resistance_over_time(chapter: Chapter) -> str:
             page.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
         for axes in panels[-1]:
             page.time_axis(axes, chapter.recording.duration_s)
-        page.legend_above(figure, _handles(chapter))
+        page.legend_above(figure, _handles(has_truth=chapter.truth is not None))
         return page.to_svg(figure, 'Running resistance and Davis parameters over time')
 
 
@@ -355,22 +345,29 @@ def resistance_curve(chapter: Chapter) -> str:
         return ''
     with page.styled_figure(4.6) as figure:
         curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-        speeds = np.linspace(0.0, _top_speed(chapter), 80)
+        speed = chapter.recording.drive()[1]
+        fastest = float(speed.max()) if len(speed) else 0.0
+        top = 1.05 * max(fastest, chapter.recording.resistance.speed_range[1], 1.0)
+        speeds = np.linspace(0.0, top, 80)
         _draw_curve(curve, speeds, chapter.recording.resistance, page.ESTIMATE)
         others = [(name, track) for name, track in chapter.others if track.estimates]
         for _, track in others:
             _draw_curve(curve, speeds, track, page.BRAKE)
         prior = davis(chapter.train_file.resistance, speeds)
         curve.plot(KM_H * speeds, prior, color=page.MUTED, linestyle=page.PRIOR_DASHES, linewidth=1.4)
-        if chapter.truth is not None:
-            true = _theta(final_truth(chapter.recording, chapter.truth)[0])
-            curve.plot(KM_H * speeds, resistance_at(true, speeds), color=page.INK, linestyle=page.DASHES, linewidth=1.2)
+        if (true := chapter.final_truth()[0]) is not None:
+            curve.plot(KM_H * speeds, davis(true, speeds), color=page.INK, linestyle=page.DASHES, linewidth=1.2)
         curve.set_ylim(bottom=0.0)
         curve.set_ylabel('w [N/kN]')
         curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
-        _draw_time_driven(driven, chapter)
+        moving = speed[speed > 0.5]
+        minutes_each = chapter.recording.duration_s / max(len(speed), 1) / 60.0
+        driven.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=page.STAND)
+        driven.set_ylabel('driven [min]')
+        driven.set_xlabel('speed [km/h]')
+        driven.set_xlim(0.0, KM_H * top)
         lines = [Line2D([], [], color=page.BRAKE, label=name) for name, _ in others]
-        page.legend_above(figure, [*lines, *_handles(chapter)])
+        page.legend_above(figure, [*lines, *_handles(has_truth=chapter.truth is not None)])
         return page.to_svg(figure, 'Resistance curve against speed')
 
 
@@ -381,22 +378,6 @@ def _draw_curve(axes: Axes, speeds: Array, track: Track, colour: str) -> None:
     w, std = resistance_at(track[-1:].theta[0], speeds), resistance_std(track[-1:].covariance[0], speeds)
     page.draw_band(axes, KM_H * speeds[seen], w[seen], std[seen], colour)
     axes.plot(KM_H * speeds, w, color=colour, linewidth=0.8, alpha=0.6)
-
-
-def _top_speed(chapter: Chapter) -> float:
-    speeds = chapter.recording.drive()[1]
-    fastest = float(speeds.max()) if len(speeds) else 0.0
-    return 1.05 * max(fastest, chapter.recording.resistance.speed_range[1], 1.0)
-
-
-def _draw_time_driven(axes: Axes, chapter: Chapter) -> None:
-    speed = chapter.recording.drive()[1]
-    moving = speed[speed > 0.5]
-    minutes_each = chapter.recording.duration_s / max(len(speed), 1) / 60.0
-    axes.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=page.STAND)
-    axes.set_ylabel('driven [min]')
-    axes.set_xlabel('speed [km/h]')
-    axes.set_xlim(0.0, KM_H * _top_speed(chapter))
 
 
 def brake_rate_over_time(chapter: Chapter) -> str:
@@ -421,9 +402,8 @@ def brake_rate_over_time(chapter: Chapter) -> str:
         page.draw_spans(axes, recording.observable, {'observable': page.BRAKE}, alpha=0.22)
         page.draw_panel(axes, panel)
         page.time_axis(axes, recording.duration_s)
-        truth = [page.TRUTH_LINE] if true is not None else []
         shade = Patch(color=page.BRAKE, alpha=0.22, linewidth=0, label='braking, observable')
-        page.legend_above(figure, [page.ESTIMATE_LINE, page.BAND_68, page.BAND_95, *truth, page.PRIOR_LINE, shade])
+        page.legend_above(figure, [*_handles(has_truth=true is not None), shade])
         return page.to_svg(figure, 'Brake rate over time')
 
 

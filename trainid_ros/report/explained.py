@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from trainid_ros.explain.result import FoundEffect, Location, Place, RunTrace
+    from trainid_ros.explain.result import Location, Place, RunTrace
     from trainid_ros.report.recording import Array
     from trainid_ros.train.train_file import Line, TrainFile
 
@@ -34,16 +34,8 @@ _TAGS: Final = {
 }
 BEFORE: Final = page.BRAKE
 AFTER: Final = page.ESTIMATE
-_RUNS: Final = 12
 _RUNS_ACROSS: Final = 3
-# With more lines in one panel they cannot be distinguished.
-_LINES: Final = 60
 _SIGMAS: Final = 2.0
-_MISSING: Final = 'missing [N/kN]'
-# With more labels they would not be readable.
-_NAMES: Final = 10
-# Multiple of the median std beyond which a part does not define the axis: with little driving it is almost the prior.
-_MAX_STD: Final = 4.0
 Stretches = tuple[tuple[float, float], ...]
 
 
@@ -68,6 +60,8 @@ def render_explained(explained: Explained) -> str:
     """Return the report as HTML text."""
     explanation, line = explained.explanation, explained.train_file.line
     found = _stretches(explanation)
+    davis = [(name, unit, old, new) for name, old, new, unit in words.davis_rows(explanation, explained.train_file)]
+    noise = words.noise_rows(explanation)
     return page.render(
         'explained.html.j2',
         explained.title,
@@ -87,25 +81,32 @@ def render_explained(explained: Explained) -> str:
         gap_along_line=gap_along_line(explanation, line, found),
         missing_by_part=missing_by_part(explanation),
         gap_of_runs=gap_of_runs(explanation),
-        tables=(_effects_table(explanation), _davis_table(explained), _noise_table(explanation)),
+        tables=(
+            _effects_table(explanation),
+            page.Table(
+                'Running resistance w(v) = a + b v + c v²', ('', 'unit', 'train file', 'estimate ± std'), davis, 2
+            ),
+            page.Table('Noise and nuisances, estimated with the effects', ('', 'unit', 'value'), noise, 2),
+        ),
     )
 
 
 def _findings(explanation: Explanation) -> tuple[tuple[str, list[str]], ...]:
-    where = [f'{effect.name}: {effect.where}' for effect in explanation.effects]
+    sides = {'sensor': 'This is a sensor error.', 'physics': 'This is physical, not a sensor error.'}
+    effects = explanation.effects
+    what = [
+        f'{one.name}, {one.title}: {one.equation}, with {words.parameters_text(one)}. {sides[one.origin]}'
+        for one in effects
+    ]
+    where = [f'{effect.name}: {effect.where}' for effect in effects]
     return (
-        ('Missing effects', [_what(effect) for effect in explanation.effects]),
-        ('Where', where or [words.strong_text(strong) for strong in words.strongest(explanation)]),
-        ('Evidence', [f'{effect.name}: {words.how_sure(effect)}' for effect in explanation.effects]),
+        ('Missing effects', what),
+        ('Where', where or words.strongest(explanation)),
+        ('Evidence', [f'{effect.name}: {words.how_sure(effect)}' for effect in effects]),
         ('Alternatives, and test runs to distinguish them', words.alternatives(explanation)),
         ('Gap before and after', [words.gap_sentence(explanation)]),
         ('Remaining gap', [explanation.remaining]),
     )
-
-
-def _what(effect: FoundEffect) -> str:
-    side = 'This is a sensor error.' if effect.origin == 'sensor' else 'This is physical, not a sensor error.'
-    return f'{effect.name}, {effect.title}: {effect.equation}, with {words.parameters_text(effect)}. {side}'
 
 
 def _stretches(explanation: Explanation) -> Stretches:
@@ -124,19 +125,6 @@ def _effects_table(explanation: Explanation) -> page.Table:
             rows.append((title, name, unit, words.plus_minus(value, std.get(name, 0.0)), evidence))
     caption = 'Effects added to the model; evidence is 2 ln of the Bayes factor'
     return page.Table(caption, ('effect', 'parameter', 'unit', 'value ± std', 'evidence'), rows, 3)
-
-
-def _davis_table(explained: Explained) -> page.Table:
-    rows = [
-        (name, unit, old, new) for name, old, new, unit in words.davis_rows(explained.explanation, explained.train_file)
-    ]
-    caption = 'Running resistance w(v) = a + b v + c v²'
-    return page.Table(caption, ('', 'unit', 'train file', 'estimate ± std'), rows, 2)
-
-
-def _noise_table(explanation: Explanation) -> page.Table:
-    rows = [(name, unit, size) for name, size, unit in words.noise_rows(explanation)]
-    return page.Table('Noise and nuisances, estimated with the effects', ('', 'unit', 'value'), rows, 2)
 
 
 def gap_bars(explanation: Explanation) -> str:
@@ -169,7 +157,7 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
         for axes, way in zip(panels, ways, strict=True):
             axes.axhline(0.0, color=page.MUTED, linewidth=0.8)
             traces = [trace for trace in seen if trace.direction == way]
-            for trace in traces[:: -(-len(traces) // _LINES)]:
+            for trace in traces[:: -(-len(traces) // 60)]:  # more lines cannot be distinguished
                 kept = page.pick(len(trace.time))
                 axes.plot(trace.position[kept], trace.before[kept], color=BEFORE, linewidth=0.9, alpha=0.8)
                 axes.plot(trace.position[kept], trace.after[kept], color=AFTER, linewidth=0.9, alpha=0.8)
@@ -200,9 +188,7 @@ def line_handles(line: Line, found: Stretches) -> list[Patch]:
         (bool(line.tunnel), page.STAND, 0.35, 'tunnel'),
         (curved, page.GOOD, 0.35, 'curve'),
     )
-    return [
-        Patch(color=colour, alpha=alpha, linewidth=0, label=label) for there, colour, alpha, label in shown if there
-    ]
+    return [Patch(color=colour, alpha=a, linewidth=0, label=label) for there, colour, a, label in shown if there]
 
 
 def draw_place(axes: Axes, line: Line, found: Stretches) -> None:
@@ -255,7 +241,7 @@ def _worst(traces: Sequence[RunTrace]) -> list[tuple[int, RunTrace]]:
     """Return the runs with the largest gaps, in the order in which they were driven."""
     seen = [(k, trace) for k, trace in enumerate(traces) if _has_gap(trace)]
     sizes = {k: float(np.sqrt(np.nanmean(np.square(trace.before)))) for k, trace in seen}
-    chosen = sorted(sizes, key=lambda k: -sizes[k])[:_RUNS]
+    chosen = sorted(sizes, key=lambda k: -sizes[k])[:12]
     return [(k, trace) for k, trace in seen if k in chosen]
 
 
@@ -269,9 +255,14 @@ def _draw_run(axes: Axes, trace: RunTrace, title: str) -> None:
     axes.set_xlabel('time since departure [s]')
 
 
+def _locations(explanation: Explanation, *, by_position: bool) -> list[Location]:
+    known = (location for location in explanation.locations if location.places)
+    return [location for location in known if location.axis.startswith('position') == by_position]
+
+
 def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
     """Plot the missing resistance by position, before and after."""
-    shown = [location for location in explanation.locations if _is_position(location) and location.places]
+    shown = _locations(explanation, by_position=True)
     if not shown:
         return ''
     with page.styled_figure(0.9 + 2.6 * len(shown)) as figure:
@@ -290,7 +281,7 @@ def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -
 
 def missing_by_part(explanation: Explanation) -> str:
     """Plot the missing resistance along all other axes."""
-    shown = [location for location in explanation.locations if not _is_position(location) and location.places]
+    shown = _locations(explanation, by_position=False)
     if not shown:
         return ''
     with page.styled_figure(0.5 + 2.5 * math.ceil(len(shown) / 2)) as figure:
@@ -300,10 +291,6 @@ def missing_by_part(explanation: Explanation) -> str:
         return page.to_svg(figure, 'Missing resistance by speed, driving mode and so on')
 
 
-def _is_position(location: Location) -> bool:
-    return location.axis.startswith('position')
-
-
 def _draw_location(axes: Axes, location: Location) -> None:
     if all(math.isfinite(place.low) and math.isfinite(place.high) for place in location.places):
         _draw_ranges(axes, location)
@@ -311,7 +298,7 @@ def _draw_location(axes: Axes, location: Location) -> None:
     else:
         _draw_kinds(axes, location.places)
         labels = [place.label for place in location.places]
-        every = math.ceil(len(labels) / _NAMES)
+        every = math.ceil(len(labels) / 10)  # more labels would not be readable
         axes.set_xticks(range(0, len(labels), every), labels[::every])
     axes.set_title(f'by {location.axis}')
 
@@ -325,7 +312,7 @@ def _draw_ranges(axes: Axes, location: Location) -> None:
         value = _steps(places, values)[1]
         axes.fill_between(x, value - _SIGMAS * std, value + _SIGMAS * std, color=colour, alpha=0.18, linewidth=0)
         axes.plot(x, value, color=colour)
-    axes.set_ylabel(_MISSING)
+    axes.set_ylabel('missing [N/kN]')
     _fit(axes, places)
 
 
@@ -353,13 +340,14 @@ def _draw_kinds(axes: Axes, places: Sequence[Place]) -> None:
     for shift, (colour, values) in zip((-0.12, 0.12), _values(places), strict=True):
         axes.errorbar(at + shift, values, _SIGMAS * std, fmt='o', markersize=4, color=colour, capsize=3, linewidth=1.2)
     axes.set_xlim(-0.6, len(places) - 0.4)
-    axes.set_ylabel(_MISSING)
+    axes.set_ylabel('missing [N/kN]')
     axes.grid(visible=False, axis='x')
     _fit(axes, places)
 
 
 def _fit(axes: Axes, places: Sequence[Place]) -> None:
-    largest = _MAX_STD * float(np.median([place.std for place in places]))
+    # With little driving the std is almost that of the prior, which must not define the axis.
+    largest = 4.0 * float(np.median([place.std for place in places]))
     known = [place for place in places if place.std <= largest]
     ends = [
         np.array([value - _SIGMAS * place.std, value + _SIGMAS * place.std, 0.0])

@@ -20,33 +20,30 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from trainid_ros.fleet.analysis import ChannelView, FleetView, LevelOutlier, TrainView
+    from trainid_ros.fleet.analysis import ChannelView, FleetView, TrainView
     from trainid_ros.fleet.changes import Departure
 
-MAX_PAGES: Final = 60
-"""Trains with a page of their own: those that stand out, and of the others the first."""
-# Channels of a change that are worth a line: ln of their Bayes factor.
-_TELLING: Final = 3.0
 _NAMED: Final = (page.BAD, page.BRAKE, page.SECOND, page.TRACTION, page.ESTIMATE)
 _SIGMAS: Final = 2.0
-_MAX_LINES: Final = 200
-_MAX_TICKS: Final = 8
 
 
 def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, tuple[str, ...]]) -> str:
-    """Return the report as HTML text.
+    """Return the report as HTML text, with a section of each train that stands out, and of others up to 60.
 
-    Args:
-        view: What was found.
-        tables: Names of the tables.
-        limit: Train-days for one false alarm.
-        notes: Further sentences by name of the train, such as what ``explain`` found in its bags.
+    ``tables`` are names, ``limit`` the train-days for one false alarm, ``notes`` further sentences by name of train.
     """
-    shown = view.trains[: max(MAX_PAGES, len(view.found))]
+    labels = view.labels
+    shown = view.trains[: max(60, len(view.found))]
     return page.render(
         'fleet.html.j2',
         'trainid fleet report',
-        facts=_facts(view, tables, limit),
+        facts=(
+            ('Tables', tables),
+            ('Trains', str(len(labels.trains))),
+            ('Days', f'{len(labels.days)}, {labels.days[0]} to {labels.days[-1]}'),
+            ('Runs', ', '.join(f'{v.channel.title} {v.cells.value.size}' for v in view.channels)),
+            ('False alarms', f'at most one in {limit:.0f} train-days, if the model holds'),
+        ),
         summary=summary(view),
         tables=(_ranking(view), _spread_table(view)),
         all_trains=fleet_over_days(view),
@@ -81,7 +78,10 @@ def summary(view: FleetView) -> str:
 def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
     """Return what stands out of a train, one sentence each."""
     lines = [_departure_text(view, departure) for departure in train.departures]
-    lines += [_outlier_text(outlier) for outlier in train.outliers]
+    for outlier in train.outliers:
+        size = plus_minus(outlier.size, outlier.std)
+        text = f'{outlier.channel.title} always {size} {outlier.channel.unit}'.rstrip()
+        lines.append(f'{text} from that of the fleet, {abs(outlier.sigmas):.0f} standard deviations among trains.')
     if train.causes:
         which = f', of {view.labels.days[train.main.first]}' if train.main and len(train.departures) > 1 else ''
         causes = ', '.join(f'{c.title} ({c.probability:.0%})' for c in train.causes)
@@ -95,7 +95,7 @@ def _departure_text(view: FleetView, departure: Departure) -> str:
         f'{v.channel.title} {v.fit.mean + s.before.mean:.4g} to {plus_minus(v.fit.mean + s.after.mean, s.after.std)} '
         f'{v.channel.unit}'
         for v, s in zip(view.channels, departure.steps, strict=True)
-        if s is not None and s.evidence > _TELLING
+        if s is not None and s.evidence > 3.0  # ln of the Bayes factor
     ]
     what = '; '.join(step.rstrip() for step in steps) or 'in several channels a little'
     until = '' if departure.end is None else f' until {days[departure.end - 1]}'
@@ -103,23 +103,6 @@ def _departure_text(view: FleetView, departure: Departure) -> str:
         f'Changed on {days[departure.first]}{until}' if departure.first else f'Different{until}, from the first day on'
     )
     return f'{first}, certain on {days[departure.alarm]}: {what}.'
-
-
-def _outlier_text(outlier: LevelOutlier) -> str:
-    size = plus_minus(outlier.size, outlier.std)
-    text = f'{outlier.channel.title} always {size} {outlier.channel.unit}'.rstrip()
-    return f'{text} from that of the fleet, {abs(outlier.sigmas):.0f} standard deviations among trains.'
-
-
-def _facts(view: FleetView, tables: str, limit: float) -> tuple[tuple[str, str], ...]:
-    labels = view.labels
-    return (
-        ('Tables', tables),
-        ('Trains', str(len(labels.trains))),
-        ('Days', f'{len(labels.days)}, {labels.days[0]} to {labels.days[-1]}'),
-        ('Runs', ', '.join(f'{v.channel.title} {v.cells.value.size}' for v in view.channels)),
-        ('False alarms', f'at most one in {limit:.0f} train-days, if the model holds'),
-    )
 
 
 def _ranking(view: FleetView) -> page.Table:
@@ -151,7 +134,7 @@ def fleet_over_days(view: FleetView) -> str:
 
     def draw(axes: Axes, k: int, channel: ChannelView) -> None:
         _fleet_band(axes, channel, len(view.labels.days))
-        for train in view.trains[len(view.found) : _MAX_LINES]:
+        for train in view.trains[len(view.found) : 200]:
             axes.plot(channel.fit.mean + train.series[k].value, color=page.MUTED, linewidth=0.5, alpha=0.5)
         for train, colour in zip(view.found, _NAMED, strict=False):
             axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.', label=train.name)
@@ -196,7 +179,7 @@ def _over_days(view: FleetView, height: float, label: str, draw: Callable[[Axes,
             draw(axes, k, channel)
             unit = f' [{channel.channel.unit}]' if channel.channel.unit else ''
             axes.set_title(f'{channel.channel.title}{unit}')
-        every = max(1, -(-len(days) // _MAX_TICKS))
+        every = max(1, -(-len(days) // 8))
         panels[-1].set_xticks(range(0, len(days), every), days[::every])
         panels[-1].set_xlim(-0.5, len(days) - 0.5)
         return page.to_svg(figure, label)

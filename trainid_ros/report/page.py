@@ -37,37 +37,27 @@ if TYPE_CHECKING:
     from trainid_ros.report.recording import Array, Panel, Span
 
 
-# Two-sided normal quantile of 95 %.
 SIGMA_95: Final = 1.959964
-INK: Final = '#1b1f24'
-MUTED: Final = '#6b7280'
-GRID: Final = '#d9dde3'
-PAPER: Final = '#fdfdfe'
-ESTIMATE: Final = '#1f5fa8'
-SECOND: Final = '#0f766f'
-TRACTION: Final = '#2a9d62'
-COAST: Final = '#9cc9ea'
-BRAKE: Final = '#d5602b'
-STAND: Final = '#aab0b8'
-GOOD: Final = '#2f8f5b'
-WAIT: Final = '#e0b23c'
-BAD: Final = '#c0392f'
+"""Two-sided normal quantile of 95 %."""
 COLOURS: Final = (
-    (INK, 'ink', '#e8eaee'),
-    (MUTED, 'muted', '#98a1ad'),
-    (GRID, 'grid', '#3a414b'),
-    (PAPER, 'paper', '#15181c'),
-    (ESTIMATE, 'estimate', '#6fb1ff'),
-    (SECOND, 'second', '#4cc7bd'),
-    (TRACTION, 'traction', '#3fbf7f'),
-    (COAST, 'coast', '#4f86b3'),
-    (BRAKE, 'brake', '#f08a5a'),
-    (STAND, 'stand', '#5f6874'),
-    (GOOD, 'good', '#49b97f'),
-    (WAIT, 'wait', '#e3bd5a'),
-    (BAD, 'bad', '#ee7a70'),
+    ('ink', '#1b1f24', '#e8eaee'),
+    ('muted', '#6b7280', '#98a1ad'),
+    ('grid', '#d9dde3', '#3a414b'),
+    ('paper', '#fdfdfe', '#15181c'),
+    ('estimate', '#1f5fa8', '#6fb1ff'),
+    ('second', '#0f766f', '#4cc7bd'),
+    ('traction', '#2a9d62', '#3fbf7f'),
+    ('coast', '#9cc9ea', '#4f86b3'),
+    ('brake', '#d5602b', '#f08a5a'),
+    ('stand', '#aab0b8', '#5f6874'),
+    ('good', '#2f8f5b', '#49b97f'),
+    ('wait', '#e0b23c', '#e3bd5a'),
+    ('bad', '#c0392f', '#ee7a70'),
 )
-"""Figures are drawn in a colour, which a CSS variable then replaces; the last one is that of dark pages."""
+"""CSS variables, with their colours on light and dark pages. Figures are drawn in the light ones, then replaced."""
+INK, MUTED, GRID, PAPER, ESTIMATE, SECOND, TRACTION, COAST, BRAKE, STAND, GOOD, WAIT, BAD = (
+    light for _, light, _ in COLOURS
+)
 # Any: rcParams takes only the literal names it knows.
 _RC: Final[Any] = {
     'svg.fonttype': 'none',
@@ -123,13 +113,11 @@ def to_svg(figure: Figure, label: str) -> Markup:
     for size in ('width', 'height'):
         text = re.sub(rf'(<svg[^>]*?)\s{size}="[^"]*"', r'\1', text, count=1)
     text = text.replace('<svg', f'<svg role="img" aria-label="{escape(label)}"', 1)
-    for colour, variable, _ in COLOURS:
-        text = text.replace(colour, f'var(--{variable})')
+    for variable, light, _ in COLOURS:
+        text = text.replace(light, f'var(--{variable})')
     return Markup(text)
 
 
-# More points than a figure has pixels add no information.
-POINTS: Final = 700
 _LIGHT: Final = 0.16
 _DARK: Final = 0.3
 
@@ -145,8 +133,8 @@ PRIOR_LINE: Final = Line2D([], [], color=MUTED, linestyle=PRIOR_DASHES, label='t
 
 
 def pick(length: int) -> slice:
-    """Return a slice that thins ``length`` points to at most :data:`POINTS`."""
-    return slice(None, None, max(1, -(-length // POINTS)))
+    """Return a slice that thins ``length`` points to at most 700, since a figure has not many more pixels."""
+    return slice(None, None, max(1, -(-length // 700)))
 
 
 def draw_band(axes: Axes, x: Array, value: Array, std: Array, colour: str = ESTIMATE) -> None:
@@ -169,18 +157,13 @@ def draw_panel(axes: Axes, panel: Panel, colour: str = ESTIMATE, width: float | 
     if panel.truth is not None:
         axes.plot(time_min, panel.truth, color=INK, linestyle=DASHES, linewidth=1.2, drawstyle='steps-post')
     if panel.std is not None:
-        limit(axes, _shown(panel, panel.std))
+        # The axis shows the band where the estimate is usable, otherwise the estimate.
+        shown, usable = [panel.value], panel.usable
+        if usable is not None and usable.any():
+            shown = [(panel.value - SIGMA_95 * panel.std)[usable], (panel.value + SIGMA_95 * panel.std)[usable]]
+        limit(axes, [*shown, *(np.atleast_1d(other) for other in (panel.prior, panel.truth) if other is not None)])
     axes.set_title(panel.title)
     axes.set_ylabel(panel.label)
-
-
-def _shown(panel: Panel, std: Array) -> list[Array]:
-    """Return the values that the axis must show: the band where the estimate is usable, otherwise the estimate."""
-    shown, usable = [panel.value], panel.usable
-    if usable is not None and usable.any():
-        shown = [(panel.value - SIGMA_95 * std)[usable], (panel.value + SIGMA_95 * std)[usable]]
-    others = (panel.prior, panel.truth)
-    return [*shown, *(np.atleast_1d(other) for other in others if other is not None)]
 
 
 def draw_spans(
@@ -241,7 +224,11 @@ class Table(NamedTuple):
 
 def render(template: str, title: str, **content: Any) -> str:
     """Return a page as HTML text, with its heading and what its template shows, by the names used there."""
-    shown = {'start': Markup(HTML_START), 'version': __version__, 'versions': versions(), 'colours': COLOURS}
+    versions = [f'trainid_ros {__version__}', f'Python {platform.python_version()}']
+    for library in ('numpy', 'scipy', 'rclpy'):
+        with suppress(PackageNotFoundError):
+            versions.append(f'{library} {version(library)}')
+    shown = {'start': Markup(HTML_START), 'version': __version__, 'versions': versions, 'colours': COLOURS}
     return _TEMPLATES.get_template(template).render(title=title, **shown, **content)
 
 
@@ -264,12 +251,3 @@ def write_page(text: str, path: str | Path) -> None:
 def column_of_axes(figure: Figure, count: int, **options: Any) -> Any:
     """Return axes one above the other, with one horizontal axis."""
     return figure.subplots(count, 1, sharex=True, squeeze=False, **options)[:, 0]
-
-
-def versions() -> tuple[str, ...]:
-    """Return names and versions of the software used; libraries that are not installed are left out."""
-    found = [f'trainid_ros {__version__}', f'Python {platform.python_version()}']
-    for library in ('numpy', 'scipy', 'rclpy'):
-        with suppress(PackageNotFoundError):
-            found.append(f'{library} {version(library)}')
-    return tuple(found)

@@ -2,26 +2,34 @@
 """The columns of a replay or a live run: inputs, estimates and their status on one time axis.
 
 A :class:`Recorder` observes a replay, or receives what a live driver does. The :class:`Recording` it returns is what
-reports draw and what is sent to the Rerun viewer; a :class:`Panel` describes one of their plots.
+reports draw; a :class:`Panel` describes one of their plots. :func:`write_recording` writes it for the Rerun viewer
+(.rrd), with events.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.records import KM_H, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.monitor.trains import SHOWN, ShownEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-    from trainid_ros.bag.bag_replay import AnyOutput
+    from trainid_ros.bag.bag_replay import AnyOutput, Pipelines
     from trainid_ros.bag.reader import LoggedRecord
 
 Array: TypeAlias = NDArray[np.float64]
@@ -33,9 +41,6 @@ STANDSTILL: Final = 'standstill'
 PULLING: Final = 'traction'
 COASTING: Final = 'coast'
 BRAKING: Final = 'brake'
-_STANDSTILL_SPEED: Final = 0.3  # m/s
-# Fraction of the greatest force up to which a train coasts: auxiliaries draw some power then.
-_COASTING_FORCE: Final = 0.02
 # A larger step of the stamps needs a sample on its other side.
 _MAX_STEP_NS: Final = 600 * NS_PER_S
 
@@ -172,7 +177,7 @@ class PlausibleStamps:
 class _Thinned(Generic[T]):
     """A stream of unknown length: when full, pairs of items are merged, and the stride doubles."""
 
-    def __init__(self, capacity: int, merge: Callable[[T, T], T]) -> None:
+    def __init__(self, capacity: int, merge: Callable[[T, T], T] = lambda _, later: later) -> None:
         self._capacity = capacity
         self._merge = merge
         self._items: list[T] = []
@@ -195,27 +200,11 @@ class _Thinned(Generic[T]):
         return self._items + self._pending
 
 
-def _later(_: T, second: T) -> T:
-    return second
-
-
-def _greater_ratio(first: AnyOutput, second: AnyOutput) -> AnyOutput:
-    return first if _ratio(first) > _ratio(second) else second
-
-
-def _ratio(output: Any) -> float:
-    return float(output.estimate.test_ratio)
-
-
 class Labels:
-    """A label over time; equal ones in a row are stored once.
-
-    Attributes:
-        changes: Stamps [ns] of the changes, each with the new label, None for no label.
-    """
+    """A label over time; equal ones in a row are stored once."""
 
     def __init__(self) -> None:
-        self.changes: list[tuple[int, str | None]] = []
+        self.changes: list[tuple[int, str | None]] = []  # stamps [ns], each with the new label, None for none
 
     def add(self, stamp_ns: int, label: str | None) -> bool:
         """Set the label from a stamp on; return whether it is a new one."""
@@ -237,29 +226,31 @@ class _Outputs:
     """The outputs of one estimator."""
 
     def __init__(self, capacity: int) -> None:
-        self.kept: _Thinned[AnyOutput] = _Thinned(capacity, _later)
-        self.tested: _Thinned[AnyOutput] = _Thinned(capacity, _greater_ratio)
+        self._kept: _Thinned[AnyOutput] = _Thinned(capacity)
+        self._tested: _Thinned[tuple[float, ...]] = _Thinned(
+            capacity, lambda first, later: max(later, first, key=itemgetter(1))
+        )  # Stamps and ratios
         self.statuses = Labels()
         self._innovation: float | None = None
 
     def add(self, output: AnyOutput) -> None:
-        self.kept.add(output)
+        self._kept.add(output)
         self.statuses.add(output.stamp_ns, output.status.name)
         estimate = output.estimate
         if isinstance(estimate, SpeedModelEstimate) or not estimate.innovation_variance > 0.0:
             return
         # Outputs may repeat the last innovation.
         if estimate.innovation != self._innovation:
-            self.tested.add(output)
+            self._tested.add((output.stamp_ns, float(estimate.test_ratio)))
         self._innovation = estimate.innovation
 
     def track(self, start_ns: int, end_ns: int) -> Track:
-        kept = self.kept.items()
+        kept = self._kept.items()
         return Track(
             np.array([output.stamp_ns for output in kept], dtype=np.int64) - start_ns,
             tuple(output.estimate for output in kept),
             np.array([output.status in (Status.VALID, Status.HOLDING) for output in kept], dtype=np.bool_),
-            _series([(output.stamp_ns, _ratio(output)) for output in self.tested.items()], 1, start_ns),
+            _series(self._tested.items(), 1, start_ns),
             self.statuses.spans(start_ns, end_ns),
         )
 
@@ -277,7 +268,7 @@ class Recorder:
         self._start_ns = self._newest_ns = 0
         self._speed_stamps, self._other_stamps = PlausibleStamps(), PlausibleStamps()
         kinds = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord)
-        self._inputs: dict[type, _Thinned[tuple[float, ...]]] = {kind: _Thinned(capacity, _later) for kind in kinds}
+        self._inputs: dict[type, _Thinned[tuple[float, ...]]] = {kind: _Thinned(capacity) for kind in kinds}
         self._force = self._command = self._gradient = self._greatest_force = 0.0
         self._modes, self._observable = Labels(), Labels()
         estimates = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
@@ -296,22 +287,22 @@ class Recorder:
         stamps = self._speed_stamps if isinstance(record, SpeedRecord) else self._other_stamps
         match record:
             case SpeedRecord():
-                row: tuple[float, ...] = (stamp_ns, record.speed, self._gradient)
+                values: tuple[float, ...] = (record.speed, self._gradient)
             case ForceRecord():
                 self._force = record.force
                 self._greatest_force = max(self._greatest_force, abs(record.force))
-                row = (stamp_ns, record.force)
+                values = (record.force,)
             case BrakeRecord():
                 self._command = record.target_acceleration
-                row = (stamp_ns, self._command)
+                values = (self._command,)
             case GradientRecord():
                 self._gradient = record.gradient
-                row = (stamp_ns, self._gradient)
+                values = (self._gradient,)
             case _:
                 return
         if not stamps.accept(stamp_ns):
             return
-        self._inputs[type(record)].add(row)
+        self._inputs[type(record)].add((stamp_ns, *values))
         if isinstance(record, SpeedRecord) and np.isfinite(record.speed):
             self._extend(stamp_ns)
             self._modes.add(stamp_ns, self._mode(record.speed))
@@ -343,13 +334,207 @@ class Recorder:
         )
 
     def _extend(self, stamp_ns: int) -> None:
-        """Extend the time axis."""
         self._start_ns = self._start_ns or stamp_ns
         self._newest_ns = max(self._newest_ns, stamp_ns)
 
     def _mode(self, speed: float) -> str:
-        if speed < _STANDSTILL_SPEED:
+        if speed < 0.3:  # m/s
             return STANDSTILL
         if self._command < 0.0:
             return BRAKING
-        return PULLING if self._force > _COASTING_FORCE * self._greatest_force else COASTING
+        # Auxiliaries draw some power while a train coasts.
+        return PULLING if self._force > 0.02 * self._greatest_force else COASTING
+
+
+RRD_START: Final = 'RRF2'
+"""How a recording starts."""
+USED: Final = 'used'
+_AXIS: Final = 'time'
+SHARES: Final = (6.0, 1.9, 1.7)
+"""Heights of inputs beside estimates, of status beside samples, and of the events."""
+_COLOURS: Final = {
+    'VALID': 0x2CA02CFF,
+    'HOLDING': 0x17BECFFF,
+    'CONVERGING': 0xFFBF00FF,
+    'UNINITIALIZED': 0xC7C7C7FF,
+    'STALE': 0xD62728FF,
+    'FAULT': 0x8C0000FF,
+    USED: 0x2CA02CFF,
+}
+_NAMES: Final = {item.topic.estimate: item.name for item in SHOWN}
+
+
+def switch_off_telemetry() -> None:
+    """Switch the telemetry of Rerun off, in this process and its children; call it before rerun is imported.
+
+    Beside a command that changes a file in the home of the user, its library and viewer know only these variables.
+    """
+    os.environ['CI'] = 'true'
+    os.environ['TELEMETRY_ENABLED'] = 'false'
+    os.environ.pop('FORCE_RERUN_ANALYTICS', None)
+
+
+class Event(NamedTuple):
+    """Something that happened: when [ns], whether it is bad, and what."""
+
+    stamp_ns: int
+    is_bad: bool
+    text: str
+
+
+class ViewRecorder(Recorder):
+    """Collects a replay without a bound, with what the viewer shows besides numbers."""
+
+    def __init__(self, pipelines: Pipelines) -> None:
+        """Set the estimators that run."""
+        super().__init__(capacity=sys.maxsize)
+        self._stream = pipelines.resistance.stream
+        self.rejected = {name: Labels() for name in _NAMES.values()}  # why the newest sample was not used
+        self.events: list[Event] = []  # changes of status, and contradictions between the inputs
+        self._finding = ''
+
+    def on_output(self, output: AnyOutput, log_ns: int = 0) -> None:
+        """Add the output of an estimator, and what changed with it."""
+        stamp_ns, status = output.stamp_ns, output.status
+        if stamp_ns <= 0:
+            return
+        name, statuses = _NAMES[type(output.estimate)], self.outputs[type(output.estimate)].statuses.changes
+        count = len(statuses)
+        super().on_output(output, log_ns)
+        if len(statuses) > count:
+            text = f'{statuses[-2][1]} to {status.name}' if count else status.name
+            self.events.append(Event(stamp_ns, status in (Status.STALE, Status.FAULT), f'{name}: {text}'))
+        rejection = output.last_rejection
+        is_newest = rejection is not None and rejection.stamp_ns == stamp_ns
+        self.rejected[name].add(stamp_ns, rejection.reason.name if rejection is not None and is_newest else USED)
+        if (finding := self._stream.finding) != self._finding:
+            text = f'inputs contradict each other: {finding}' if finding else f'inputs agree again: {self._finding}'
+            self.events.append(Event(stamp_ns, bool(finding), text))
+            self._finding = finding
+
+
+def estimate_panel(shown: ShownEstimate, track: Track) -> Panel:
+    """Return the panel of an estimate; a resistance is shown at the middle of the speeds learned from at the end."""
+    if not track.estimates:
+        return Panel(shown.name, shown.name, track.time_ns, np.empty(0), np.empty(0))
+    newest = track.estimates[-1]
+    value, std = np.array([shown.value(estimate, newest) for estimate in track.estimates]).T
+    unit = f' [{shown.unit}]' if shown.unit else ''
+    label = f'{shown.name}: {shown.quantity(newest)}{unit}'
+    return Panel(f'{label}, ± 2 std', label, track.time_ns, value, std)
+
+
+def time_range(recording: Recording) -> tuple[int, int]:
+    """Return the earliest and the latest time of the inputs [ns]; where stamps jump back, not those at the ends."""
+    seen = [panel.time_ns for panel in input_panels(recording).values() if len(panel.time_ns)]
+    return min((int(time.min()) for time in seen), default=0), max((int(time.max()) for time in seen), default=0)
+
+
+def write_recording(recorder: ViewRecorder, title: str, path: Path) -> None:
+    """Write a recording, given what was collected and its title; InputError if the file cannot be written."""
+    switch_off_telemetry()
+    import rerun as rr  # noqa: PLC0415 - optional, and its telemetry must be off first
+
+    recording = recorder.finish()
+    panels = {f'inputs/{name}': panel for name, panel in input_panels(recording).items()}
+    tracks = (recording.resistance, recording.speed_model, recording.brake_rate)
+    for shown, track in zip(SHOWN, tracks, strict=True):
+        panels[f'estimates/{_path(shown.name)}'] = estimate_panel(shown, track)
+    # Rerun merges recordings of the same id, as those of two bags of one name would have.
+    stream = rr.RecordingStream('trainid', recording_id=f'{title} {uuid4()}')
+    # Through memory: where Rerun cannot write a file it prints lines of its own and leaves half of it.
+    memory = stream.memory_recording()
+    stream.send_recording_name(title)
+    begin_ns, end_ns = time_range(recording)
+    stream.send_blueprint(_layout(panels, end_ns - begin_ns))
+    _Writer(rr, stream, recording.start_ns, begin_ns).write(recorder, panels)
+    stream.flush()
+    content = memory.drain_as_bytes()
+    stream.disconnect()
+
+    def write(part: Path) -> None:
+        part.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(content)
+
+    write_whole(path, write)
+
+
+@dataclass(frozen=True, slots=True)
+class _Writer:
+    """Sends panels and labels to a stream of Rerun, on an axis of time since the first input."""
+
+    _rr: Any  # Its library
+    _stream: Any
+    _start_ns: int
+    _begin_ns: int
+
+    def write(self, recorder: ViewRecorder, panels: dict[str, Panel]) -> None:
+        for path, panel in panels.items():
+            self._panel(path, panel)
+        for kind, name in _NAMES.items():
+            self._states(f'status/{_path(name)}', recorder.outputs[kind].statuses)
+            self._states(f'samples/{_path(name)}', recorder.rejected[name])
+        levels = ['ERROR' if event.is_bad else 'INFO' for event in recorder.events]
+        columns = self._rr.TextLog.columns(text=[event.text for event in recorder.events], level=levels)
+        times = np.array([event.stamp_ns for event in recorder.events], dtype=np.int64) - self._start_ns
+        self._send('events', times, columns)
+
+    def _panel(self, path: str, panel: Panel) -> None:
+        if panel.std is None:
+            self._line(path, panel, panel.value, panel.label)
+            return
+        for edge, factor in (('upper', 2.0), ('lower', -2.0)):
+            limit = panel.value + factor * panel.std
+            self._line(f'{path}/{edge}', panel, limit, f'{panel.label} {factor:+.0f} std', is_edge=True)
+        self._line(f'{path}/value', panel, panel.value, panel.label)
+
+    def _line(self, path: str, panel: Panel, values: Array, name: str, *, is_edge: bool = False) -> None:
+        colour, width = ((125, 150, 175), 1.0) if is_edge else ((31, 119, 180), 2.0)
+        self._stream.log(path, self._rr.SeriesLines(names=name, colors=[colour], widths=width), static=True)
+        self._send(path, panel.time_ns, self._rr.Scalars.columns(scalars=values))
+
+    def _states(self, path: str, labels: Labels) -> None:
+        texts = [str(text) for _, text in labels.changes]
+        colours = {text: _COLOURS.get(text, 0x7F7F7FFF) for text in sorted(set(texts))}
+        configuration = self._rr.StateConfiguration(
+            values=[*colours], labels=[*colours], colors=np.array([*colours.values()], dtype=np.uint32)
+        )
+        self._stream.log(path, configuration, static=True)
+        times = np.array([stamp_ns for stamp_ns, _ in labels.changes], dtype=np.int64) - self._start_ns
+        self._send(path, times, self._rr.StateChange.columns(state=texts))
+
+    def _send(self, path: str, time_ns: NDArray[np.int64], columns: Any) -> None:
+        if len(time_ns):
+            since = (time_ns - self._begin_ns).astype('timedelta64[ns]')
+            self._stream.send_columns(path, [self._rr.TimeColumn(_AXIS, duration=since)], columns)
+
+
+def _layout(panels: dict[str, Panel], length_ns: int) -> Any:
+    """Return the blueprint: inputs beside estimates, with axes that show everything, then states and events."""
+    import rerun as rr  # noqa: PLC0415 - as above
+    import rerun.blueprint as rrb  # noqa: PLC0415 - as above
+
+    # Linked axes would begin with a minute around the cursor.
+    begin, end = (rr.TimeRangeBoundary.absolute(seconds=time_ns * 1e-9) for time_ns in (0, length_ns))
+    axis = rrb.TimeAxis(view_range=rrb.TimeRange(begin, end), link='Independent')
+    legend = rrb.PlotLegend(visible=False)
+    columns: dict[str, list[Any]] = {'inputs': [], 'estimates': []}
+    for path, panel in panels.items():
+        view = rrb.TimeSeriesView(origin=path, name=panel.title, axis_x=axis, plot_legend=legend)
+        columns[path.partition('/')[0]].append(view)
+    lanes = {'status': 'status', 'samples': 'why the newest sample was not used'}
+    states = [rrb.StateTimelineView(origin=origin, name=name, time_view=axis) for origin, name in lanes.items()]
+    rows = (
+        rrb.Horizontal(*(rrb.Vertical(*views) for views in columns.values())),
+        rrb.Horizontal(*states),
+        rrb.TextLogView(origin='events', name='events'),
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(*rows, row_shares=SHARES),
+        rrb.TimePanel(timeline=_AXIS, state='collapsed', play_state='paused'),
+        collapse_panels=True,
+    )
+
+
+def _path(name: str) -> str:
+    return name.replace(' ', '_')

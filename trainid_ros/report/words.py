@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,15 +21,6 @@ if TYPE_CHECKING:
 
 DASH: Final = '–'
 DAVIS_UNITS: Final = tuple(quantities(ResistanceEstimate)[name].unit.replace('^2', '²') for name in 'abc')
-_CLEAR: Final = 3.0  # standard deviations from which missing resistance is significant
-
-
-class Strong(NamedTuple):
-    """A part of the data with significant missing resistance: place as text, value and standard deviation [N/kN]."""
-
-    where: str
-    missing: float
-    std: float
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -39,30 +30,21 @@ def number(value: float, digits: int = 4) -> str:
 
 def headline(explanation: Explanation) -> str:
     """Return the outcome in one sentence."""
-    names = _counted([effect.name for effect in explanation.effects])
+    times = {1: '', 2: ' twice', 3: ' three times'}
+    counts = Counter(effect.name for effect in explanation.effects)
+    names = join([f'{name}{times.get(n, f" {n} times")}' for name, n in counts.items()])
     match explanation.verdict:
         case Verdict.EXPLAINED:
             return f'The current model lacks {names}.'
         case Verdict.AMBIGUOUS:
-            best = 'fits' if len(explanation.effects) == 1 else 'fit'
-            return f'The current model lacks an effect: {names} {best} best, but {_twins(explanation)} equally well.'
+            twins = [*dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)]
+            best, also = ('fits' if len(found) == 1 else 'fit' for found in (explanation.effects, twins))
+            return f'The current model lacks an effect: {names} {best} best, but {join(twins)} {also} equally well.'
         case Verdict.UNEXPLAINED:
             named = f'{names}, and ' if names else ''
             return f'The current model lacks {named}something that no effect of the library fits.'
         case Verdict.NO_GAP:
             return 'The current model lacks no effect detectable in the data, once a, b and c are fitted.'
-
-
-def _counted(names: Sequence[str]) -> str:
-    """Return names as an enumeration without repetitions, with counts."""
-    times = {1: '', 2: ' twice', 3: ' three times'}
-    return join([f'{name}{times.get(n, f" {n} times")}' for name, n in Counter(names).items()])
-
-
-def _twins(explanation: Explanation) -> str:
-    names = dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)
-    fit = 'fits' if len(names) == 1 else 'fit'
-    return f'{join([*names])} {fit}'
 
 
 def join(words: Sequence[str]) -> str:
@@ -96,16 +78,11 @@ def how_sure(effect: FoundEffect) -> str:
     digits = effect.evidence / (2.0 * math.log(10.0))
     odds = 'more than a million' if digits > 6.0 else f'{10.0**digits:.2g}'
     text = f'evidence {effect.evidence:.0f}: the data are {odds} times as likely with it as without'
-    sigmas = sigmas_from_neutral(effect)
-    return text if sigmas is None else f'{text}; its amplitude is {sigmas:.1f} std from zero effect'
-
-
-def sigmas_from_neutral(effect: FoundEffect) -> float | None:
-    """Return the distance of its amplitude from the neutral value in standard deviations, None if unknown."""
-    if (kind := EFFECTS.get(effect.name)) is None:
-        return None
-    value, std = dict(effect.parameters).get(kind.amplitude), dict(effect.std).get(kind.amplitude, 0.0)
-    return abs(value - kind.neutral) / std if value is not None and std > 0.0 else None
+    kind, std = EFFECTS.get(effect.name), dict(effect.std)
+    if kind is None or kind.amplitude not in dict(effect.parameters) or not std.get(kind.amplitude, 0.0) > 0.0:
+        return text
+    sigmas = abs(dict(effect.parameters)[kind.amplitude] - kind.neutral) / std[kind.amplitude]
+    return f'{text}; its amplitude is {sigmas:.1f} std from zero effect'
 
 
 def gap_sentence(explanation: Explanation) -> str:
@@ -134,46 +111,45 @@ def alternatives(explanation: Explanation) -> list[str]:
     return [*dict.fromkeys(lines)]
 
 
-def strongest(explanation: Explanation) -> list[Strong]:
-    """Return the parts of the data where the current model lacks most, by significance."""
+def strongest(explanation: Explanation) -> list[str]:
+    """Return the parts of the data where the current model significantly lacks most, as text."""
     places = [
-        (abs(place.before) / place.std, Strong(place_text(location.axis, place.label), place.before, place.std))
+        (abs(place.before) / place.std, place_text(location.axis, place.label), place)
         for location in explanation.locations
         for place in location.places
         if location.axis != 'run' and place.std > 0.0  # a run is no cause of the gap
     ]
-    clear = sorted((entry for entry in places if entry[0] > _CLEAR), key=lambda entry: -entry[0])
-    return [strong for _, strong in clear[:3]]
-
-
-def strong_text(strong: Strong) -> str:
-    """Return one such part as text."""
-    more = 'more' if strong.missing > 0.0 else 'less'
-    size = plus_minus(abs(strong.missing), strong.std)
-    return f'{strong.where[0].upper()}{strong.where[1:]}: {size} N/kN {more} resistance than modelled'
+    lines = []
+    # Significant from three standard deviations on.
+    for _, where, place in sorted((part for part in places if part[0] > 3.0), key=lambda part: -part[0])[:3]:
+        size, more = plus_minus(abs(place.before), place.std), 'more' if place.before > 0.0 else 'less'
+        lines.append(f'{where[0].upper()}{where[1:]}: {size} N/kN {more} resistance than modelled')
+    return lines
 
 
 def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
-    """Return the estimates of noise and nuisances: name, value, unit."""
+    """Return the estimates of noise and nuisances: name, unit, value."""
     noise = explanation.noise
-    return [
-        ('noise of the measured speed', number(noise.speed, 2), 'm/s'),
-        ('gusts and other transient forces', number(noise.gust, 2), 'N/kN'),
-        ('correlation time of these', number(noise.gust_time, 2), 's'),
-        ('error of the weighed load' if explanation.weighed else 'load (the train is not weighed)',
-         number(100.0 * noise.payload, 2), '% of the mass'),
-        ('brake from run to run', number(100.0 * noise.brake, 2), '% of its force'),
-        ('error of the gradient in the map', number(noise.map, 2), 'per mille'),
-        ('speeds excluded (slip, outliers)', number(100.0 * explanation.outliers, 2), '%'),
-    ]  # fmt: skip
+    load = 'error of the weighed load' if explanation.weighed else 'load (the train is not weighed)'
+    rows = (
+        ('noise of the measured speed', 'm/s', noise.speed),
+        ('gusts and other transient forces', 'N/kN', noise.gust),
+        ('correlation time of these', 's', noise.gust_time),
+        (load, '% of the mass', 100.0 * noise.payload),
+        ('brake from run to run', '% of its force', 100.0 * noise.brake),
+        ('error of the gradient in the map', 'per mille', noise.map),
+        ('speeds excluded (slip, outliers)', '%', 100.0 * explanation.outliers),
+    )
+    return [(name, unit, number(value, 2)) for name, unit, value in rows]
 
 
 def davis_rows(explanation: Explanation, train_file: TrainFile) -> list[tuple[str, str, str, str]]:
     """Return a, b, c: name, train file's value, estimate with standard deviation, unit."""
     before, after = train_file.resistance, explanation.train_file.resistance
-    rows = zip('abc', (before.a, before.b, before.c), (after.a, after.b, after.c), explanation.davis_std, DAVIS_UNITS,
-               strict=True)  # fmt: skip
-    return [(name, number(old), plus_minus(new, std), unit) for name, old, new, std, unit in rows]
+    return [
+        (name, number(getattr(before, name)), plus_minus(getattr(after, name), std), unit)
+        for name, std, unit in zip('abc', explanation.davis_std, DAVIS_UNITS, strict=True)
+    ]
 
 
 def drive_text(explanation: Explanation) -> str:

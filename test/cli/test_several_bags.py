@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.cli.bags import run_per_bag
 from trainid_ros.cli.main import main
+from trainid_ros.cli.output import run_per_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 WORK = """
 import os
 import signal
-from trainid_ros.cli.bags import BagResult
+from trainid_ros.cli.output import BagResult
 
 def work(args, bag, advance):
     if bag.name == 'none':
