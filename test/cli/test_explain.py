@@ -146,7 +146,7 @@ def stub(monkeypatch: pytest.MonkeyPatch) -> Stub:
 
     def put(answer: Callable[[], Explanation]) -> None:
         monkeypatch.setattr(explain, 'explain_runs', lambda *_: answer())
-        monkeypatch.setattr('trainid_ros.report.explained.write_explained', lambda *_: None)
+        monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda *_: '')
 
     return put
 
@@ -161,7 +161,7 @@ def test_outputs_are_written_before_a_closed_pipe_stops_printing(
     monkeypatch.setattr(explain, 'describe', stop)
     monkeypatch.setattr('trainid_ros.cli.main._drop_output', lambda: None)
     assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'a'))) == 141
-    assert {path.name for path in (tmp_path / 'a').iterdir()} == {'report.json', 'train.yaml'}
+    assert {path.name for path in (tmp_path / 'a').iterdir()} == {'report.html', 'report.json', 'train.yaml'}
 
 
 @pytest.mark.parametrize(('error', 'code'), [(KeyboardInterrupt, 130), (NoAnswerError, 1)])
@@ -195,10 +195,9 @@ def test_warnings_of_the_bags_stand_in_the_report(
     line = f'{driven_bag}: inputs contradict each other'
     monkeypatch.setattr(explain, 'read_runs', lambda *_, warn, **__: warn(line))
     stub(make_explanation)
-    reported: list[tuple[str, ...]] = []
-    monkeypatch.setattr('trainid_ros.report.explained.write_explained', lambda report, _: reported.append(report.notes))
+    monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda *content: repr(content[-1]))
     assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'out'))) == 0
-    assert reported == [(f'Warning: {line}',)]
+    assert (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8') == repr((f'Warning: {line}',))
     assert capsys.readouterr().err == f'trainid: warning: {line}\n'
 
 

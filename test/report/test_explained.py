@@ -13,7 +13,8 @@ import pytest
 
 from test.report.pages import check_page, colours_of_figures, words
 from trainid_ros.explain.result import Explanation, Verdict
-from trainid_ros.report.explained import Explained, render_explained, write_explained
+from trainid_ros.report.explained import render_explained
+from trainid_ros.report.page import write_page
 from trainid_ros.train.train_file import Line, TrainFile
 
 pytestmark = pytest.mark.slow  # drawing takes seconds
@@ -29,7 +30,7 @@ FIGURES = (
 
 
 def render(explanation: Explanation, train_file: TrainFile) -> str:
-    return render_explained(Explained('Why <slow>', explanation, train_file, 't.yaml', ('a', 'b'), ('a <note>',)))
+    return render_explained('Why <slow>', explanation, train_file, 't.yaml', ('a', 'b'), ('a <note>',))
 
 
 @pytest.fixture(scope='module')
@@ -95,7 +96,7 @@ def test_little_data_causes_no_error(make_explanation: Make, stated: TrainFile) 
 
 def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, stated: TrainFile, tmp_path: Path) -> None:
     many, path = make_explanation(traces=make_explanation().traces * 150), tmp_path / 'new' / 'report.html'
-    write_explained(Explained('Many', many, stated, 't', ('a',)), path)
+    write_page(render_explained('Many', many, stated, 't', ('a',)), path)
     assert 'Of 300 runs those with the largest gaps' in path.read_text(encoding='utf-8')
     assert path.stat().st_size < 1_500_000
 
@@ -112,11 +113,11 @@ def test_names_are_text_wherever_they_appear(make_explanation: Make, stated: Tra
         for effect in explanation.effects
     )  # fmt: skip
     hostile = replace(explanation, effects=effects, remaining=bad)
-    text = render_explained(Explained(bad, hostile, stated, bad, (bad, bad), (bad,)))
+    text = render_explained(bad, hostile, stated, bad, (bad, bad), (bad,))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;') > 10
 
 
 def test_file_names_that_are_no_text_can_be_written(tmp_path: Path, make_explanation: Make, stated: TrainFile) -> None:
-    write_explained(Explained('\udcff', make_explanation(), stated, 'T', ('b',)), tmp_path / 'r.html')
+    write_page(render_explained('\udcff', make_explanation(), stated, 'T', ('b',)), tmp_path / 'r.html')
     assert '\\udcff' in (tmp_path / 'r.html').read_text(encoding='utf-8')

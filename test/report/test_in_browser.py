@@ -16,7 +16,8 @@ from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.fleet.table_file import write_table
 from trainid_ros.report.drive_report import Chapter, write_report
-from trainid_ros.report.explained import Explained, write_explained
+from trainid_ros.report.explained import render_explained
+from trainid_ros.report.page import write_page
 from trainid_ros.train.train_file import TrainFile
 
 pytestmark = pytest.mark.slow  # a browser starts, and drawing takes seconds
@@ -46,7 +47,7 @@ def explained(
     make_explanation: Callable[..., Explanation], stated: TrainFile, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     path = tmp_path_factory.mktemp('pages') / 'explained.html'
-    write_explained(Explained('Why', make_explanation(ambiguous=True), stated, 't.yaml', ('a',), ('note',)), path)
+    write_page(render_explained('Why', make_explanation(ambiguous=True), stated, 't.yaml', ('a',), ('note',)), path)
     return path
 
 

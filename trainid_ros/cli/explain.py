@@ -202,7 +202,7 @@ def write_all(
     folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path], notes: tuple[str, ...]
 ) -> None:
     """Write the three outputs into a folder that exists; InputError if one cannot be written."""
-    from trainid_ros.report.explained import Explained, write_explained  # noqa: PLC0415
+    from trainid_ros.report.explained import render_explained  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
 
     names = tuple(str(bag) for bag in bags)
@@ -210,4 +210,4 @@ def write_all(
     text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
     write_page(f'{text}\n', folder / REPORT_JSON)
     write_page(dump_train_file(explanation.train_file), folder / TRAIN_FILE)
-    write_explained(Explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
+    write_page(render_explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +15,6 @@ from trainid_ros.report import page, words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -39,41 +37,31 @@ _SIGMAS: Final = 2.0
 Stretches = tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Explained:
-    """An explanation with the inputs it was made from."""
-
-    title: str  # Heading
-    explanation: Explanation  # Result of the workflow
-    train_file: TrainFile  # Train file given to the workflow
-    train_file_name: str  # Name of the train file
-    bags: tuple[str, ...]  # Names of the bags
-    notes: tuple[str, ...] = ()  # Further sentences, such as the truth
-
-
-def write_explained(explained: Explained, path: str | Path) -> None:
-    """Write the report and create missing folders; InputError if it cannot be written."""
-    page.write_page(render_explained(explained), path)
-
-
-def render_explained(explained: Explained) -> str:
-    """Return the report as HTML text."""
-    explanation, line = explained.explanation, explained.train_file.line
+def render_explained(
+    title: str,
+    explanation: Explanation,
+    train_file: TrainFile,
+    train_file_name: str,
+    bags: Sequence[str],
+    notes: Sequence[str] = (),
+) -> str:
+    """Return the report as HTML text; ``train_file`` is the one explained, ``notes`` are further sentences."""
+    line = train_file.line
     found = _stretches(explanation)
-    davis = [(name, unit, old, new) for name, old, new, unit in words.davis_rows(explanation, explained.train_file)]
+    davis = [(name, unit, old, new) for name, old, new, unit in words.davis_rows(explanation, train_file)]
     noise = words.noise_rows(explanation)
     return page.render(
         'explained.html.j2',
-        explained.title,
+        title,
         facts=(
-            ('Bags', ', '.join(explained.bags)),
-            ('Train file', explained.train_file_name),
+            ('Bags', ', '.join(bags)),
+            ('Train file', train_file_name),
             ('Drive', words.drive_text(explanation)),
         ),
         status=_TAGS[explanation.verdict],
         verdict=explanation.verdict.value.replace('_', ' '),
         headline=words.headline(explanation),
-        notes=explained.notes,
+        notes=notes,
         findings=_findings(explanation),
         runs=len(explanation.traces),
         gap=gap_bars(explanation),
