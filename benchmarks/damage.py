@@ -19,9 +19,8 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
 
 from benchmarks.tables import Table, columns
-from trainid_ros.bag.mcap_file import McapFile
+from trainid_ros.bag.mcap_file import MAGIC, McapFile, RecordFile
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_definition, full_type, message_from_record, typestore
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MassRecord, Record

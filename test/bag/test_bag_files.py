@@ -8,7 +8,6 @@ import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -25,7 +24,7 @@ from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import Record, input_topic
+from trainid_ros.interface.records import INPUT_TOPICS, Record, input_topic
 
 
 def change(bag: Path, **values: object) -> None:
@@ -138,17 +137,17 @@ def db3(tmp_path: Path, records: list[Record]) -> Path:
     """Return a rosbag2 directory in sqlite3 storage, as ROS 2 Iron and later write it."""
     path, store = tmp_path / 'run', typestore()
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connections: dict[str, Any] = {}
+        connections = {
+            topic: writer.add_connection(
+                f'/{topic.name}', full_type(topic.message), typestore=store,
+                msgdef=full_definition(topic.message), rihs01=digest(topic.message),
+            )
+            for topic in INPUT_TOPICS
+        }  # fmt: skip
         for record in records:
             topic = input_topic(record)
-            name = full_type(topic.message)
-            if topic.name not in connections:
-                text, hash_ = full_definition(topic.message), digest(topic.message)
-                connections[topic.name] = writer.add_connection(
-                    f'/{topic.name}', name, typestore=store, msgdef=text, rihs01=hash_
-                )
-            payload = store.serialize_cdr(message_from_record(record), name)
-            writer.write(connections[topic.name], record.stamp_ns, payload)
+            payload = store.serialize_cdr(message_from_record(record), full_type(topic.message))
+            writer.write(connections[topic], record.stamp_ns, payload)
     return path
 
 

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A replay gives the outputs of the pipelines, passes all records in order, and rejects a bag that lacks a topic."""
+"""A replay gives the outputs of the pipelines, passes all records in order, and rejects a bag that lacks a topic.
+
+Estimates of several estimators become rows of one table.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from test.own_bag import messages_of, write_bag
-from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.bag_replay import COLUMNS, EstimateTable, TableRow, estimate_table, replay
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.bag.writer import BagRecorder, BagWriter
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, ForceRecord, Record
-from trainid_ros.interface.results import Reason
+from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, ForceRecord, Record
+from trainid_ros.interface.results import Output, Reason, Status
 from trainid_ros.setup.pipelines import (
     RESISTANCE,
     EstimatorSettings,
@@ -167,3 +171,64 @@ def test_settings_reach_the_estimators(bag: Path) -> None:
         outcome = replay(reader, TRAIN, strict, duration_s=40.0)
     assert dict(outcome.resistance.rejections)[Reason.STANDSTILL] > 50
     assert outcome.resistance.output.used == 0
+
+
+ESTIMATE_OF = {
+    name: make(TRAIN, EstimatorSettings()).current().estimate
+    for name, make in (('resistance', resistance_pipeline), ('brake_rate', brake_rate_pipeline))
+}
+NAMES = [column.name for column in COLUMNS]
+
+
+def output(name: str, stamp_ns: int) -> Output[Any]:
+    return Output(stamp_ns, ESTIMATE_OF[name], Status.VALID, 1, 0, None)
+
+
+def test_each_field_of_each_message_has_a_column() -> None:
+    for topic in OUTPUT_TOPICS:
+        names = {text.split()[-1] for text in fields_of(definition(topic.message))} - {'header', 'last_reject_text'}
+        assert names <= {column.field for column in COLUMNS if column.topic == topic.name}
+        assert {item.name for item in fields(topic.estimate)} <= names
+    assert len({column.name for column in COLUMNS}) == len(COLUMNS)
+
+
+def test_estimates_of_one_stamp_share_a_row_whatever_their_order() -> None:
+    kept: list[TableRow] = []
+    table = EstimateTable(kept.extend)
+    for name, stamp_ns in (('resistance', 1), ('resistance', 2), *(('brake_rate', k) for k in (1, 2, 3))):
+        table.on_output(output(name, stamp_ns), 0)
+    table.finish()
+    assert [row[0] for row in kept] == [1, 2, 3]
+    assert [row[NAMES.index('resistance_a') + 1] for row in kept] == [1.5, 1.5, None]
+    assert [row[NAMES.index('brake_rate_brake_rate') + 1] for row in kept] == [1.0, 1.0, 1.0]
+
+
+def test_no_row_stays_open_for_long() -> None:
+    kept: list[TableRow] = []
+    table = EstimateTable(kept.extend)
+    for stamp_ns in range(10_000):
+        table.on_output(output('resistance', stamp_ns), 0)
+    assert len(kept) >= 5000
+    assert len(table._open) < 500
+
+
+@pytest.mark.parametrize('suffix', ['.csv', '.parquet'])
+def test_a_table_is_there_when_it_is_complete(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f'e{suffix}'
+
+    def write(error: Exception | None) -> None:
+        with estimate_table(path) as table:
+            table.on_output(output('resistance', 1), 0)
+            assert not path.exists()
+            if error:
+                raise error
+
+    with pytest.raises(RuntimeError):
+        write(RuntimeError())
+    assert list(tmp_path.iterdir()) == []
+    write(None)
+    assert list(tmp_path.iterdir()) == [path]
+    before: Any = path.read_bytes()
+    with pytest.raises(InputError, match='exists already and is not overwritten'):
+        write(None)
+    assert path.read_bytes() == before

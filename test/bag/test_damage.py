@@ -19,8 +19,8 @@ from mcap.writer import Writer as McapWriter
 from benchmarks.damage import campaign
 from test.own_bag import START_NS as STAMP
 from test.own_bag import changed, error_of, read_bag
+from trainid_ros.bag.mcap_file import MAGIC, ChunkHead, RecordFile
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.record_file import MAGIC, ChunkHead, RecordFile
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MassRecord

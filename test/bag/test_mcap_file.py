@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags with large messages of other topics, of which only what is needed is read, and with records that have grown."""
+"""What counts as a record, byte by byte; large messages of other topics, of which only what is needed is read."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
 import pytest
+from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from test.own_bag import changed
-from trainid_ros.bag import mcap_file, record_file
+from trainid_ros.bag import mcap_file
+from trainid_ros.bag.mcap_file import MAGIC, Record, RecordFile
 from trainid_ros.bag.reader import BagReader
 
 if TYPE_CHECKING:
@@ -23,20 +26,20 @@ if TYPE_CHECKING:
 
 IMAGE = bytes(300_000)
 IMAGES = 40
+CHUNK = 768 * 1024
 TINY = Path(__file__).parents[2] / 'bags' / 'tiny'
 
 
 def write(
-    tiny: Path,
     path: Path,
     compression: CompressionType,
     *,
     image: bytes = IMAGE,
     apart: bool = False,
-    chunk_bytes: int = 768 * 1024,
+    chunk_bytes: int = CHUNK,
 ) -> Path:
     """Write the messages of the tiny bag with images between them, or with all images at the end."""
-    source = next(tiny.glob('*.mcap'))
+    source = next(TINY.glob('*.mcap'))
     with source.open('rb') as file, path.open('wb') as out:
         reader = make_reader(file)
         writer = Writer(out, chunk_size=chunk_bytes, compression=compression, use_chunking=chunk_bytes > 0)
@@ -65,7 +68,7 @@ def rows(path: Path) -> tuple[list[tuple[int, Row]], list[str], int, tuple[int, 
         return list(reader.rows()), reader.warnings, reader.message_count, reader.time_range()
 
 
-class Counted(record_file.RecordFile):
+class Counted(RecordFile):
     """A file that counts the bytes read."""
 
     total = 0
@@ -82,7 +85,7 @@ class Counted(record_file.RecordFile):
 def test_the_same_messages_are_read_beside_a_camera(
     tmp_path: Path, compression: CompressionType, *, apart: bool
 ) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', compression, apart=apart)
+    path = write(tmp_path / 'a.mcap', compression, apart=apart)
     expected, _, count, span = rows(TINY)
     found, warnings, more, found_span = rows(path)
     assert found == expected
@@ -93,7 +96,7 @@ def test_the_same_messages_are_read_beside_a_camera(
 
 @pytest.mark.parametrize('apart', [False, True])
 def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, apart: bool) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, apart=apart)
+    path = write(tmp_path / 'a.mcap', CompressionType.NONE, apart=apart)
     monkeypatch.setattr(mcap_file, 'RecordFile', Counted)
     Counted.total = 0
     rows(path)
@@ -103,12 +106,12 @@ def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *,
 def test_a_damaged_image_is_no_matter_and_a_damaged_index_is_not_relied_on(tmp_path: Path) -> None:
     expected = rows(TINY)[0]
     marked = b'image' * 60_000
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
+    path = write(tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
     with changed(path) as content:
         content[content.index(marked) + 1000] ^= 1
     assert rows(path)[:2] == (expected, [])
     # Indexes that claim messages of another channel: the whole chunks are read instead.
-    path = write(TINY, tmp_path / 'b.mcap', CompressionType.NONE, image=marked)
+    path = write(tmp_path / 'b.mcap', CompressionType.NONE, image=marked)
     with path.open('rb') as file, changed(path) as content:
         summary = make_reader(file).get_summary()
         assert summary is not None
@@ -118,7 +121,6 @@ def test_a_damaged_image_is_no_matter_and_a_damaged_index_is_not_relied_on(tmp_p
     assert rows(path)[0] == expected
 
 
-MAGIC = record_file.MAGIC
 # All that the specification lets grow, in the part with the messages and after it.
 GROWING = (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
 GROWING_AT_THE_END = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, Opcode.CHUNK_INDEX)
@@ -154,28 +156,32 @@ def extended(content: bytes, grown: Iterable[int] = (), added: bytes = b'', at_t
     return bytes(out) + MAGIC
 
 
-@pytest.mark.parametrize('opcode', GROWING)
-@pytest.mark.parametrize('compression', list(CompressionType))
-def test_records_may_be_longer_than_known(tmp_path: Path, compression: CompressionType, opcode: int) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', compression)
-    path.write_bytes(extended(path.read_bytes(), grown=[opcode]))
-    assert rows(path)[:2] == (rows(TINY)[0], [])
-
-
-@pytest.mark.parametrize('opcode', [Opcode.SCHEMA, Opcode.CHANNEL])
-def test_definitions_may_be_longer_than_known(tmp_path: Path, opcode: int) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, chunk_bytes=0)
-    content = extended(path.read_bytes(), grown=[opcode])
-    assert len(content) > path.stat().st_size
+@pytest.mark.parametrize(
+    ('compression', 'chunk_bytes', 'change'),
+    [
+        *((compression, CHUNK, {'grown': [opcode]}) for compression in CompressionType for opcode in GROWING),
+        *((CompressionType.NONE, 0, {'grown': [opcode]}) for opcode in (Opcode.SCHEMA, Opcode.CHANNEL)),
+        *(
+            (CompressionType.ZSTD, CHUNK, {'added': packed(opcode, b'new') + packed(opcode, b'')})
+            for opcode in (0x10, 0x7F, 0x80, 0xFF)
+        ),
+    ],
+)
+def test_records_that_are_longer_than_known_or_of_unknown_kinds_lose_nothing(
+    tmp_path: Path, compression: CompressionType, chunk_bytes: int, change: dict[str, Any]
+) -> None:
+    path = write(tmp_path / 'a.mcap', compression, chunk_bytes=chunk_bytes)
+    content = extended(path.read_bytes(), **change)
+    assert chunk_bytes or len(content) > path.stat().st_size
     path.write_bytes(content)
     assert rows(path)[:2] == (rows(TINY)[0], [])
 
 
 @pytest.mark.parametrize('opcode', GROWING_AT_THE_END)
 def test_records_of_the_summary_may_be_longer_than_known(tmp_path: Path, opcode: int) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE)
+    path = write(tmp_path / 'a.mcap', CompressionType.NONE)
     path.write_bytes(extended(path.read_bytes(), at_the_end=[opcode]))
-    file = record_file.RecordFile(path)
+    file = RecordFile(path)
     summary = file.summary()
     file.close()
     assert summary.statistics is not None
@@ -183,16 +189,9 @@ def test_records_of_the_summary_may_be_longer_than_known(tmp_path: Path, opcode:
     assert rows(path)[:2] == (rows(TINY)[0], [])
 
 
-@pytest.mark.parametrize('opcode', [0x10, 0x7F, 0x80, 0xFF])
-def test_records_of_unknown_kinds_are_ignored(tmp_path: Path, opcode: int) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.ZSTD)
-    path.write_bytes(extended(path.read_bytes(), added=packed(opcode, b'new') + packed(opcode, b'')))
-    assert rows(path)[:2] == (rows(TINY)[0], [])
-
-
 @pytest.mark.parametrize('opcode', [*GROWING, 0x10])
 def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, opcode: int) -> None:
-    path = write(TINY, tmp_path / 'a.mcap', CompressionType.ZSTD, image=b'', chunk_bytes=50_000)
+    path = write(tmp_path / 'a.mcap', CompressionType.ZSTD, image=b'', chunk_bytes=50_000)
     added = packed(0x10, b'new') if opcode == 0x10 else b''
     content = bytearray(extended(path.read_bytes(), grown=[opcode], added=added))
     path.write_bytes(content)
@@ -209,11 +208,85 @@ def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, op
     assert f'{path}: {count} of ' in warnings[-1]
 
 
-def places(path: Path, opcode: int) -> Iterable[record_file.Record]:
+def places(path: Path, opcode: int) -> Iterable[Record]:
     """Yield the records of one kind."""
-    file, position = record_file.RecordFile(path), len(MAGIC)
+    file, position = RecordFile(path), len(MAGIC)
     while (record := file.record(position)) is not None:
         if record.opcode == opcode:
             yield record
         position = record.end
     file.close()
+
+
+FOOTER = struct.pack('<BQQQI', Opcode.FOOTER, 20, 0, 0, 0)
+DATA_END = struct.pack('<BQI', Opcode.DATA_END, 4, 0)
+
+
+def opened(path: Path, content: bytes) -> RecordFile:
+    path.write_bytes(MAGIC + content + MAGIC)
+    return RecordFile(path)
+
+
+def chunk(compression: str = '', stored: int = 5, content: bytes = b'12345') -> bytes:
+    head = struct.pack('<QQQII', 1, 2, len(content), 0, len(compression)) + compression.encode()
+    return struct.pack('<BQ', Opcode.CHUNK, len(head) + 8 + len(content)) + head + struct.pack('<Q', stored) + content
+
+
+def test_a_chunk_states_how_its_records_are_stored(tmp_path: Path) -> None:
+    file = opened(tmp_path / 'x.mcap', chunk('lz4') + DATA_END)
+    found = file.record(len(MAGIC))
+    assert found is not None
+    head = file.chunk_head(found)
+    assert head is not None
+    assert (head.size, head.compression, head.stored) == (5, 'lz4', 5)
+    assert file.read(found.start + head.start, 5) == b'12345'
+
+
+@pytest.mark.parametrize(
+    'content', [chunk('gzip'), chunk(stored=6), chunk()[: -len('12345') - 1]], ids=['compression', 'stored', 'cut']
+)
+def test_what_cannot_be_a_chunk_is_no_record(tmp_path: Path, content: bytes) -> None:
+    assert opened(tmp_path / 'x.mcap', content).record(len(MAGIC)) is None
+
+
+@pytest.mark.parametrize(('name', 'length'), [('lz4', 40), ('lz4', 0), ('', 40)])
+def test_a_chunk_without_its_stored_size_has_no_head(tmp_path: Path, name: str, length: int) -> None:
+    """The record ends with the name of the compression, or before it."""
+    head = struct.pack('<QQQII', 1, 2, 5, 0, len(name)) + name.encode()
+    content = struct.pack('<BQ', Opcode.CHUNK, len(head)) + head
+    found = Record(Opcode.CHUNK, len(MAGIC) + 9, len(MAGIC) + 9 + min(length, len(head)))
+    assert opened(tmp_path / 'x.mcap', content).chunk_head(found) is None
+
+
+@pytest.mark.parametrize('record', [DATA_END + FOOTER, FOOTER, chunk() + DATA_END + FOOTER])
+@pytest.mark.parametrize('garbage', [b'', b'\xff', b'\xff' * 100])
+@pytest.mark.parametrize('chunked', [False, True])
+def test_records_are_found_behind_garbage(tmp_path: Path, record: bytes, garbage: bytes, chunked: bool) -> None:
+    file = opened(tmp_path / 'x.mcap', garbage + record)
+    assert file.search(len(MAGIC), chunked=chunked) == len(MAGIC) + len(garbage)
+
+
+def test_where_no_record_follows_the_search_ends_at_the_end(tmp_path: Path) -> None:
+    file = opened(tmp_path / 'x.mcap', b'\xff' * 100)
+    assert file.search(len(MAGIC), chunked=True) == file.end == len(MAGIC) + 100
+
+
+KINDS = (
+    *(records.Header, records.Schema, records.Channel, records.MessageIndex, records.ChunkIndex),
+    *(records.AttachmentIndex, records.Statistics, records.Metadata, records.MetadataIndex, records.SummaryOffset),
+    *(records.DataEnd, records.Footer),
+)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_the_shortest_record_of_each_kind_is_one_and_a_shorter_one_is_not(tmp_path: Path, kind: type[Any]) -> None:
+    shortest = kind(**{name: (get_origin(hint) or hint)() for name, hint in get_type_hints(kind).items()})
+    builder = RecordBuilder()
+    shortest.write(builder)
+    content: bytes = builder.end()  # type: ignore[no-untyped-call]
+    opcode, length = struct.unpack_from('<BQ', content)
+    assert len(content) == 9 + length
+    file = opened(tmp_path / 'x.mcap', content)
+    assert file.record(len(MAGIC)) == Record(opcode, len(MAGIC) + 9, file.end)
+    cut = struct.pack('<BQ', opcode, length - 1) + content[9:-1]
+    assert opened(tmp_path / 'y.mcap', cut).record(len(MAGIC)) is None

@@ -13,7 +13,7 @@ from rosbags.typesys import get_types_from_msg
 
 from test.own_bag import START_NS as STAMP
 from test.own_bag import error_of, read_bag, write_bag
-from trainid_ros.bag.reader import BagReader, LoggedRecord, in_two, require_topics
+from trainid_ros.bag.reader import BagReader, in_two, require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
@@ -65,7 +65,7 @@ def test_order_is_log_time_and_on_ties_that_of_the_file(tmp_path: Path) -> None:
     path = write_bag(tmp_path / 'bag', (late, tie_a, tie_b, first), [STAMP + offset for offset in (30, 20, 20, 10)])
     with BagReader(path) as reader:
         assert list(reader.records()) == [first, tie_a, tie_b, late]
-        assert next(iter(reader.logged_records())) == LoggedRecord(STAMP + 10, 'ato/speed', first)
+        assert next(iter(reader.rows())) == (STAMP + 10, first.row())
 
 
 def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:

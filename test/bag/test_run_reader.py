@@ -64,11 +64,6 @@ def test_processes_give_the_same_runs_and_progress(bags: list[Path]) -> None:
     assert sum(steps) > 1000
 
 
-def test_an_error_in_a_worker_process_is_raised(bags: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='missing'):
-        read_runs([*bags, tmp_path / 'missing'], TRAIN, workers=2)
-
-
 def test_a_bag_given_twice_is_rejected(bags: list[Path]) -> None:
     with pytest.raises(InputError, match='given twice'):
         survey([bags[0], bags[1], bags[0].parent / '.' / bags[0].name])

@@ -31,7 +31,6 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
-    SPEED_TOPIC,
     BrakeRecord,
     ForceRecord,
     GradientRecord,
@@ -67,14 +66,6 @@ def test_record_survives_serialisation(name: str, record: Record) -> None:
     store, kind = typestore(), full_type(name)
     message = store.deserialize_cdr(store.serialize_cdr(message_from_record(record), kind), kind)
     assert record_from_message(TOPICS[name], message) == record
-
-
-def test_values_that_are_not_finite_are_passed_on() -> None:
-    message = message_from_record(SpeedRecord(STAMP, math.inf, math.nan))
-    back = record_from_message(SPEED_TOPIC, message)
-    assert isinstance(back, SpeedRecord)
-    assert back.speed == math.inf
-    assert math.isnan(back.position)
 
 
 def test_numpy_scalars_become_plain_numbers() -> None:

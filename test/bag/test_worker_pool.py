@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from trainid_ros.bag.worker_pool import each_bag, map_bags, processors
+from trainid_ros.bag.worker_pool import each_bag, map_bags
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,7 +82,3 @@ def test_only_an_item_whose_own_process_is_killed_again_has_no_result(work: Any,
     assert results == ['four', 'one', 'two', f'{tmp_path}/three is left']
     assert min(steps) > 0.0
     assert sum(steps) == 3.5  # half of the last one
-
-
-def test_there_is_a_processor() -> None:
-    assert processors() >= 1

@@ -10,8 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, QosReliability
 
 from test.own_bag import START_NS as STAMP
-from test.own_bag import messages_of, read_bag
-from trainid_ros.bag.reader import BagReader
+from test.own_bag import messages_of
 from trainid_ros.bag.types import digest, message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
@@ -68,16 +67,6 @@ def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
         (qos,) = latched.ext.offered_qos_profiles
     assert counts == {'/trainid/brake_rate': 2, '/trainid/last_valid/brake_rate': 1}
     assert (qos.durability, qos.depth) == (QosDurability.TRANSIENT_LOCAL, 1)
-
-
-def test_estimates_are_read_back(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'out') as writer:
-        writer.write_estimate(output(Status.HOLDING))
-    assert read_bag(tmp_path / 'out') == ([], [])
-    with BagReader(tmp_path / 'out') as reader:
-        assert reader.time_range() == (STAMP, STAMP)
-    (message,) = messages_of(tmp_path / 'out', 'trainid/brake_rate')
-    assert message.brake_rate == ESTIMATE.brake_rate
 
 
 def test_existing_path_is_not_touched(tmp_path: Path) -> None:

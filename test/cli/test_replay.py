@@ -20,7 +20,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapping import date_time_ns
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, stamp_of
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, record_of
 from trainid_ros.interface.results import Status
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import Contradiction
@@ -270,9 +270,9 @@ def test_a_report_overwrites_no_input(tmp_path: Path, driven_bag: Path, capsys: 
 def test_damage_is_said_and_the_rest_used(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / 'damaged'
     with BagReader(driven_bag) as reader, BagWriter(bag) as writer:
-        for entry in reader.logged_records():
-            writer.write_record(entry.record, entry.log_ns)
-            if entry.log_ns % NS_PER_S == 0:
+        for log_ns, row in reader.rows():
+            writer.write_record(record_of(*row), log_ns)
+            if log_ns % NS_PER_S == 0:
                 writer._writer.storage.close_chunk()  # type: ignore[union-attr]
     path = bag / 'damaged.mcap'
     content = bytearray(path.read_bytes())

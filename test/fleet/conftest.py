@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.bag.record_file import MAX_CHUNK
+from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.fleet.table_file import Setup
 
 

@@ -22,7 +22,6 @@ from trainid_ros.inspection.number_series import (
     read_numbers,
     regress,
 )
-from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 
 START = 1_700_000_000 * NS_PER_S
@@ -76,11 +75,6 @@ def test_only_the_beginning_of_a_long_bag_is_read(bag: Path, monkeypatch: pytest
     numbers = read_numbers(bag, '/', 64 << 20, shares.append)
     assert named(numbers)['/a/twist twist.linear.x'].value.tolist() == [0.0, 5.0, 10.0, 15.0, 20.0]
     assert 0.8 < sum(shares) < 1.01
-
-
-def test_a_bag_that_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='no such bag'):
-        read_numbers(tmp_path / 'none', '/', 64 << 20)
 
 
 def test_wide_strings_are_no_numbers(tmp_path: Path) -> None:

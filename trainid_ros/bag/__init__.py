@@ -20,15 +20,7 @@ _ROS: Final = frozenset({'rclpy', 'trainid_msgs', 'diagnostic_msgs', 'rosgraph_m
 
 
 def missing_package_error(error: ModuleNotFoundError) -> InputError:
-    """Return the error to report instead of a failed import of an extra.
-
-    Args:
-        error: The failed import.
-
-    Raises:
-        ModuleNotFoundError: The import of another module failed.
-
-    """
+    """Return the error to report instead of a failed import of an extra; raises that of another module."""
     package = (error.name or '').partition('.')[0]
     if package in _ROS:
         return InputError(f'this command needs ROS 2, but {package} is not found: source the setup file of ROS first')

@@ -207,7 +207,6 @@ def _from_folder(path: Path, warning: str) -> BagFiles:
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of a bag in a directory, in the order of recording."""
     entries = (entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file())
     return tuple(sorted(entries, key=_part_number))
 

@@ -1,19 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimators over a bag: records in the order of the log go into the pipelines of the live nodes.
 
-Nothing is computed here; a replay is deterministic and equals what nodes that miss no message publish.
+Nothing is computed here; a replay is deterministic and equals what nodes that miss no message publish. Its estimates
+may become a table: one row for each sample, with those of all three estimators.
 """
 
 from __future__ import annotations
 
+import csv
 import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeAlias
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineGroup
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, Row, record_of
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    INPUT_TOPICS,
+    NS_PER_S,
+    OUTPUT_TOPICS,
+    OutputTopic,
+    Row,
+    output_topic,
+    output_values,
+    record_of,
+)
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
     EstimateT,
@@ -21,6 +37,10 @@ from trainid_ros.interface.results import (
     Reason,
     ResistanceEstimate,
     SpeedModelEstimate,
+    Status,
+    deviations,
+    parameters,
+    quantities,
 )
 from trainid_ros.setup.pipelines import (
     BrakeRatePipeline,
@@ -34,7 +54,8 @@ from trainid_ros.setup.pipelines import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator
+    from pathlib import Path
 
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.inputs.mapping import Mapping
@@ -117,10 +138,8 @@ def replay(
     """Run the three estimators over an open bag, or the first ``duration_s`` of it by log time [s].
 
     ``progress`` is called with the number of inputs read since its last call. Observers receive inputs and outputs;
-    nothing else is kept, so memory does not grow with the bag.
-
-    Raises:
-        InputError: A required topic has no messages, or a message cannot be read.
+    nothing else is kept, so memory does not grow with the bag. InputError if a required topic has no messages, or the
+    bag cannot be read.
     """
     pipelines = Pipelines(
         resistance_pipeline(train_file, settings),
@@ -187,3 +206,150 @@ def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT, mapping: M
         pipeline.consistency,
         mapping.named(pipeline.why_converging),
     )
+
+
+TABLE_SUFFIXES: Final = ('.parquet', '.csv')
+TableRow: TypeAlias = list[Any]
+"""Stamp [ns], then the cells of the other columns; None where an estimator has no estimate at this stamp."""
+_COVARIANCE: Final = 'covariance'
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """A column: topic and field it holds, and its unit, '' without."""
+
+    topic: str
+    field: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """Name of the estimator and the field, such as ``resistance_a``."""
+        return f'{self.topic.rpartition("/")[2]}_{self.field}'
+
+
+def _columns(topic: OutputTopic) -> Iterator[TableColumn]:
+    """Yield the fields of an estimate, with the standard deviations before their covariance, and the counters."""
+    known = quantities(topic.estimate)
+    for name, quantity in known.items():
+        if name == _COVARIANCE:
+            for parameter in parameters(topic.estimate):
+                yield TableColumn(topic.name, f'{parameter}_std', known[parameter].unit)
+        yield TableColumn(topic.name, name, quantity.unit)
+    for name in ('status', 'used', 'rejected', 'last_reject_reason'):
+        yield TableColumn(topic.name, name, '')
+
+
+COLUMNS: Final = tuple(column for topic in OUTPUT_TOPICS for column in _columns(topic))
+"""All columns but the time."""
+
+
+class EstimateTable:
+    """Observer of a replay that writes a row for each stamp."""
+
+    def __init__(self, write: Callable[[Sequence[TableRow]], None]) -> None:
+        self._write = write
+        self._open: dict[int, dict[str, dict[str, Any]]] = {}
+        self._rows: list[TableRow] = []
+
+    def on_record(self, entry: object) -> None:
+        """Receive an input, which the table does not hold."""
+
+    def on_output(self, output: Output[Any], log_ns: int) -> None:  # noqa: ARG002 - rows have stamps
+        """Take an estimate."""
+        topic = output_topic(output.estimate).name
+        self._open.setdefault(output.stamp_ns, {})[topic] = _values(output)
+        while self._open:
+            stamp_ns, estimates = next(iter(self._open.items()))
+            # Estimators whose settings differ may give their estimates of one sample some messages apart.
+            if len(estimates) < len(OUTPUT_TOPICS) and len(self._open) <= 200:
+                return
+            self._close_row(stamp_ns)
+
+    def finish(self) -> None:
+        """Write what is left."""
+        for stamp_ns in list(self._open):
+            self._close_row(stamp_ns)
+        self._write(self._rows)
+
+    def _close_row(self, stamp_ns: int) -> None:
+        estimates = self._open.pop(stamp_ns)
+        self._rows.append([stamp_ns, *(estimates.get(column.topic, {}).get(column.field) for column in COLUMNS)])
+        if len(self._rows) >= 5000:
+            self._write(self._rows)
+            self._rows = []
+
+
+def _values(output: Output[Any]) -> dict[str, Any]:
+    """Return the fields of an estimate with standard deviations; status and reason as words."""
+    values: dict[str, Any] = output_values(output)
+    values['status'] = Status(values['status']).name
+    values['last_reject_reason'] = Reason(values['last_reject_reason']).name
+    if names := parameters(type(output.estimate)):
+        stds = deviations(values[_COVARIANCE])
+        values |= {f'{name}_std': std for name, std in zip(names, stds, strict=True)}
+    return values
+
+
+@contextmanager
+def _csv_file(path: Path) -> Iterator[Callable[[Sequence[TableRow]], None]]:
+    """Open a CSV file: dates and times in ISO 8601, units in the names; covariances are left out."""
+    places = [place for place, column in enumerate(COLUMNS, 1) if column.field != _COVARIANCE]
+    named = (COLUMNS[place - 1] for place in places)
+
+    def write(rows: Sequence[TableRow]) -> None:
+        for row in rows:
+            seconds, rest = divmod(row[0], NS_PER_S)
+            time = f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z'
+            writer.writerow([time, *(_cell(row[place]) for place in places)])
+
+    with path.open('w', encoding='utf-8', newline='') as file:
+        writer = csv.writer(file, lineterminator='\n')
+        writer.writerow(['time', *(f'{item.name} [{item.unit}]' if item.unit else item.name for item in named)])
+        yield write
+
+
+def _cell(value: Any) -> Any:
+    return '' if value is None or (isinstance(value, float) and math.isnan(value)) else value
+
+
+@contextmanager
+def _parquet_file(path: Path) -> Iterator[Callable[[Sequence[TableRow]], None]]:
+    """Open a Parquet file, with units in the metadata of the fields and a group of rows for each call."""
+    import pyarrow as pa  # noqa: PLC0415 - an optional package
+    from pyarrow import parquet  # noqa: PLC0415
+
+    words, count = pa.dictionary(pa.int8(), pa.string()), pa.uint64()
+    types = {_COVARIANCE: pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
+    types |= {'used': count, 'rejected': count, 'observable': pa.bool_()}
+    columns = [
+        pa.field(item.name, types.get(item.field, pa.float64()), metadata={'unit': item.unit} if item.unit else None)
+        for item in COLUMNS
+    ]
+    schema = pa.schema([pa.field('time', pa.timestamp('ns', tz='UTC')), *columns])
+
+    def write(rows: Sequence[TableRow]) -> None:
+        if rows:
+            cells = zip(*rows, strict=True)
+            arrays = [pa.array(column, field.type) for column, field in zip(cells, schema, strict=True)]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+    with parquet.ParquetWriter(path, schema) as writer:
+        yield write
+
+
+@contextmanager
+def estimate_table(path: Path) -> Iterator[EstimateTable]:
+    """Write a table, Parquet or CSV by its suffix, there once the block ends without error; InputError if it exists."""
+    if path.exists() or path.is_symlink():
+        raise InputError(f'{path}: exists already and is not overwritten')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f'.{path.name}.{os.getpid()}')
+    try:
+        with (_csv_file if path.suffix == '.csv' else _parquet_file)(part) as write:
+            table = EstimateTable(write)
+            yield table
+            table.finish()
+        part.rename(path)
+    finally:
+        part.unlink(missing_ok=True)

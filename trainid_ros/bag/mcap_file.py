@@ -7,12 +7,15 @@ are of needed topics, as beside cameras, and agrees with the records it points t
 a checksum of the whole chunk cannot be checked. What stays in memory is where each message starts; the chunks are
 read again, one by one, when they are asked for.
 
-Record layout: MCAP specification, https://mcap.dev/spec.
+The library ``mcap`` reads the content of records. They may be longer than known, and of unknown kinds; both are
+skipped. Record layout: MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
+import os
 import struct
+import zlib
 from array import array
 from collections import Counter
 from functools import partial
@@ -20,22 +23,15 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped] # comes with mcap
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
+from zstandard import ZstdDecompressor, ZstdError
 
-from trainid_ros.bag.record_file import (
-    HEAD,
-    MAGIC,
-    MAX_CHUNK,
-    MESSAGE_BYTES,
-    UNREADABLE,
-    DamageError,
-    Record,
-    RecordFile,
-    is_known,
-)
 from trainid_ros.bag.types import MessageBlock, Segment, values_at
 from trainid_ros.interface.errors import InputError
 
@@ -43,21 +39,44 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from mcap.records import ChunkIndex
     from numpy.typing import NDArray
 
-_DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
-_PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
-_CHUNK: Final = bytes([Opcode.CHUNK])
-_MAX_NAMED: Final = 5  # losses
-_MB: Final = 1 << 20  # also from one report of progress to the next, and of messages outside chunks taken together
+MAGIC: Final = b'\x89MCAP0\r\n'  # first and last bytes of an MCAP file
+MAX_CHUNK: Final = 64 << 20
+"""Largest chunk that is unpacked unless a larger one is asked for [bytes]."""
+HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
 # Channel, sequence, log time and publish time of a message; its length stands before them.
 _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
+# With their heads: message up to its log time; channel of an index and size of its entries, which have 16 bytes each;
+# footer, with start of the summary, start of its offsets, checksum of both.
+_START: Final = struct.Struct('<BQHIQ')
+_INDEX: Final = struct.Struct('<BQHI')
+_FOOTER: Final = struct.Struct('<BQQQI')
+_CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
+_SIZE: Final = struct.Struct('<Q')
+# Shortest content of each kind of record [bytes].
+_MIN_BYTES: Final[dict[int, int]] = {
+    Opcode.HEADER: 8, Opcode.FOOTER: 20, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: _MESSAGE.itemsize,
+    Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6, Opcode.CHUNK_INDEX: 64, Opcode.ATTACHMENT: 36,
+    Opcode.ATTACHMENT_INDEX: 48, Opcode.STATISTICS: 46, Opcode.METADATA: 8, Opcode.METADATA_INDEX: 20,
+    Opcode.SUMMARY_OFFSET: 17, Opcode.DATA_END: 4,
+}  # fmt: skip
+_DEFINITIONS: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+_PLAIN: Final = _DEFINITIONS | {Opcode.MESSAGE}
+# Records that are looked for after damage: their content shows that they are whole. Others may lie outside chunks.
+_TARGETS: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER})
+_SUMMARY: Final = _DEFINITIONS | {
+    Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
+}  # fmt: skip
+_FOLLOWING: Final = 2  # records that must follow one whose place or kind is in doubt
+_BLOCK: Final = 1 << 12  # bytes that are read or searched first; and by which a summary is looked for elsewhere
+# Bytes that are read at once, from one report of progress to the next, and of messages outside chunks taken together.
+_MB: Final = 1 << 20
+_MAX_NAMED: Final = 5  # losses
 # Share of a chunk that needed messages may have [1]: of one with more, all is read, and its checksum is checked.
 _SPARSE: Final = 0.1
-_BLOCK: Final = 1 << 12  # bytes that are read at once
-_INDEX: Final = struct.Struct('<BQHI')  # opcode, length, channel, size of the entries
-_START: Final = struct.Struct('<BQHIQ')  # of a message record: opcode, length, channel, sequence, log time
+# Errors of the library on the content of a damaged record.
+_UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
 # Other formats by their first bytes.
 _HINTS: Final = {
     b'\x28\xb5\x2f\xfd': ': it is compressed by zstd, as ros2 bag does in mode file; unpack it with zstd -d',
@@ -67,6 +86,207 @@ _HINTS: Final = {
 }
 
 
+class DamageError(Exception):
+    """A piece of a file cannot be used; the text says why."""
+
+
+class Record(NamedTuple):
+    """One record: opcode, and where its content starts and ends."""
+
+    opcode: int  # kind of the record
+    start: int  # start of its content [bytes]
+    end: int  # end of its content [bytes]
+
+    @property
+    def offset(self) -> int:
+        """Where the record itself starts."""
+        return self.start - HEAD.size
+
+
+class ChunkHead(NamedTuple):
+    """Head of a chunk."""
+
+    size: int  # Size of its records [bytes]
+    crc: int  # Checksum of its records, 0 without one
+    compression: str  # '', 'lz4' or 'zstd'
+    start: int  # Where the stored records start in the content of the chunk
+    stored: int  # Their stored size [bytes]
+
+    def unpack(self, stored: bytes) -> bytes:
+        """Return the records, checked; DamageError if they cannot be unpacked, or size or checksum do not fit."""
+        data = self.unpack_start(stored)
+        if len(data) != self.size:
+            raise DamageError(f'unpacks to {len(data)} instead of {self.size} bytes')
+        if self.crc and zlib.crc32(data) != self.crc:
+            raise DamageError('checksum does not fit')
+        return data
+
+    def unpack_start(self, stored: bytes) -> bytes:
+        """Return the unpacked records, unchecked, at most one byte more than the head states; DamageError if none."""
+        try:
+            if self.compression == 'zstd':
+                with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
+                    return reader.read(self.size + 1)
+            if self.compression == 'lz4':
+                return bytes(LZ4FrameDecompressor().decompress(stored, self.size + 1))
+        except (ZstdError, RuntimeError) as error:  # lz4 raises the latter
+            raise DamageError(f'cannot be unpacked ({" ".join(str(error).split())})') from None
+        return stored
+
+
+class RecordFile:
+    """An MCAP file."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a file; OSError if that fails."""
+        self._file = path.open('rb')
+        self.size = self._file.seek(0, os.SEEK_END)  # bytes
+        # Whether it ends as a finished file does.
+        self.is_closed = self.size > 2 * len(MAGIC) and self.read(self.size - len(MAGIC), len(MAGIC)) == MAGIC
+        # Where its records end: that of a recording that was cut off may be allocated on disk but not written.
+        self.end = self.size - len(MAGIC) if self.is_closed else self._end_of_zeros()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return the bytes from an offset on, fewer at the end of the file."""
+        return os.pread(self._file.fileno(), length, offset)
+
+    def record(self, offset: int) -> Record | None:
+        """Return the record that starts at an offset, None if none that can be right does."""
+        found = last = self._record(offset)
+        # Of an unknown kind is only what known records follow: garbage looks alike.
+        for _ in range(_FOLLOWING):
+            if last is None or _is_known(last.opcode) or last.end == self.end:
+                break
+            last = self._record(last.end)
+        return None if last is None else found
+
+    def _record(self, offset: int) -> Record | None:
+        """Return the record that starts at an offset, judged by itself."""
+        content = self.read(offset, _INDEX.size)
+        if len(content) < HEAD.size:
+            return None
+        opcode, length = HEAD.unpack_from(content)
+        found = Record(opcode, offset + HEAD.size, offset + HEAD.size + length)
+        most = _MIN_BYTES[opcode] if opcode in {Opcode.FOOTER, Opcode.DATA_END} else length  # these never grow
+        if found.end > self.end or not opcode or not _MIN_BYTES.get(opcode, 0) <= length <= most:
+            return None
+        if opcode == Opcode.CHUNK and self.chunk_head(found) is None:
+            return None
+        if opcode == Opcode.MESSAGE_INDEX:
+            *_, size = _INDEX.unpack(content)
+            if size % 16 or _INDEX.size + size > found.end - offset:
+                return None
+        return found
+
+    def chunk_head(self, chunk: Record) -> ChunkHead | None:
+        """Return the head of a chunk, None if it does not fit; the end of the stored records may be missing."""
+        content = self.read(chunk.start, min(64, chunk.end - chunk.start))
+        if len(content) < _CHUNK.size:
+            return None
+        _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+        end = _CHUNK.size + name_length
+        name = content[_CHUNK.size : end].decode('ascii', errors='replace')
+        if name not in {'', 'lz4', 'zstd'} or len(content) < end + _SIZE.size:
+            return None
+        (stored,) = _SIZE.unpack_from(content, end)
+        start = end + _SIZE.size
+        (length,) = _SIZE.unpack(self.read(chunk.start - _SIZE.size, _SIZE.size))
+        return ChunkHead(size, crc, name, start, stored) if start + stored <= length else None
+
+    def search(self, offset: int, *, chunked: bool) -> int:
+        """Return the start of the first record from an offset on that others follow, the end if there is none.
+
+        ``chunked`` is True if messages lie in chunks only: those of a damaged chunk are no records of the file.
+        """
+        block = _BLOCK
+        while offset + HEAD.size <= self.end:
+            content = np.frombuffer(self.read(offset, min(block, self.end - offset)), dtype=np.uint8)
+            for place in _candidates(content).tolist():
+                if self._begins_records(offset + place, _TARGETS if chunked else _TARGETS | _PLAIN):
+                    return offset + int(place)
+            offset += content.size - HEAD.size + 1
+            block = min(2 * block, _MB)
+        return self.end
+
+    def _begins_records(self, offset: int, targets: frozenset[int]) -> bool:
+        """Return whether a record that is a target begins at an offset, and known ones follow it."""
+        record = self._record(offset)
+        if record is None or record.opcode not in targets:
+            return False
+        for _ in range(_FOLLOWING):
+            if record.end == self.end:
+                return True
+            record = self._record(record.end)
+            if record is None or not _is_known(record.opcode):
+                return False
+        return True
+
+    def summary(self) -> Summary:
+        """Return the summary at the end of a finished file, as far as it can be read."""
+        offset = self.end - _FOOTER.size
+        opcode, _, position, _, crc = _FOOTER.unpack(self.read(offset, _FOOTER.size))
+        if opcode != Opcode.FOOTER or not position:  # without a summary, none needs to be looked for
+            return Summary()
+        stated, is_whole = self._summary_from(position, crc)
+        if is_whole:
+            return stated
+        # Bytes were lost or added before it: it lies elsewhere, and so do the chunks of its index. The end of it fits
+        # without a checksum too, so what starts first is the whole.
+        for start in range(max(position - _BLOCK, len(MAGIC)), min(position + _BLOCK, offset)):
+            first = self._record(start)
+            if first is None or first.opcode not in _SUMMARY:
+                continue
+            moved, is_whole = self._summary_from(start, crc)
+            if is_whole:
+                moved.chunk_indexes.clear()
+                return moved
+        return stated
+
+    def _summary_from(self, start: int, crc: int) -> tuple[Summary, bool]:
+        """Return the readable part of a summary that starts at an offset, and whether it is whole."""
+        found = Summary()
+        if not 0 < start < self.end or self.size - start > MAX_CHUNK:
+            return found, False
+        content = self.read(start, self.size - start)
+        if crc and zlib.crc32(content[: -4 - len(MAGIC)]) != crc:
+            return found, False
+        try:
+            for record in StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True).records:
+                match record:
+                    case Schema():
+                        found.schemas[record.id] = record
+                    case Channel():
+                        found.channels[record.id] = record
+                    case ChunkIndex():
+                        found.chunk_indexes.append(record)
+                    case Statistics():
+                        found.statistics = record
+        except _UNREADABLE:
+            return found, False
+        return found, True
+
+    def crc(self, start: int, end: int) -> int:
+        """Return the checksum of the bytes between two offsets."""
+        crc = 0
+        for offset in range(start, end, _MB):
+            crc = zlib.crc32(self.read(offset, min(_MB, end - offset)), crc)
+        return crc
+
+    def _end_of_zeros(self) -> int:
+        """Return where the zeros at the end of the file start."""
+        end = self.size
+        while end:
+            start = max(0, end - _MB)
+            if content := self.read(start, end - start).rstrip(b'\0'):
+                return start + len(content)
+            end = start
+        return 0
+
+
 class Piece(NamedTuple):
     """A piece of the file: a chunk, one whose end is missing, or records outside chunks."""
 
@@ -74,11 +294,6 @@ class Piece(NamedTuple):
     end: int  # where it ends in the file [bytes]
     is_chunk: bool  # or records outside chunks
     is_cut: bool = False  # its end is missing
-
-    @property
-    def record(self) -> Record:
-        """The chunk."""
-        return Record(Opcode.CHUNK, self.offset + HEAD.size, self.end)
 
 
 class McapFile:
@@ -195,7 +410,7 @@ class McapFile:
                 self._take(Piece(run, position, is_chunk=False))
                 run = position
             if record is None:
-                is_chunk = file.read(position, 1) == _CHUNK
+                is_chunk = file.read(position, 1) == bytes([Opcode.CHUNK])
                 self._chunked |= is_chunk
                 found = file.search(position + 1, chunked=self._chunked)
                 if position >= file.end or (found == file.end and not file.is_closed):
@@ -217,7 +432,7 @@ class McapFile:
     def _take_record(self, record: Record) -> int:
         """Take in a record that is neither a message nor a definition; return where the next one starts."""
         if record.opcode != Opcode.CHUNK or (head := self._file.chunk_head(record)) is None:
-            self._all_checked &= is_known(record.opcode)  # it may be a known one whose opcode is damaged
+            self._all_checked &= _is_known(record.opcode)  # it may be a known one whose opcode is damaged
             return self._follow(record, record.offset + 1)
         self._chunked = True
         if end := self._take_indexed(record, record.start + head.start):
@@ -244,7 +459,7 @@ class McapFile:
             known = self._summary.channels.get(channel)
             if known is None or self._is_needed(known.topic):
                 needed.append((channel, entries))
-        most = 0.0 if index.compression else _SPARSE * (chunk.end - chunk.start) / (HEAD.size + MESSAGE_BYTES)
+        most = 0.0 if index.compression else _SPARSE * (chunk.end - chunk.start) / (HEAD.size + _MESSAGE.itemsize)
         if sum(len(entries) for _, entries in needed) > most:
             return 0
         wanted = sorted((place, log_ns, channel) for channel, entries in needed for log_ns, place in entries.tolist())
@@ -281,7 +496,7 @@ class McapFile:
             if len(block) < _START.size:
                 return None
             opcode, size, found_channel, _, found_ns = _START.unpack_from(block, place - place_of)
-            fits = (opcode, found_channel, found_ns) == (Opcode.MESSAGE, channel, log_ns) and size >= MESSAGE_BYTES
+            fits = (opcode, found_channel, found_ns) == (Opcode.MESSAGE, channel, log_ns) and size >= _MESSAGE.itemsize
             offset, length = begin + place, HEAD.size + size
             starts.append(total + HEAD.size)
             total += length
@@ -309,8 +524,6 @@ class McapFile:
 
     def _take(self, piece: Piece) -> None:
         """Note the definitions and the messages of a piece of the file, or why it is lost."""
-        if piece.offset == piece.end:
-            return
         try:
             data = self._load(piece, is_new=True)
         except DamageError as error:
@@ -349,7 +562,7 @@ class McapFile:
             else:
                 channel = Channel.read(stream)
                 self.channels[channel.id] = channel
-        except UNREADABLE:
+        except _UNREADABLE:
             self._losses.append('an unreadable message definition')
 
     def _use_summary(self, number: int) -> bool:
@@ -364,7 +577,7 @@ class McapFile:
 
     def _add(self, piece: Piece, data: bytes, starts: NDArray[np.intp]) -> None:
         """Note the messages of a block of bytes that have a channel."""
-        starts = starts[_lengths_at(data, starts) >= MESSAGE_BYTES]
+        starts = starts[_lengths_at(data, starts) >= _MESSAGE.itemsize]
         channel = values_at(data, starts, _MESSAGE)['channel']
         for number in np.flatnonzero(np.bincount(channel)).tolist():
             if number not in self.channels and not self._use_summary(number):
@@ -381,7 +594,7 @@ class McapFile:
 
     def _load(self, piece: Piece, *, is_new: bool = False) -> bytes:
         """Return the records of a piece, unpacked and checked, ``is_new`` the first time; DamageError if that fails."""
-        file, chunk = self._file, piece.record
+        file, chunk = self._file, Record(Opcode.CHUNK, piece.offset + HEAD.size, piece.end)
         head = file.chunk_head(chunk) if piece.is_chunk else None
         if piece.is_chunk and head is None:
             raise DamageError('no valid head of a chunk')
@@ -440,3 +653,18 @@ def _messages_at(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
 def _lengths_at(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
     """Return the lengths of records, which stand before their starts."""
     return values_at(data, starts - 8, np.dtype('<i8'))
+
+
+def _is_known(opcode: int) -> bool:
+    """Return whether the kind of a record is one of the specification, or is kept for others."""
+    return opcode in _MIN_BYTES or opcode >= 0x80
+
+
+def _candidates(content: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Return the places of bytes that could be the opcode of a record shorter than a terabyte."""
+    count = max(0, content.size - HEAD.size + 1)
+    opcode = content[:count]
+    fits = (opcode >= Opcode.FOOTER) & (opcode <= Opcode.DATA_END)
+    for place in range(6, HEAD.size):
+        fits &= content[place : place + count] == 0
+    return np.flatnonzero(fits)

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
-from heapq import heappop, heappush
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 
 from trainid_ros.bag.bag_files import BagFile, locate, open_file
-from trainid_ros.bag.record_file import MAX_CHUNK
+from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.types import (
     EMPTY,
     RecordTable,
@@ -82,10 +81,7 @@ class TopicSummary:
 
 
 class _Source(NamedTuple):
-    """One channel of one file."""
-
     topic: str  # by our name, or that of the mapping
-    name: str  # short name of the type
     mapped: StoredType | None = None  # type as stored, if it is mapped
 
 
@@ -127,13 +123,12 @@ class _TopicNames:
         for number, channel in file.channels.items():
             if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
                 _check_encoding(channel, f'{file.path}: topic {channel.topic}')
-                stored = StoredType(file.path, file.schemas[channel.schema_id])
-                sources[number] = _Source(foreign, _schema_name(file, number), stored)
+                sources[number] = _Source(foreign, StoredType(file.path, file.schemas[channel.schema_id]))
                 continue
             topic = self.relative(channel.topic)
             if topic in _OURS and topic not in self._replaced:
                 _check_type(file, number, f'{file.path}: topic {topic}', _OURS[topic], hashes.get(channel.topic, ''))
-                sources[number] = _Source(topic, _OURS[topic])
+                sources[number] = _Source(topic)
         return sources
 
     def _full(self, name: str, prefix: str = '') -> str:
@@ -160,13 +155,9 @@ class BagReader:
     ) -> None:
         """Name the bag; it is opened on entering the context.
 
-        Args:
-            path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
-            namespace: Namespace of the topics; those outside keep their full name without the slash.
-            max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
-            inputs: Factory of the mapped inputs; without it only our own topics are read.
-            mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
-            opening: Called while the bag is opened with the share of its bytes scanned since its last call [1].
+        Topics outside the namespace keep their full name without the slash, and chunks above ``max_chunk`` [bytes] are
+        left out with a warning. Without a factory of the mapped ``inputs`` only our own topics are read; a ``mapping``
+        alone serves :meth:`stored`. ``opening`` is called with the share of the bytes scanned since its last call [1].
         """
         self.path = Path(path)
         self._max_chunk, self._inputs, self._opening = max_chunk, inputs, opening
@@ -254,11 +245,7 @@ class BagReader:
 
     def records(self) -> Iterator[Record]:
         """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk."""
-        return (entry.record for entry in self.logged_records())
-
-    def logged_records(self) -> Iterator[LoggedRecord]:
-        """Yield the records of :meth:`records` with log time and topic."""
-        return (LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row)) for log_ns, row in self.rows())
+        return (record_of(*row) for _, row in self.rows())
 
     def rows(self, last_ns: float = math.inf) -> Iterator[tuple[int, Row]]:
         """Yield log times [ns] and rows of the records, up to a log time [ns]."""
@@ -318,16 +305,12 @@ class BagReader:
         return joined((concatenated(tables)[np.argsort(np.concatenate(places))],))
 
     def _mapped_tables(self, inputs: MappedInputs, last_ns: float) -> Iterator[RecordTable]:
-        """Yield the records of mapped messages up to a log time [ns]."""
         logged: list[tuple[int, Row]] = []
-        own = self._own_topics()
-        for log_ns, source, payload in self._payloads({*own, *inputs.topics}):
-            if log_ns > last_ns:
-                break
-            if (message := self._decoded(source, payload)) is None:
+        for log_ns, source, content in self._contents(last_ns):
+            if not isinstance(content, bytes):
+                records = inputs.take_record(content)
+            elif (message := self._decoded(source, content)) is None:
                 continue
-            if source.mapped is None:
-                records = inputs.take_record(record_from_message(own[source.topic], message))
             else:
                 try:
                     records = inputs.take(source.topic, message, log_ns)
@@ -340,20 +323,19 @@ class BagReader:
         yield table_of(logged)
 
     def stored(self) -> Iterator[tuple[int, str, bytes | Record]]:
-        """Yield log time [ns], topic and content of the messages by log time.
+        """Yield log time [ns], topic and content by log time: our own messages as records, those mapped as stored."""
+        return ((log_ns, source.topic, content) for log_ns, source, content in self._contents())
 
-        Those of the mapping are as they are stored; our own ones that it leaves are records.
-        """
-        own = self._own_topics()
+    def _contents(self, last_ns: float = math.inf) -> Iterator[tuple[int, _Source, bytes | Record]]:
+        """Yield log time [ns], channel and content of the messages up to a log time [ns], as :meth:`stored`."""
+        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
         for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
+            if log_ns > last_ns:
+                return
             if source.mapped is not None:
-                yield log_ns, source.topic, payload
+                yield log_ns, source, payload
             elif (message := self._decoded(source, payload)) is not None:
-                yield log_ns, source.topic, record_from_message(own[source.topic], message)
-
-    def _own_topics(self) -> dict[str, InputTopic]:
-        """Return our own topics by name, without those that the mapping replaces."""
-        return {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+                yield log_ns, source, record_from_message(own[source.topic], message)
 
     def mapped_types(self) -> dict[str, StoredType]:
         """Return the types of the topics of the mapping in the bag; InputError if a topic has several."""
@@ -368,34 +350,31 @@ class BagReader:
     def _payloads(self, topics: Collection[str]) -> Iterator[tuple[int, _Source, bytes]]:
         """Yield log times [ns], channels and payloads of the messages of some topics, by log time."""
         self._unreadable.clear()
-        heap: list[tuple[int, int, int, _Source, bytes]] = []
-        for rank, (first_ns, index, segment) in enumerate(self._segments()):
-            while heap and heap[0][0] < first_ns:
-                log_ns, _, _, found, payload = heappop(heap)
-                yield log_ns, found, payload
+        pending: list[tuple[int, _Source, bytes]] = []
+        for first_ns, index, segment in self._segments():
+            ready = bisect_left(pending, first_ns, key=itemgetter(0))
+            yield from pending[:ready]
             block = segment.read()
             wanted = {number: item for number, item in self._sources[index].items() if item.topic in topics}
             columns = (block.channel, block.log_ns, block.start, block.end)
-            for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+            pending[:ready] = ()
+            for channel, log_ns, start, end in zip(*(column.tolist() for column in columns), strict=True):
                 if (source := wanted.get(channel)) is not None:
-                    heappush(heap, (log_ns, rank, place, source, block.data[start:end].tobytes()))
-        yield from (
-            (log_ns, source, payload) for log_ns, _, _, source, payload in sorted(heap, key=itemgetter(0, 1, 2))
-        )
+                    pending.append((log_ns, source, block.data[start:end].tobytes()))
+            pending.sort(key=itemgetter(0))  # equal times stay in the order of the segments, and of the file in each
+        yield from pending
 
     def _decoded(self, source: _Source, payload: bytes) -> Any:
         """Return a message, None if it cannot be read."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
 
-        message = None
-        with suppress(SerdeError):
+        try:
             if source.mapped is not None:
-                message = source.mapped.decode(payload)
-            else:
-                message = typestore().deserialize_cdr(payload, full_type(source.name))
-        if message is None:
+                return source.mapped.decode(payload)
+            return typestore().deserialize_cdr(payload, full_type(_OURS[source.topic]))
+        except SerdeError:
             self._unreadable[source.topic] += 1
-        return message
+            return None
 
 
 def require_topics(reader: BagReader) -> None:
@@ -442,7 +421,6 @@ def _schema_name(file: BagFile, channel: int) -> str:
 
 
 def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str) -> None:
-    """Raise InputError if the type of a channel is not the one of the interface."""
     channel = file.channels[number]
     if (found := _schema_name(file, number)) != full_type(name):
         raise InputError(f'{where}: type {full_type(name)} expected, {found or "none"} found')
@@ -461,6 +439,5 @@ def _check_type(file: BagFile, number: int, where: str, name: str, recorded: str
 
 
 def _check_encoding(channel: Channel, where: str) -> None:
-    """Raise InputError, naming file and topic, if the messages of a channel cannot be decoded."""
     if channel.message_encoding != 'cdr':
         raise InputError(f'{where}: encoding cdr expected, {channel.message_encoding!r} found')

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, in_two, require_topics
-from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.explain.dataset import Run, RunCollector
 from trainid_ros.interface.errors import InputError

@@ -35,7 +35,7 @@ from trainid_ros.interface.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from mcap.records import Schema
     from rosbags.interfaces.typing import Typesdict
@@ -321,16 +321,13 @@ class RecordTable:
             yield from zip(*(column[first : first + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
 
 
-def table_of(rows: Sequence[tuple[int, Row]]) -> RecordTable:
+def table_of(rows: Iterable[tuple[int, Row]]) -> RecordTable:
     """Return the table of rows with their log times [ns]."""
-    if not rows:
-        return EMPTY
-    columns = zip(*((log_ns, *row) for log_ns, row in rows), strict=True)
-    return RecordTable(*(np.array(column, kind) for column, kind in zip(columns, _COLUMNS.values(), strict=True)))
+    whole = [(log_ns, *row) for log_ns, row in rows]
+    return RecordTable(*(np.array([row[k] for row in whole], kind) for k, kind in enumerate(_COLUMNS.values())))
 
 
-# A table without rows.
-EMPTY: Final = RecordTable(*(np.empty(0, kind) for kind in _COLUMNS.values()))
+EMPTY: Final = table_of(())
 
 
 @cache

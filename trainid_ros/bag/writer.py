@@ -7,14 +7,14 @@ import shutil
 import sys
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self, cast
 
 from mcap.opcode import Opcode
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from trainid_ros.bag.record_file import HEAD, MAGIC, RecordFile
+from trainid_ros.bag.mcap_file import HEAD, MAGIC, RecordFile
 from trainid_ros.bag.types import (
     PACKAGE,
     digest,
@@ -44,22 +44,19 @@ _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 _LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
 
 
-def _qos(depth: int, durability: QosDurability) -> Qos:
-    return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=depth,
-        reliability=QosReliability.RELIABLE,
-        durability=durability,
-        deadline=_NO_LIMIT,
-        lifespan=_NO_LIMIT,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=_NO_LIMIT,
-        avoid_ros_namespace_conventions=False,
-    )
-
-
-STREAM_QOS: Final = _qos(10, QosDurability.VOLATILE)  # of inputs and live estimates
-LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)  # of last valid estimates
+# Of inputs and live estimates, and of last valid estimates.
+STREAM_QOS: Final = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=10,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.VOLATILE,
+    deadline=_NO_LIMIT,
+    lifespan=_NO_LIMIT,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_NO_LIMIT,
+    avoid_ros_namespace_conventions=False,
+)
+LATCHED_QOS: Final = STREAM_QOS._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
 
 
 class _Checksums:
@@ -110,7 +107,6 @@ class BagWriter:
         self.path = Path(path)
         self.message_count = 0
         self._writer: Writer | None = None
-        self._checksums: _Checksums | None = None
         self._connections: dict[str, Connection] = {}
         self._types = typestore()
 
@@ -124,9 +120,7 @@ class BagWriter:
             self._writer.open()
         except OSError as error:
             raise InputError(f'{self.path}: cannot be written ({error.strerror})') from None
-        storage = self._writer.storage
-        if isinstance(storage, McapWriter):
-            self._checksums = _Checksums(storage)
+        self._checksums = _Checksums(cast(McapWriter, self._writer.storage))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -138,8 +132,7 @@ class BagWriter:
         try:
             if kind is None:
                 writer.close()
-                if self._checksums is not None:
-                    self._checksums.store()
+                self._checksums.store()
                 finished = True
         finally:
             if not finished:

@@ -15,11 +15,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.bag_replay import Pipelines, replay_through
+from trainid_ros.bag.bag_replay import TABLE_SUFFIXES, Pipelines, estimate_table, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli import output
-from trainid_ros.inputs.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.inspection.bag_info import brake_sign

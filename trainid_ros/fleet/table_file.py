@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import trainid_ros
 from trainid_ros.bag.bag_files import METADATA, SUFFIXES, bags_below, locate
-from trainid_ros.bag.record_file import RecordFile
+from trainid_ros.bag.mcap_file import RecordFile
 from trainid_ros.inputs.mapping import Signal, load_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.files import write_whole

@@ -22,13 +22,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
-from trainid_ros.bag.record_file import MAX_CHUNK
 from trainid_ros.bag.types import EMPTY, RecordTable, joined
 from trainid_ros.inspection.number_series import (
     PER_MILLE,
     USUAL_ROTARY,
-    Slope,
     comes_on_change,
     is_near,
     nearest_unit,
@@ -316,7 +315,6 @@ def _has_usable(topic: TopicInfo) -> bool:
 
 
 def _command_warnings(column: _Column | None) -> list[str]:
-    """Say so where brake commands come only when they change."""
     if column is None or column.hold_s > _GAP_S or column.stamps.size < 3:
         return []
     stamps, command = column.ordered('target_acceleration')
@@ -430,15 +428,21 @@ class _GradientCheck:
 
     def finding(self) -> str:
         """Return the fault of the gradient, '' if there is none, or if it does not show."""
-        if len(self._blocks) < 15 or (slope := _slope(np.array(self._blocks))) is None:
+        slope = None
+        if len(self._blocks) >= 15:
+            seconds, acceleration, gradient, *others = np.array(self._blocks).T
+            slope = partial_slope(acceleration, gradient, others, np.cumsum(seconds))
+        if slope is None:
             return ''
-        size = abs(slope.value)
+        scale = -1000.0 * (1.0 + USUAL_ROTARY) / G
+        slowed, std = scale * slope.value, abs(scale) * slope.std
+        size = abs(slowed)
         # The gradient must explain a good part of the variance, and vary by 1 per mille in its right unit.
-        if size < 8.0 * slope.std or slope.share < 0.2 or size * slope.spread < 1.0:
+        if size < 8.0 * std or slope.share < 0.2 or size * slope.spread < 1.0:
             return ''
-        how = f'the train is slowed {slope.value:.2g} times as much as by so many per mille'
-        sign = ', with the wrong sign' if slope.value < 0.0 else ''
-        if size - 3.0 * slope.std > 5.0:  # a speed in km/h gives 3.6
+        how = f'the train is slowed {slowed:.2g} times as much as by so many per mille'
+        sign = ', with the wrong sign' if slowed < 0.0 else ''
+        if size - 3.0 * std > 5.0:  # a speed in km/h gives 3.6
             unit = nearest_unit(size, {name: PER_MILLE[name] for name in _OTHER_UNITS})
             what = f'like {_OTHER_UNITS[unit]}' if unit else 'too small'
             return f'{GRADIENT_TOPIC.name} looks {what}{sign}: {how}'
@@ -449,17 +453,7 @@ class _GradientCheck:
         return ''
 
 
-def _slope(blocks: NDArray[np.float64]) -> Slope | None:
-    """Return how the gradient slows the train [1], from blocks as rows; None if the other columns explain it."""
-    seconds, acceleration, gradient, *others = blocks.T
-    slope = partial_slope(acceleration, gradient, others, np.cumsum(seconds))
-    scale = -1000.0 * (1.0 + USUAL_ROTARY) / G
-    return slope and slope._replace(value=scale * slope.value, std=abs(scale) * slope.std)
-
-
 class _Check:
-    """Checks of the inputs by a stream of samples."""
-
     def __init__(self, alignment: AlignmentConfig, train_file: TrainFile | None) -> None:
         self._known = KnownForce(train_file or _ANY_TRAIN)
         config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)

@@ -128,7 +128,6 @@ def _naming(topics: Iterable[str]) -> Mapping:
 
 
 def _readable(path: Path, namespace: str, max_chunk: int, topics: Iterable[str]) -> list[str]:
-    """Return the topics whose definitions can be read."""
 
     def opens(names: list[str]) -> bool:
         try:
@@ -157,8 +156,6 @@ def _collect(
 
 
 class _Collector:
-    """The numbers of one topic."""
-
     def __init__(self, topic: str, every: int) -> None:
         self.topic = topic
         self.is_large = False
