@@ -20,7 +20,15 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapping import date_time_ns
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, record_of
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    SpeedRecord,
+    record_of,
+    stamp_of,
+)
 from trainid_ros.interface.results import Status
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import Contradiction

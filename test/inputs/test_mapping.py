@@ -373,8 +373,3 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
 def test_an_impossible_mapping_is_rejected_by_field(text: str, message: str) -> None:
     with pytest.raises(InputError, match=f'map.yaml: {message}'):
         parse_mapping(text, 'map.yaml')
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'none\.yaml: cannot be read'):
-        load_mapping(tmp_path / 'none.yaml')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CSV, npz and Parquet files."""
+"""CSV, npz and Parquet files, and their rows as the records of a train."""
 
 from __future__ import annotations
 
@@ -11,9 +11,31 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from trainid_ros.inputs.mapping import CsvFormat
-from trainid_ros.inputs.tables import ROWS_AT_ONCE, CsvTable, NpzTable, ParquetTable, joined
+from test.own_bag import at
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping import CsvFormat, TimeColumn, find_unit, parse_mapping
+from trainid_ros.inputs.tables import (
+    ROWS_AT_ONCE,
+    Clock,
+    Column,
+    CsvTable,
+    NpzTable,
+    ParquetTable,
+    Table,
+    TableRecords,
+    joined,
+    numbers,
+)
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
 
 NAN = float('nan')
 NUMBERS = {'t': [0.0, 0.5, 1.0], 'v': [36.5, NAN, -1.25]}
@@ -25,8 +47,12 @@ def table(tmp_path: Path, content: str | bytes, **form: str | int | bool) -> Csv
     return CsvTable(path, CsvFormat(**form))  # type: ignore[arg-type]
 
 
-def read(source: CsvTable, *names: str) -> dict[str, list[float]]:
-    return {name: column.tolist() for name, column in joined(source.blocks(names), names).items()}
+def columns_of(source: Table, *names: str) -> dict[str, Column]:
+    return joined(source.blocks(names), names)
+
+
+def read(source: Table, *names: str) -> dict[str, list[float]]:
+    return {name: column.tolist() for name, column in columns_of(source, *names).items()}
 
 
 def near(values: dict[str, list[float]]) -> dict[str, object]:
@@ -55,7 +81,7 @@ def test_a_text_of_several_lines_is_no_fault(tmp_path: Path) -> None:
 
 def test_a_block_without_times_is_blank_among_times(tmp_path: Path) -> None:
     rows = ['2024-03-08T12:00:00,1'] * 2 + [',1'] * ROWS_AT_ONCE
-    found = joined(table(tmp_path, '\n'.join(['t,v', *rows])).blocks(('t', 'v')), ('t',))['t']
+    found = columns_of(table(tmp_path, '\n'.join(['t,v', *rows])), 't')['t']
     assert np.isnat(found).tolist() == [False] * 2 + [True] * ROWS_AT_ONCE
 
 
@@ -115,7 +141,7 @@ def test_thousands_marks_are_no_decimal_signs(tmp_path: Path, content: str, valu
 
 def test_times_of_day_are_times_since_midnight(tmp_path: Path) -> None:
     source = table(tmp_path, 't;v\n08:15:03.2;1\n;2\n8:15:04,000000001;3\n')
-    found = joined(source.blocks(('t',)), ('t',))['t']
+    found = columns_of(source, 't')['t']
     assert found.dtype == np.dtype('timedelta64[ns]')
     assert found.astype(np.int64)[[0, 2]].tolist() == [29_703_200_000_000, 29_704_000_000_001]
     assert np.isnat(found[1])
@@ -124,7 +150,7 @@ def test_times_of_day_are_times_since_midnight(tmp_path: Path) -> None:
 def test_times_are_read_to_the_nanosecond(tmp_path: Path) -> None:
     content = 't,n,ok\n2024-03-08T12:00:00.000000001Z,1700000000123456789,true\n,1700000000123456790,False\n'
     source = table(tmp_path, content)
-    found = joined(source.blocks(('t', 'n', 'ok')), ('t', 'n', 'ok'))
+    found = columns_of(source, 't', 'n', 'ok')
     assert found['t'].dtype == np.dtype('datetime64[ns]')
     assert found['t'].astype(np.int64)[0] == 1_709_899_200 * 10**9 + 1
     assert np.isnat(found['t'][1])
@@ -156,15 +182,6 @@ def test_an_error_names_line_and_column(tmp_path: Path, content: str, error: str
         read(table(tmp_path, content), 't', 'v')
 
 
-def test_a_long_file_is_read_in_blocks(tmp_path: Path) -> None:
-    count = 2 * ROWS_AT_ONCE + 1
-    source = table(tmp_path, 't,v\n' + ''.join(f'{k},0.5\n' for k in range(count)))
-    blocks = list(source.blocks(('t', 'v')))
-    assert [len(block.columns['v']) for block in blocks] == [ROWS_AT_ONCE, ROWS_AT_ONCE, 1]
-    assert sum(block.share for block in blocks) == pytest.approx(1.0)
-    assert blocks[1].columns['t'][0] == ROWS_AT_ONCE
-
-
 @pytest.mark.parametrize(
     ('rows', 'values'),
     [
@@ -189,7 +206,7 @@ def test_a_sign_that_the_whole_file_does_not_show_is_asked_for(tmp_path: Path, p
 
 def test_milliseconds_after_a_colon_are_read(tmp_path: Path) -> None:
     source = table(tmp_path, 't;v\n2024-03-08 12:00:00:900;1\n2024-03-08 12:00:01:100;2\n')
-    times = joined(source.blocks(('t',)), ('t',))['t']
+    times = columns_of(source, 't')['t']
     assert np.diff(times.astype(np.int64)).tolist() == [200_000_000]
     assert read(table(tmp_path, 't;v\n12:00:00:900;1\n'), 't')['t'] == [43_200_900_000_000]
     with pytest.raises(InputError, match=r"line 3: column 't' = '2024-03-08 12:00:01:1' is not a date with time"):
@@ -225,15 +242,9 @@ def test_npz_columns_of_all_types_are_read(tmp_path: Path) -> None:
     times = np.array(['2024-03-08'], dtype='datetime64[s]')
     v, n = np.array([1.5], dtype=np.float32), np.array([3], dtype=np.uint8)
     source = npz_table(tmp_path, t=times, v=v, n=n, ok=np.array([True]), note=np.zeros((2, 2)))
-    found = joined(source.blocks(('t', 'v', 'n', 'ok')), ('t', 'v', 'n', 'ok'))
+    found = columns_of(source, 't', 'v', 'n', 'ok')
     assert found['t'].dtype == np.dtype('datetime64[ns]')
     assert [found[name].tolist() for name in ('v', 'n', 'ok')] == [[1.5], [3], [1.0]]
-
-
-def test_a_long_npz_file_comes_in_blocks(tmp_path: Path) -> None:
-    blocks = list(npz_table(tmp_path, t=np.arange(ROWS_AT_ONCE + 1)).blocks(('t',)))
-    assert [len(block.columns['t']) for block in blocks] == [ROWS_AT_ONCE, 1]
-    assert sum(block.share for block in blocks) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -257,13 +268,13 @@ def test_an_error_names_npz_file_and_column(tmp_path: Path, columns: dict[str, A
 @pytest.mark.parametrize('shape', [(3, 1), (1, 3)])
 def test_a_matrix_of_one_column_or_row_is_a_column(tmp_path: Path, shape: tuple[int, int]) -> None:
     source = npz_table(tmp_path, t=np.arange(3), v=np.array([1.0, 2.0, 3.0]).reshape(shape))
-    assert joined(source.blocks(('t', 'v')), ('v',))['v'].tolist() == [1.0, 2.0, 3.0]
+    assert columns_of(source, 't', 'v')['v'].tolist() == [1.0, 2.0, 3.0]
 
 
 def test_npz_times_are_durations_or_texts(tmp_path: Path) -> None:
     durations = np.array([0, 1500], dtype='timedelta64[ms]')
     source = npz_table(tmp_path, t=np.array(['2024-03-08', '2024-03-08T00:00:01.5']), d=durations)
-    found = joined(source.blocks(('t', 'd')), ('t', 'd'))
+    found = columns_of(source, 't', 'd')
     assert (found['t'] - found['t'][0]).tolist() == found['d'].tolist() == [0, 1_500_000_000]
 
 
@@ -289,7 +300,7 @@ def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
         'n': pa.array([3, None], pa.int16()),
         'ok': pa.array([True, False]),
     }
-    found = joined(parquet_table(tmp_path, columns).blocks(tuple(columns)), columns)
+    found = columns_of(parquet_table(tmp_path, columns), *columns)
     assert found['t'].dtype == np.dtype('datetime64[ns]')
     assert found['t'].astype(np.int64)[0] == 1000
     assert np.isnat(found['t'][1])
@@ -308,11 +319,11 @@ def test_parquet_times_and_durations_are_read(tmp_path: Path) -> None:
         'large': pa.array(['00:00:01:500', ''], pa.large_string()),
         'word': pa.array(['00:00:01,5', None]).dictionary_encode(),
     }
-    for name, column in joined(parquet_table(tmp_path, columns).blocks(tuple(columns)), columns).items():
+    for name, column in columns_of(parquet_table(tmp_path, columns), *columns).items():
         assert column.dtype == np.dtype('timedelta64[ns]'), name
         assert (column[0].astype(np.int64), np.isnat(column[1])) == (1_500_000_000, True), name
     dates = pa.array(['2024-03-08T12:00:00.000000001Z', None])
-    found = joined(parquet_table(tmp_path, {'t': dates}).blocks(('t',)), ('t',))['t']
+    found = columns_of(parquet_table(tmp_path, {'t': dates}), 't')['t']
     assert found.astype('datetime64[ns]').astype(np.int64)[0] == 1_709_899_200 * 10**9 + 1
 
 
@@ -331,12 +342,21 @@ def test_units_in_the_metadata_are_known(tmp_path: Path) -> None:
     assert source.units == {'v': 'km/h'}
 
 
-def test_a_long_parquet_file_is_read_in_blocks(tmp_path: Path) -> None:
-    count = 2 * ROWS_AT_ONCE
-    blocks = list(parquet_table(tmp_path, {'t': np.arange(count), 'v': np.zeros(count)}).blocks(('t', 'v')))
+@pytest.mark.parametrize('suffix', ['csv', 'npz', 'parquet'])
+def test_a_long_file_is_read_in_blocks(tmp_path: Path, suffix: str) -> None:
+    t = np.arange(2 * ROWS_AT_ONCE + 1)
+    source: Table
+    if suffix == 'csv':
+        source = table(tmp_path, 't,v\n' + ''.join(f'{k},0.5\n' for k in t))
+    elif suffix == 'npz':
+        source = npz_table(tmp_path, t=t, v=0.5 + 0.0 * t)
+    else:
+        source = parquet_table(tmp_path, {'t': t, 'v': 0.5 + 0.0 * t})
+    blocks = list(source.blocks(('t', 'v')))
+    assert len(blocks) >= 3
     assert max(len(block.columns['v']) for block in blocks) <= ROWS_AT_ONCE
     assert sum(block.share for block in blocks) == pytest.approx(1.0)
-    assert np.concatenate([block.columns['t'] for block in blocks]).tolist() == list(range(count))
+    assert np.concatenate([block.columns['t'] for block in blocks]).tolist() == t.tolist()
 
 
 def test_an_error_names_parquet_file_and_column(tmp_path: Path) -> None:
@@ -348,3 +368,203 @@ def test_an_error_names_parquet_file_and_column(tmp_path: Path) -> None:
     source.path.write_bytes(b'PAR1 and no more')
     with pytest.raises(InputError, match=r'log\.parquet: is not a Parquet file'):
         list(source.blocks(('t',)))
+
+
+SPEED = '{time: {field: t, unit: ns}, speed: {field: v}'
+
+
+def mapped(tmp_path: Path, mapping: str, **columns: object) -> TableRecords:
+    path = tmp_path / 'log.npz'
+    np.savez(path, **columns)  # type: ignore[arg-type]
+    return TableRecords(path, MappedInputs(parse_mapping(mapping, str(tmp_path / 'map.yaml')), None))
+
+
+def records(source: TableRecords) -> list[Record]:
+    return [record for _, some in source.blocks() for _, record in some]
+
+
+def test_a_row_becomes_a_record_for_each_quantity(tmp_path: Path) -> None:
+    mapping = """
+        time: {field: t, unit: ns}
+        speed: {field: v, unit: km/h}
+        position: {field: x, unit: km}
+        force: {sum: [{field: F1, unit: kN}, {field: F2, unit: kN, sign: -1}]}
+        gradient: {field: i, unit: percent}
+        brake_command: {field: notch, table: {0: 0.0, 1: -0.3}}
+        mass: {field: m, unit: t}
+    """
+    columns = {'v': 36.0, 'x': 1.5, 'F1': 3.0, 'F2': 1.0, 'i': 0.5, 'notch': 1, 'm': 40.0}
+    source = mapped(tmp_path, mapping, t=[at(0)], **{name: [value] for name, value in columns.items()})
+    assert records(source) == [
+        SpeedRecord(at(0), 10.0, 1500.0),
+        ForceRecord(at(0), 2000.0),
+        GradientRecord(at(0), 5.0, 0.0, tunnel=False),
+        BrakeRecord(at(0), -0.3, emergency=False),
+        MassRecord(at(0), 40e3),
+    ]
+
+
+def test_blank_cells_make_no_records_and_are_counted(tmp_path: Path) -> None:
+    mapping = f'{SPEED}, force: {{field: F}}, brake_command: {{field: z, on_change: true}}}}'
+    nan = np.nan
+    source = mapped(
+        tmp_path, mapping, t=[at(0), at(1), at(2)], v=[1.0, nan, 3.0], F=[nan, 5.0, nan], z=[nan, -0.5, nan]
+    )
+    found = records(source)
+    assert [record.stamp_ns for record in found if isinstance(record, SpeedRecord)] == [at(0), at(2)]
+    assert [record for record in found if isinstance(record, ForceRecord)] == [ForceRecord(at(1), 5.0)]
+    # What is published on change only holds until it changes.
+    assert [record for record in found if isinstance(record, BrakeRecord)] == [
+        BrakeRecord(at(k), -0.5, emergency=False) for k in (1, 2)
+    ]
+    assert source.blank == {'time': 0, 'speed': 1, 'force': 2, 'brake_command': 1}
+
+
+def test_a_part_of_a_sum_logged_less_often_is_interpolated(tmp_path: Path) -> None:
+    mapping = f'{SPEED}, force: {{sum: [{{field: F}}, {{field: G}}]}}}}'
+    source = mapped(tmp_path, mapping, t=[at(0), at(1), at(2)], v=[1.0] * 3, F=[1.0] * 3, G=[10.0, np.nan, 20.0])
+    assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 16.0, 21.0]
+    columns = {'t': [at(0), at(1), at(20)], 'v': [1.0] * 3, 'F': [1.0] * 3, 'G': [10.0, np.nan, 20.0]}
+    source = mapped(tmp_path, mapping, **columns)
+    assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 21.0]
+
+
+def test_a_function_sees_whole_columns(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('import numpy as np\ndef total(x): return np.cumsum(x)\n', encoding='utf-8')
+    mapping = """
+        time: {function: code.py:total, of: [dt], unit: ms, start: 2024-03-08}
+        speed: {function: code.py:total, of: [dv], unit: km/h}
+    """
+    count = ROWS_AT_ONCE + 2
+    source = mapped(tmp_path, mapping, dt=np.full(count, 200), dv=np.full(count, 0.0036))
+    shares, pieces = zip(*source.blocks(), strict=True)
+    assert [len(piece) for piece in pieces] == [ROWS_AT_ONCE, 2]
+    assert sum(shares) == pytest.approx(1.0)
+    log_ns, last = pieces[-1][-1]
+    assert isinstance(last, SpeedRecord)
+    assert last.speed == pytest.approx(0.001 * count)
+    assert log_ns == last.stamp_ns
+    assert last.stamp_ns - pieces[0][0][1].stamp_ns == (count - 1) * NS_PER_S // 5
+
+
+def test_a_function_is_not_asked_about_no_rows(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def first(x): return 0.0 * x + x[0]\n', encoding='utf-8')
+    mapping = '{time: {field: t}, speed: {function: code.py:first, of: [v]}}'
+    assert records(mapped(tmp_path, mapping, t=np.empty(0), v=np.empty(0))) == []
+
+
+def test_rows_are_logged_in_their_order(tmp_path: Path) -> None:
+    source = mapped(tmp_path, f'{SPEED}}}', t=[at(5), at(1), at(6)], v=[1.0, 2.0, 3.0])
+    ((_, found),) = source.blocks()
+    assert [(log_ns, record.stamp_ns) for log_ns, record in found] == [(at(5), at(5)), (at(5), at(1)), (at(6), at(6))]
+    assert source.steps_back == 1
+
+
+def test_times_coarser_than_the_rows_are_an_error(tmp_path: Path) -> None:
+    speeds = np.ones(100)
+    source = mapped(tmp_path, f'{SPEED}}}', t=[at(5 * (k // 5)) for k in range(100)], v=speeds)
+    error = r"log\.npz: row 2: column 't' has the time of the row before, as 80 of 100 rows have: its resolution"
+    with pytest.raises(InputError, match=error):
+        records(source)
+    source = mapped(tmp_path, f'{SPEED}}}', t=[at(k - k % 2 * (k < 20)) for k in range(100)], v=speeds)
+    assert len(records(source)) == 100
+    assert source.repeated == 10
+
+
+def test_rows_of_one_time_may_have_different_values(tmp_path: Path) -> None:
+    nan = np.nan
+    values: dict[str, object] = {'v': [1.0, nan, 2.0, nan], 'F': [nan, 5.0, nan, 6.0]}
+    source = mapped(tmp_path, f'{SPEED}, force: {{field: F}}}}', t=[at(k // 2) for k in range(4)], **values)
+    assert len(records(source)) == 4
+    assert source.repeated == 0
+
+
+@pytest.mark.parametrize(
+    ('head', 'stated'),
+    [
+        ('t,v [km/h]\n', 'km/h'),
+        ('t,v (kmh)\n', 'kmh'),
+        ('t,v [KM/H]\n', 'KM/H'),
+        ('t,v [Kmh]\n', 'Kmh'),
+        ('t,v [mph]\n', 'mph'),
+        ('t,v [m/s]\n', ''),
+        ('t,v [x]\n', ''),
+    ],
+)
+def test_a_unit_in_the_name_of_a_column_is_compared(tmp_path: Path, head: str, stated: str) -> None:
+    path, name = tmp_path / 'log.csv', head.partition(',')[2].strip()
+    path.write_text(f'{head}0,1\n', encoding='utf-8')
+    mapping = parse_mapping(f"{{time: {{field: t}}, speed: {{field: '{name}'}}}}", 'map.yaml')
+    source = TableRecords(path, MappedInputs(mapping, None))
+    assert len(records(source)) == 1
+    warning = f"{path}: column '{name}': the file says {stated}, the mapping m/s"
+    assert source.warnings == ((warning,) if stated else ())
+
+
+def test_a_file_that_is_no_table_is_named(tmp_path: Path) -> None:
+    inputs = MappedInputs(parse_mapping(f'{SPEED}}}', 'map.yaml'), None)
+    with pytest.raises(InputError, match='no such file'):
+        TableRecords(tmp_path / 'none.csv', inputs)
+    (tmp_path / 'log.xlsx').touch()
+    with pytest.raises(InputError, match=r'log\.xlsx: not a table: \.csv, .*\.npz expected'):
+        TableRecords(tmp_path / 'log.xlsx', inputs)
+
+
+UNIX_2000 = 946_684_800
+S = 10**9
+
+
+def stamps(values: object, unit: str = 's', start_ns: int | None = None) -> list[int]:
+    clock = Clock(TimeColumn(('t',), find_unit(unit, 'time'), start_ns))
+    found, known = clock.stamps({'t': np.asarray(values)}, 'log.csv', 0)
+    return [int(stamp) for stamp in found[known]]
+
+
+@pytest.mark.parametrize(
+    ('values', 'unit', 'expected'),
+    [
+        ([1_700_000_000.5], 's', [1_700_000_000 * S + S // 2]),
+        ([1_700_000_000_123_456_789], 'ns', [1_700_000_000_123_456_789]),
+        ([1_700_000_000_123_456], 'us', [1_700_000_000_123_456_000]),
+        ([0, 250], 'ms', [UNIX_2000 * S, UNIX_2000 * S + S // 4]),
+        ([0.0, np.nan, 1.5], 'min', [UNIX_2000 * S, (UNIX_2000 + 90) * S]),
+        ([1], 'h', [(UNIX_2000 + 3600) * S]),
+        (np.array(['2024-03-08T12:00', 'NaT'], dtype='datetime64[ns]'), 's', [1_709_899_200 * S]),
+    ],
+)
+def test_times_are_stamps(values: object, unit: str, expected: list[int]) -> None:
+    assert stamps(values, unit) == expected
+
+
+def test_numbers_count_from_the_start_that_is_stated() -> None:
+    assert stamps([0.0, 0.1], start_ns=5 * S) == [5 * S, 5 * S + S // 10]
+
+
+def test_the_start_is_that_of_the_first_block() -> None:
+    clock = Clock(TimeColumn(('t',), find_unit('s', 'time')))
+    clock.stamps({'t': np.array([0.0])}, 'log.csv', 0)
+    later, _ = clock.stamps({'t': np.array([4e7])}, 'log.csv', 1)
+    assert later.tolist() == [(UNIX_2000 + 40_000_000) * S]
+
+
+@pytest.mark.parametrize(('values', 'unit'), [([1.7e9], 'h'), ([-1.0], 'h'), ([10**18], 'ms'), ([1e300], 's')])
+def test_a_time_that_ros_cannot_hold_names_row_and_column(values: list[float], unit: str) -> None:
+    with pytest.raises(InputError, match=r"log\.csv: row 1: column 't' = .* is no time between 1970 and 2038"):
+        stamps([*values], unit, 0)
+
+
+def test_times_of_day_go_on_through_midnight() -> None:
+    hours = np.array([23, 'NaT', 1, 0.75, 23, 0], dtype=object)
+    column = np.array([h if h == 'NaT' else int(h * 3600 * S) for h in hours], dtype='timedelta64[ns]')
+    after = (23, 25, 24.75, 47, 48)  # a clock set back by a quarter of an hour is no midnight
+    assert stamps(column) == [int((UNIX_2000 + h * 3600) * S) for h in after]
+    assert stamps(column, start_ns=5 * S)[0] == (5 + 23 * 3600) * S
+    clock = Clock(TimeColumn(('t',), find_unit('s', 'time')))
+    found = [clock.stamps({'t': column[k : k + 1]}, 'log.csv', k)[0][0] for k in (0, 2)]
+    assert found[1] - found[0] == 2 * 3600 * S  # also from block to block
+    assert numbers(column[:1]).tolist() == [23 * 3600.0]
+
+
+def test_times_are_numbers_for_functions() -> None:
+    column: Column = np.array(['1970-01-01T00:00:01.5', 'NaT'], dtype='datetime64[ns]')
+    assert numbers(column).tolist() == pytest.approx([1.5, np.nan], nan_ok=True)

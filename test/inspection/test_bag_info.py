@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
+from operator import neg
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +49,11 @@ def bag(tmp_path: Path, short: list[Record]) -> Path:
 
 def without(records: Iterable[Record], *kinds: type[Record]) -> list[Record]:
     return [record for record in records if not isinstance(record, kinds)]
+
+
+def altered(records: Iterable[Record], kind: type[Record], change: Callable[[Any], dict[str, Any]]) -> list[Record]:
+    """Return the records, those of one kind with other values."""
+    return [replace(record, **change(record)) if isinstance(record, kind) else record for record in records]
 
 
 def topic(info: BagInfo, name: str) -> TopicInfo:
@@ -133,8 +139,7 @@ def test_topics_in_another_namespace_are_suggested(tmp_path: Path, short: list[R
 def test_a_topic_of_no_use_makes_a_bag_unusable(
     tmp_path: Path, short: list[Record], kind: type[Record], change: dict[str, Any], problem: str
 ) -> None:
-    changed = [replace(record, **change) if isinstance(record, kind) else record for record in short]
-    assert inspect(write_bag(tmp_path / 'bag', changed)).problems == (problem,)
+    assert inspect(write_bag(tmp_path / 'bag', altered(short, kind, lambda _: change))).problems == (problem,)
 
 
 def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
@@ -189,20 +194,6 @@ def checked(records: Iterable[Record], train: TrainFile | None, alignment: Align
     return check_inputs((record.row() for record in records), alignment or AlignmentConfig(), train)
 
 
-def against(record: Record) -> Record:
-    return replace(record, force=-record.force) if isinstance(record, ForceRecord) else record
-
-
-def unsigned(record: Record) -> Record:
-    return replace(record, force=abs(record.force)) if isinstance(record, ForceRecord) else record
-
-
-def pushed(record: Record) -> Record:
-    if not isinstance(record, BrakeRecord):
-        return record
-    return replace(record, target_acceleration=-record.target_acceleration)
-
-
 @pytest.mark.parametrize('train', [None, METRO])
 def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) -> None:
     assert checked(drive, train) == ((), ())
@@ -210,30 +201,35 @@ def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) 
 
 @pytest.mark.parametrize('train', [None, METRO])
 @pytest.mark.parametrize(
-    ('change', 'found'),
+    ('kind', 'name', 'change', 'found'),
     [
-        (against, 'ato/force has the wrong sign'),
-        (unsigned, 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'),
-        (pushed, 'ato/brake_command looks as if it had the wrong sign'),
+        (ForceRecord, 'force', neg, 'ato/force has the wrong sign'),
+        (ForceRecord, 'force', abs, 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'),
+        (BrakeRecord, 'target_acceleration', neg, 'ato/brake_command looks as if it had the wrong sign'),
     ],
 )
 def test_a_forgotten_sign_is_named(
-    drive: list[Record], change: Callable[[Record], Record], found: str, train: TrainFile | None
+    drive: list[Record],
+    kind: type[Record],
+    name: str,
+    change: Callable[[float], float],
+    found: str,
+    train: TrainFile | None,
 ) -> None:
-    assert found in '; '.join(checked(map(change, drive), train).problems)
+    records = altered(drive, kind, lambda record: {name: change(getattr(record, name))})
+    assert found in '; '.join(checked(records, train).problems)
 
 
 @pytest.mark.parametrize(('offset', 'named'), [(0.0, False), (50e3, True), (-50e3, True)])
 def test_positions_off_the_line_are_a_warning(drive: list[Record], offset: float, named: bool) -> None:
-    moved = (replace(r, position=r.position + offset) if isinstance(r, SpeedRecord) else r for r in drive)
-    found = checked(moved, METRO)
+    found = checked(altered(drive, SpeedRecord, lambda r: {'position': r.position + offset}), METRO)
     assert found.problems == ()
     text = 'ato/speed has a position off the line of the train file, -118 to 2018 m'
     assert any(warning.startswith(text) for warning in found.warnings) is named
 
 
 def test_a_unit_is_named_where_the_mass_is_known(drive: list[Record]) -> None:
-    in_kn = [replace(r, force=r.force / 1e3) if isinstance(r, ForceRecord) else r for r in drive]
+    in_kn = altered(drive, ForceRecord, lambda r: {'force': r.force / 1e3})
     assert 'ato/force is in kN' in '; '.join(checked(in_kn, METRO).problems)
 
 
@@ -276,8 +272,7 @@ def on_change(records: Iterable[Record]) -> list[Record]:
 def test_commands_on_change_hold_where_the_mapping_says_so(
     tmp_path: Path, drive: list[Record], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    steps = [replace(r, target_acceleration=round(r.target_acceleration)) if isinstance(r, BrakeRecord) else r
-             for r in drive]  # fmt: skip
+    steps = altered(drive, BrakeRecord, lambda r: {'target_acceleration': round(r.target_acceleration)})
     whole = inspect(write_bag(tmp_path / 'whole', steps))
     sparse = inspect(write_bag(tmp_path / 'sparse', on_change(steps)))
     assert 0.05 < whole.braking_share < 0.95
@@ -322,8 +317,8 @@ def world_drive(world: str, runs: int, seed: int) -> tuple[Record, ...]:
     return simulate(scenario(world, runs, seed)[0], np.random.default_rng((6_113, seed))).records
 
 
-def scaled(inputs: tuple[Record, ...], factor: float) -> list[Record]:
-    return [replace(r, gradient=factor * r.gradient) if isinstance(r, GradientRecord) else r for r in inputs]
+def scaled(inputs: Iterable[Record], factor: float) -> list[Record]:
+    return altered(inputs, GradientRecord, lambda r: {'gradient': factor * r.gradient})
 
 
 def found(inputs: list[Record], train: TrainFile | None = None) -> list[str]:
@@ -359,8 +354,7 @@ def test_the_mass_need_not_be_known(case: tuple[str, int, int]) -> None:
 def test_a_right_gradient_is_not_named(case: tuple[str, int, int]) -> None:
     inputs = world_drive(*case)
     assert found(scaled(inputs, 1.0)) == []
-    in_kmh = [replace(r, speed=3.6 * r.speed) if isinstance(r, SpeedRecord) else r for r in inputs]
-    assert found(in_kmh) == []
+    assert found(altered(inputs, SpeedRecord, lambda r: {'speed': 3.6 * r.speed})) == []
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.05, 1.0])
@@ -372,11 +366,8 @@ def test_nothing_is_said_on_a_flat_line(noise: float) -> None:
             hilly.train_file.line, gradient=tuple((at, share * value) for at, value in hilly.train_file.line.gradient)
         )
         flat = simulate(replace(hilly, train_file=replace(hilly.train_file, line=line)), np.random.default_rng(6_115))
-        inputs = [
-            replace(r, gradient=r.gradient + rng.normal(0.0, noise)) if isinstance(r, GradientRecord) else r
-            for r in flat.records
-        ]
-        assert found(inputs) == []
+        noisy = altered(flat.records, GradientRecord, lambda r: {'gradient': r.gradient + rng.normal(0.0, noise)})
+        assert found(noisy) == []
 
 
 @pytest.mark.parametrize('name', ['altrios_manifest', 'tiny', 'yizhuang_day'])
@@ -388,6 +379,6 @@ def test_the_bags_are_in_order(name: str) -> None:
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason='the measured data are not beside the repository')
 def test_noise_of_a_measured_gradient_is_no_unit() -> None:
-    inputs = tuple(records_of(load_trip(FOLDER, 'TripA30')))
-    assert found(list(inputs)) == []
+    inputs = list(records_of(load_trip(FOLDER, 'TripA30')))
+    assert found(inputs) == []
     assert found(scaled(inputs, 0.1))[0].startswith('ato/gradient looks like per cent')

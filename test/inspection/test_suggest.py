@@ -13,11 +13,11 @@ import pytest
 
 from test.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
 from test.own_bag import write_bag
-from trainid_ros.bag.bag_replay import Pipelines, replay_through
+from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
-from trainid_ros.inputs.mapping import Mapping, Signal, Source, parse_mapping
+from trainid_ros.inputs.mapping import QUANTITIES, Mapping, Signal, Source, parse_mapping
 from trainid_ros.inspection.number_series import read_numbers
 from trainid_ros.inspection.suggest import Suggestion, comment, family, score, suggest, unit_in, words_of
 from trainid_ros.interface.records import (
@@ -28,12 +28,7 @@ from trainid_ros.interface.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.setup.pipelines import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import TrainFile
 
@@ -47,12 +42,7 @@ Write = Callable[[ForeignBag, Record], None]
 def ride(metro: TrainFile) -> list[Record]:
     """Return five minutes of driving, without curves and tunnels, which no topic of others carries."""
     records = simulate(Scenario(metro, runs=2), np.random.default_rng(3)).records
-    return [
-        GradientRecord(record.stamp_ns, record.gradient, 0.0, tunnel=False)
-        if isinstance(record, GradientRecord)
-        else record
-        for record in records
-    ]
+    return [replace(r, curve_radius=0.0, tunnel=False) if isinstance(r, GradientRecord) else r for r in records]
 
 
 def written(path: Path, records: Iterable[Record], write: Write) -> Path:
@@ -123,24 +113,28 @@ def mapping_of(suggestion: Suggestion) -> Mapping:
     return parse_mapping(suggestion.text(), 'map.yaml')
 
 
-def sources(signal: object) -> dict[str, Source]:
+def sources(signal: object) -> tuple[Source, ...]:
     assert isinstance(signal, Signal)
-    return {f'{source.topic} {source.field}': source for source in signal.sources}
+    return signal.sources
+
+
+def chosen(mapping: Mapping) -> dict[str, set[tuple[str, str, float]]]:
+    """Return name, unit and sign of the sources of each quantity."""
+    signals = {name: getattr(mapping, name) for name in QUANTITIES}
+    return {
+        name: {(f'{source.topic} {source.field}', source.unit.name, source.sign) for source in signal.sources}
+        for name, signal in signals.items()
+        if isinstance(signal, Signal)
+    }
 
 
 def estimates(path: Path, train: TrainFile, mapping: Mapping | None = None) -> list[float]:
     """Return what the three estimators learn from a bag."""
     inputs = None if mapping is None else partial(MappedInputs, mapping, train)
     settings = EstimatorSettings()
-    if mapping is not None:
-        settings = replace(settings, alignment=mapping.alignment(settings.alignment))
-    pipelines = Pipelines(
-        resistance_pipeline(train, settings),
-        speed_model_pipeline(train, settings),
-        brake_rate_pipeline(train, settings),
-    )
     with BagReader(path, inputs=inputs) as reader:
-        outcome = replay_through(pipelines, reader)
+        aligned = replace(settings, alignment=reader.mapping.alignment(settings.alignment))
+        outcome = replay(reader, train, aligned)
     w, m, f = outcome.resistance.output, outcome.speed_model.output, outcome.brake_rate.output
     return [
         *(w.estimate.a, w.estimate.b, w.estimate.c, w.used),
@@ -156,16 +150,14 @@ def test_a_bag_with_headers_is_mapped_and_gives_the_same_estimates(
     suggestion = suggested(foreign, metro)
     mapping = mapping_of(suggestion)
     assert suggestion.missing == ()
-    assert sources(mapping.speed)['/odo/twist twist.linear.x'].unit.name == 'km/h'
-    assert sources(mapping.position)['/odo/chainage data'].unit.name == 'km'
-    forces = sources(mapping.force)
-    assert {(name, item.unit.name, item.sign) for name, item in forces.items()} == {
-        ('/car1/force wrench.force.x', 'kN', -1.0),
-        ('/car2/force wrench.force.x', 'kN', -1.0),
+    assert chosen(mapping) == {
+        'speed': {('/odo/twist twist.linear.x', 'km/h', 1.0)},
+        'position': {('/odo/chainage data', 'km', 1.0)},
+        'force': {(f'/car{k}/force wrench.force.x', 'kN', -1.0) for k in (1, 2)},
+        'gradient': {('/track/slope data', 'percent', 1.0)},
+        'brake_command': {('/brake/deceleration data', 'm/s^2', -1.0)},
+        'mass': {('/train/load data', 't', 1.0)},
     }
-    assert sources(mapping.gradient)['/track/slope data'].unit.name == 'percent'
-    assert sources(mapping.brake_command)['/brake/deceleration data'].sign == -1.0
-    assert sources(mapping.mass)['/train/load data'].unit.name == 't'
     text = suggestion.text()
     assert 'with d(speed)/dt over' in text
     assert 'mass x acceleration is' in text
@@ -179,31 +171,28 @@ def test_a_bag_with_other_sensors_is_mapped_to_those_of_the_train(
     foreign = written(tmp_path / 'foreign', ride, Plain())
     suggestion = suggested(foreign, metro)
     mapping, text = mapping_of(suggestion), suggestion.text()
-    assert sources(mapping.speed)['/odom twist.twist.linear.x'].unit.name == 'm/s'
-    assert sources(mapping.position)['/odom pose.pose.position.x'].unit.name == 'm'
-    assert {(name, item.unit.name) for name, item in sources(mapping.force).items()} == {
-        ('/traction_front/effort data', 'kN'),
-        ('/traction_rear/effort data', 'kN'),
+    assert chosen(mapping) == {
+        'speed': {('/odom twist.twist.linear.x', 'm/s', 1.0)},
+        'position': {('/odom pose.pose.position.x', 'm', 1.0)},
+        'force': {(f'/traction_{end}/effort data', 'kN', 1.0) for end in ('front', 'rear')},
+        'gradient': {('/map/gradient_permille data', 'per_mille', 1.0)},
+        'brake_command': {('/desk/brake_notch data', 'm/s^2', 1.0)},
     }
-    assert sources(mapping.gradient)['/map/gradient_permille data'].unit.name == 'per_mille'
     assert mapping.on_change
-    (notches,) = sources(mapping.brake_command).values()
+    (notches,) = sources(mapping.brake_command)
     assert dict(notches.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
     assert 'decide: the nominal deceleration of each notch' in text
     assert 'notch 3 was not seen on the move and would be rejected' in text
     assert 'also like a speed: /gps/velocity twist.linear.x' in text
     assert '/cam (sensor_msgs/msg/Image)' in text
     assert '/motor/temperature' in text.partition('not used')[2]
-    assert mapping.mass is None
-    (by_motion,) = sources(mapping_of(suggested(foreign)).brake_command).values()
+    (by_motion,) = sources(mapping_of(suggested(foreign)).brake_command)
     assert dict(by_motion.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
     # The reader decides on the notches.
     inputs = [
-        replace(record, target_acceleration=NOTCHES[notch_of(record.target_acceleration)])
-        if isinstance(record, BrakeRecord)
-        else record
-        for record in ride
-        if not isinstance(record, MassRecord)
+        replace(r, target_acceleration=NOTCHES[notch_of(r.target_acceleration)]) if isinstance(r, BrakeRecord) else r
+        for r in ride
+        if not isinstance(r, MassRecord)
     ]
     own = write_bag(tmp_path / 'own', inputs)
     decided = replace(notches, table=tuple((float(k), value) for k, value in enumerate(NOTCHES)))
@@ -226,9 +215,10 @@ def test_units_of_speed_and_position_follow_from_their_ratio(
                 offset = 500.0 * (record.position > 1000.0)
                 bag.write('/a/balise_position', FLOAT, record.stamp_ns, data=factor * (record.position - offset))
 
-    mapping = mapping_of(suggested(written(tmp_path / 'foreign', ride, write)))
-    assert sources(mapping.speed)['/a/velocity data'].unit.name == speed_unit
-    assert sources(mapping.position)['/a/balise_position data'].unit.name == unit
+    assert chosen(mapping_of(suggested(written(tmp_path / 'foreign', ride, write)))) == {
+        'speed': {('/a/velocity data', speed_unit, 1.0)},
+        'position': {('/a/balise_position data', unit, 1.0)},
+    }
 
 
 def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: TrainFile, tmp_path: Path) -> None:
@@ -246,7 +236,7 @@ def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: Trai
     mapping = mapping_of(suggested(path, metro))
     assert mapping.position is not None
     assert mapping.gradient is not None
-    (force,) = sources(mapping.force).values()
+    (force,) = sources(mapping.force)
     assert force.unit.name.startswith('percent_of ')
     assert force.unit.factor == pytest.approx(4e3, rel=0.15)
 
@@ -267,12 +257,9 @@ def test_traction_and_brake_effort_with_signs_of_their_own_are_summed(
             bag.write('/total/force', FLOAT, record.stamp_ns, data=1e-3 * record.force)
 
     both = mapping_of(suggested(written(tmp_path / 'both', ride, parts), metro))
-    assert {(name, item.unit.name, item.sign) for name, item in sources(both.force).items()} == {
-        ('/drive/tractive_effort data', 'N', 1.0),
-        ('/brakes/effort data', 'N', -1.0),
-    }
+    assert chosen(both)['force'] == {('/drive/tractive_effort data', 'N', 1.0), ('/brakes/effort data', 'N', -1.0)}
     total = mapping_of(suggested(written(tmp_path / 'total', ride, with_total), metro))
-    assert list(sources(total.force)) == ['/total/force data']
+    assert chosen(total)['force'] == {('/total/force data', 'kN', 1.0)}
 
 
 def test_a_train_of_several_is_mapped_in_its_namespace(
@@ -292,9 +279,10 @@ def test_a_train_of_several_is_mapped_in_its_namespace(
         assert main(['info', str(tmp_path / 'foreign'), '--suggest-map', '--namespace', name]) == 1
         captured = capsys.readouterr()
         assert 'nothing found for force, gradient, brake_command' in captured.err
-        mapping = parse_mapping(captured.out, 'map.yaml')
-        assert sources(mapping.speed)['odo twist.linear.x'].unit.name == unit
-        assert list(sources(mapping.position)) == ['distance data']
+        assert chosen(parse_mapping(captured.out, 'map.yaml')) == {
+            'speed': {('odo twist.linear.x', unit, 1.0)},
+            'position': {('distance data', 'm', 1.0)},
+        }
 
 
 @pytest.mark.parametrize(('delay_s', 'code'), [(0, 1), (40, 2)])
@@ -344,7 +332,7 @@ def test_an_own_speed_shows_what_a_foreign_force_is(ride: list[Record], metro: T
     own = numbers.own - {'/ato/force'}
     mapping = mapping_of(suggest(replace(numbers, series=renamed, own=own), 'bag', metro))
     assert mapping.speed is None
-    assert sources(mapping.force)['/car/force force'].unit.name == 'N'
+    assert chosen(mapping)['force'] == {('/car/force force', 'N', 1.0)}
 
 
 def test_names_of_others_cannot_leave_their_comment() -> None:
@@ -368,9 +356,9 @@ def test_numbers_without_names_are_told_apart(tmp_path: Path, ride: list[Record]
 
     bag = written(tmp_path / 'bag', ride, write)
     found = suggest(read_numbers(bag, '/', 1 << 26), 'bag', metro)
-    chosen = {item.quantity: item.parts[0].series.topic for item in found.choices if item.parts}
+    topics = {item.quantity: item.parts[0].series.topic for item in found.choices if item.parts}
     expected = {'speed': '/can/a', 'position': '/can/b', 'force': '/can/c'}
-    assert chosen == {name: topic for name, topic in expected.items() if name == 'speed' or name in parts}
+    assert topics == {name: topic for name, topic in expected.items() if name == 'speed' or name in parts}
     speed = found.choices[0]
     assert speed.parts[0].unit == 'km/h'
     assert speed.reasons[0].startswith('no name says speed; by its numbers: never negative')

@@ -190,7 +190,6 @@ class BagReader:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the bag."""
         self.close()
 
     def close(self) -> None:

@@ -307,7 +307,6 @@ class RecordTable:
     flag: NDArray[np.bool_]  # Tunnel or emergency, shape (n,)
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return int(self.log_ns.size)
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> RecordTable:

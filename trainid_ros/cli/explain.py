@@ -14,7 +14,7 @@ from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import check_output, print_json, progress, show, table, to_plain, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.text import pluralise, printable
+from trainid_ros.interface.text import listed, pluralise, printable
 from trainid_ros.report import HTML_START
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
@@ -131,8 +131,7 @@ def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path
 def provenance(bags: Sequence[Path], runs: int) -> str:
     """Return the provenance of an added effect."""
     names = [printable(bag.resolve().name) for bag in bags]
-    more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
-    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {pluralise(runs, "run")}'
+    return f'trainid explain {__version__}, {listed(names, _NAMED_BAGS)}, {pluralise(runs, "run")}'
 
 
 def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]:

@@ -17,7 +17,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import load_table_mapping
-from trainid_ros.inputs.table_records import TableRecords
+from trainid_ros.inputs.tables import TableRecords
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, input_topic
 from trainid_ros.interface.text import pluralise

@@ -10,7 +10,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.inputs.mapping import (
-    QUANTITIES,
     UNKNOWN_EFFORT,
     Constant,
     LineLookup,
@@ -60,23 +59,16 @@ class MappedInputs:
             raise InputError(f'mapping: gradient is to come from the line, but no {missing}')
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
         self._series: dict[str, JoinedSeries] = {}
-        for quantity in QUANTITIES:
-            signal = getattr(mapping, quantity)
-            if isinstance(signal, Signal):
-                self._series[quantity] = JoinedSeries(len(signal.sources))
-                if signal.function is not None:
-                    signal.function.load()  # what cannot be used is said now
-                for index, source in enumerate(signal.sources):
-                    self._readers.setdefault(source.topic, []).append((quantity, index, source))
+        for quantity, signal in mapping.signals.items():
+            self._series[quantity] = JoinedSeries(len(signal.sources))
+            if signal.function is not None:
+                signal.function.load()  # what cannot be used is said now
+            for index, source in enumerate(signal.sources):
+                self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = _DeadReckoning(mapping.position)
         # Messages by topic and number that is not in the table, and that of the last message of a topic.
         self._unlisted: Counter[tuple[str, float]] = Counter()
         self._last_unlisted: dict[str, float] = {}
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Topics that the mapping names."""
-        return tuple(self._readers)
 
     @property
     def warnings(self) -> list[str]:
@@ -152,10 +144,8 @@ class MappedInputs:
         """Return the records at a speed [m/s]: itself, and what comes from the line or is constant."""
         if self.mapping.position is None:
             self._position.correct(stamp_ns, measured)
-            self._position.move(stamp_ns, speed)
-            position = measured
-        else:
-            position = self._position.move(stamp_ns, speed)
+        reckoned = self._position.move(stamp_ns, speed)
+        position = measured if self.mapping.position is None else reckoned
         records: list[Record] = [SpeedRecord(stamp_ns, speed, position)]
         if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
             gradient = self._line.gradient(position, self._position.direction)
@@ -256,7 +246,6 @@ class JoinedSeries:
     """
 
     def __init__(self, count: int) -> None:
-        """Take the number of series."""
         # Stamps [ns] and numbers of each series, by stamp, over the last second.
         self._series: list[list[tuple[int, float]]] = [[] for _ in range(count)]
         self._open: list[tuple[int, float]] = []

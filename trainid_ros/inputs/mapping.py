@@ -60,14 +60,11 @@ def find_unit(text: str, quantity: str) -> Unit:
 
     ValueError if it is not known for this quantity; the message says which are.
     """
-    factors, angles = _FACTORS[quantity], _FACTORS['angle'] if quantity == 'gradient' else {}
-    if text in factors:
-        return Unit(text, factors[text])
-    if text in angles:
-        return Unit(text, angles[text], is_angle=True)
+    factors, known = _FACTORS[quantity], unit_factors(quantity)
+    if text in known:
+        return Unit(text, known[text], is_angle=text not in factors)
     if not text.startswith(_PERCENT_OF):
-        known = [*factors, *angles, f'{_PERCENT_OF} NUMBER UNIT']
-        raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, known)}')
+        raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, [*known, f"{_PERCENT_OF} NUMBER UNIT"])}')
     try:
         _, number, name = text.split()
         whole = float(number) * factors[name]
@@ -80,9 +77,9 @@ def find_unit(text: str, quantity: str) -> Unit:
     return Unit(text, whole / 100.0)
 
 
-def unit_names(quantity: str) -> tuple[str, ...]:
-    """Return the names of the units of a quantity."""
-    return (*_FACTORS[quantity], *(_FACTORS['angle'] if quantity == 'gradient' else ()))
+def unit_factors(quantity: str) -> dict[str, float]:
+    """Return the factors of the units of a quantity, by name; see :class:`Unit`."""
+    return _FACTORS[quantity] | (_FACTORS['angle'] if quantity == 'gradient' else {})
 
 
 # After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
@@ -149,7 +146,6 @@ class UserFunction:
     unit: Unit  # Unit of its values
 
     def __str__(self) -> str:
-        """Return file and name, as in a mapping."""
         return f'{self.path}:{self.name}'
 
     def load(self) -> Callable[..., object]:
@@ -378,8 +374,13 @@ class Mapping:
     @property
     def sources(self) -> tuple[Source, ...]:
         """All numbers that are read."""
-        signals = (getattr(self, item.name) for item in fields(self))
-        return tuple(source for signal in signals if isinstance(signal, Signal) for source in signal.sources)
+        return tuple(source for signal in self.signals.values() for source in signal.sources)
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """What comes from topics or columns, by quantity."""
+        found = {name: getattr(self, name) for name in QUANTITIES}
+        return {name: signal for name, signal in found.items() if isinstance(signal, Signal)}
 
 
 OWN: Final = Mapping()
@@ -595,8 +596,7 @@ def _csv(section: Section) -> CsvFormat:
     for key in ('separator', 'decimal'):
         if key in section.data and len(section.text(key)) != 1:
             section.fail(key, f'= {shown(section.data[key])} must be one character')
-    if section.text('decimal', '.') not in {'.', ','}:
-        section.fail('decimal', f'= {shown(section.data["decimal"])} must be . or ,')
+    section.choice('decimal', ('.', ','), '.')
     if 'encoding' in section.data:
         try:
             codecs.lookup(section.text('encoding'))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables in files, in blocks of rows: CSV as loggers write it, Parquet and npz."""
+"""Tables in files, in blocks of rows: CSV as loggers write it, Parquet and npz; their records, by a mapping."""
 
 from __future__ import annotations
 
@@ -9,17 +9,30 @@ import io
 import math
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from itertools import chain, islice
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import CsvFormat, Mapping, date_time_ns, time_of_day_ns
+from trainid_ros.inputs.mapping import (
+    QUANTITIES,
+    UNKNOWN_EFFORT,
+    CsvFormat,
+    Mapping,
+    Source,
+    TimeColumn,
+    date_time_ns,
+    find_unit,
+    time_of_day_ns,
+    unit_factors,
+)
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.train.fields import did_you_mean, shown
 
 if TYPE_CHECKING:
@@ -28,6 +41,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+    from trainid_ros.inputs.mapped_inputs import MappedInputs
 
 Column: TypeAlias = NDArray[Any]
 """Numbers as float64, whole numbers as int64, times as datetime64[ns], times of day and durations as timedelta64[ns];
@@ -49,7 +63,6 @@ class Table(ABC):
     """A file with columns."""
 
     def __init__(self, path: Path) -> None:
-        """Name the file."""
         self.path = path
         self.units: dict[str, str] = {}  # that the file states, by column; known once a block is read
 
@@ -73,24 +86,20 @@ def open_table(path: Path, mapping: Mapping) -> Table:
 
 
 def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
-    """Return the columns of all blocks."""
-    found = list(blocks)
-    return {name: _concatenated([block.columns[name] for block in found]) for name in names}
-
-
-def _concatenated(parts: list[Column]) -> Column:
-    """Return the parts of a column as one; blank cells are NaN in a part without times, NaT beside times."""
-    times = next((part.dtype for part in parts if part.dtype.kind in 'mM'), None)
-    if times is not None:
-        blank = np.array('NaT', times)
-        parts = [
-            np.full(len(part), blank) if part.dtype.kind == 'f' and np.isnan(part).all() else part for part in parts
-        ]
-    return np.concatenate(parts) if parts else np.empty(0)
+    """Return the columns of all blocks; blank cells are NaN in a block without times, NaT beside times."""
+    found, whole = list(blocks), {}
+    for name in names:
+        parts = [block.columns[name] for block in found]
+        if times := [part.dtype for part in parts if part.dtype.kind in 'mM']:
+            blank = np.array('NaT', times[0])
+            parts = [
+                np.full(len(part), blank) if part.dtype.kind == 'f' and np.isnan(part).all() else part for part in parts
+            ]
+        whole[name] = np.concatenate(parts) if parts else np.empty(0)
+    return whole
 
 
 def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Raise InputError for the first column that is not known, or is there twice."""
     for name in wanted:
         if known.count(name) > 1:
             raise InputError(f'{path}: column {shown(name)} is there {known.count(name)} times')
@@ -180,7 +189,6 @@ class CsvTable(Table):
     """
 
     def __init__(self, path: Path, form: CsvFormat) -> None:
-        """Name the file and its known form."""
         super().__init__(path)
         self._form = form
 
@@ -201,10 +209,9 @@ class CsvTable(Table):
         with self.path.open('rb') as raw, io.TextIOWrapper(raw, layout.encoding, errors='replace', newline='') as text:
             reader = csv.reader(text, delimiter=layout.separator)
             full = ((reader.line_num, row) for row in self._closed(reader, layout) if any(map(str.strip, row)))
-            rows = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, places))
+            data = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, places))
+            rows = islice(data, layout.skipped, None)
             try:
-                for _ in islice(rows, layout.skipped):
-                    pass
                 while some := list(islice(rows, ROWS_AT_ONCE)):
                     lines, cells = zip(
                         *((line, self._cells(line, row, places, layout)) for line, row in some), strict=True
@@ -254,7 +261,6 @@ class CsvTable(Table):
         return False
 
     def _layout(self, names: Sequence[str]) -> _Layout:
-        """Find out how the file is written, by the names of its columns."""
         with self.path.open('rb') as file:
             head = file.read(1 << 18)
         encoding = self._form.encoding or _encoding(head)
@@ -448,3 +454,219 @@ class NpzTable(Table):
         if kind == 'u' and column.size and column.max() > np.iinfo(np.int64).max:
             raise InputError(f'{self.path}: column {shown(name)}: {column.max()} is no number of 64 bits with a sign')
         return _text_times(self.path, name, column.tolist(), column.dtype) if kind == 'U' else column.astype(to[kind])
+
+
+_UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
+_DAY_NS: Final = 86400 * NS_PER_S
+
+
+class Clock:
+    """Turns the times of a table into stamps."""
+
+    def __init__(self, time: TimeColumn) -> None:
+        self._start_ns = time.start_ns  # what numbers count from [ns], None if that is not known yet
+        self._time = time
+        self._midnights = 0
+        self._time_of_day_ns = 0
+
+    def stamps(
+        self, columns: dict[str, Column], where: object, rows_before: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the stamps of rows [ns], shape (n,), and which rows have one, shape (n,).
+
+        ``where`` and ``rows_before`` are for the InputError of a time that ROS cannot hold.
+        """
+        if self._time.function is None:
+            values = columns[self._time.columns[0]]
+        else:
+            values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
+        known = np.isfinite(values)
+        since_ns = self._since_ns(values, known)
+        if values.dtype.kind != 'M' and self._start_ns is None and known.any():
+            # Times below a year count from the start of a recording, which is put at 2000-01-01 unless it is stated.
+            is_relative = abs(int(since_ns[known][0])) < 366 * _DAY_NS
+            self._start_ns = 946_684_800 * NS_PER_S if is_relative else 0
+        stamps = since_ns + (0 if values.dtype.kind == 'M' else self._start_ns or 0)
+        wrong = known & ((stamps <= 0) | (stamps >= 2**31 * NS_PER_S))  # a ROS time holds no later one
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f'{where}: row {rows_before + row + 1}: column {shown(", ".join(self._time.columns))} = {values[row]} '
+                'is no time between 1970 and 2038; time: {unit, start} in the mapping may be wrong'
+            )
+        return stamps, known
+
+    def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        if values.dtype.kind == 'M':
+            return np.where(known, values.astype('datetime64[ns]').astype(np.int64), 0)
+        if values.dtype.kind == 'm':
+            return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
+        # A function returns seconds.
+        ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
+        limit = 2**61 // round(ns)  # which is no stamp either, and leaves room for a start
+        if values.dtype.kind == 'i':
+            return np.asarray(np.clip(values, -limit, limit) * round(ns))
+        return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
+
+    def _through_midnight(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight."""
+        times = since_ns[known]
+        passed = np.diff(times, prepend=self._time_of_day_ns) < -_DAY_NS // 2
+        days = self._midnights + np.cumsum(passed)
+        if times.size:
+            self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
+        since_ns[known] = times + _DAY_NS * days
+        return since_ns
+
+
+def numbers(column: Column) -> NDArray[np.float64]:
+    """Return a column as numbers; times in seconds since 1970, times of day since midnight."""
+    if column.dtype.kind not in {'M', 'm'}:
+        return np.asarray(column, dtype=np.float64)
+    seconds = column.astype(f'{column.dtype.kind}8[ns]').astype(np.int64) / NS_PER_S
+    return np.where(np.isnat(column), np.nan, seconds)
+
+
+class _Feed(NamedTuple):
+    """Values of one source of a quantity, or with place -1 of the quantity itself, shape (n,)."""
+
+    quantity: str
+    place: int
+    values: NDArray[np.float64]
+
+
+class TableRecords:
+    """The records of a table, in the order of its rows."""
+
+    def __init__(self, path: Path, inputs: MappedInputs) -> None:
+        """Prepare a file for inputs whose mapping is one of a table; InputError if it cannot be used."""
+        self.rows = 0  # read so far
+        self.steps_back = 0  # rows that are earlier than one before
+        self.repeated = 0  # speeds at the time of the one before
+        self.blank: Counter[str] = Counter()  # rows without a value by quantity; those without a time are left out
+        self.warnings: tuple[str, ...] = ()  # where the file states another unit than the mapping
+        self.unlisted: Counter[tuple[str, float]] = Counter()  # cells by column and number, not in ``table``
+        self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
+        self._table = open_table(path, inputs.mapping)
+        if self._mapping.time is None:
+            raise InputError(f'{path}: the mapping does not say which column is the time')
+        self._time = self._mapping.time
+        self._clock = Clock(self._time)
+        signals = self._mapping.signals
+        # A position at the stamp of a speed must be known before that.
+        self._signals = {name: signals[name] for name in ('position', *signals) if name in signals}
+        self._held = math.nan
+        self._newest_ns = self._speed_ns = 0
+        self._speeds = 0
+        self._first_repeated = ''
+        self._rows_before = 0
+
+    def blocks(self) -> Iterator[tuple[float, list[tuple[int, Record]]]]:
+        """Yield blocks of records: the share of the file read for it, and each with the newest stamp of its row [ns].
+
+        InputError if the file cannot be read, or does not fit the mapping.
+        """
+        functions = (self._time.function, *(signal.function for signal in self._signals.values()))
+        sources = chain.from_iterable(signal.sources for signal in self._signals.values())
+        names = tuple(dict.fromkeys((*self._time.columns, *(source.field for source in sources))))
+        blocks = self._table.blocks(names)
+        if any(function is not None for function in functions):  # which sees whole columns
+            blocks = iter([Block(joined(blocks, names), 1.0)])
+        for block in blocks:
+            if not len(block.columns[names[0]]):
+                continue
+            self.warnings = tuple(self._other_units())
+            stamps, known = self._clock.stamps(block.columns, self._path, self.rows)
+            self._rows_before = self.rows
+            self.rows += len(stamps)
+            self.blank['time'] += int(np.count_nonzero(~known))
+            feeds = self._feeds(block.columns, known)
+            rows = np.flatnonzero(known)
+            for start in range(0, len(rows), ROWS_AT_ONCE):
+                some = rows[start : start + ROWS_AT_ONCE]
+                self._check_times(stamps, feeds, some)
+                yield block.share * len(some) / len(rows), self._records(stamps, feeds, some)
+
+    def _other_units(self) -> Iterator[str]:
+        """Yield a warning for each column of which the file states another unit than the mapping."""
+        columns = [(self._time.columns[0], self._time.unit, 'time')] if self._time.function is None else []
+        for key, signal in self._signals.items():
+            if signal.function is None:
+                columns += [(source.field, source.unit, QUANTITIES[key].kind) for source in signal.sources]
+        for name, unit, quantity in columns:
+            stated = self._table.units.get(name, '')
+            with suppress(ValueError):
+                text = _UNIT_SIGNS.get(stated.lower(), stated)
+                # A file may write another case, such as KM/H.
+                read = find_unit(next((n for n in unit_factors(quantity) if n.lower() == text.lower()), text), quantity)
+                if read.factor != unit.factor:
+                    yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
+
+    def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
+        """Count speeds at the time of the one before; InputError if they are many: the times are too coarse."""
+        speeds = [feed.values for feed in feeds if feed.quantity == 'speed' and feed.place <= 0]
+        known = rows[np.isfinite(speeds[0][rows])] if speeds else rows
+        repeats = known[np.diff(stamps[known], prepend=self._speed_ns) == 0]
+        if not known.size:
+            return
+        self._speed_ns = int(stamps[known[-1]])
+        self._speeds += known.size
+        self.repeated += repeats.size
+        if repeats.size and not self._first_repeated:
+            self._first_repeated = f'row {self._rows_before + int(repeats[0]) + 1}'
+        if self.repeated > 0.3 * self._speeds:
+            raise InputError(
+                f'{self._path}: {self._first_repeated}: column {shown(", ".join(self._time.columns))} has the time of '
+                f'the row before, as {self.repeated} of {self._speeds} rows have: its resolution is too coarse for '
+                'their rate; take a finer column, or a function for the time'
+            )
+
+    def _records(
+        self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]
+    ) -> list[tuple[int, Record]]:
+        records: list[tuple[int, Record]] = []
+        columns = [(feed.quantity, feed.place, feed.values[rows].tolist()) for feed in feeds]
+        for place, stamp_ns in enumerate(stamps[rows].tolist()):
+            self.steps_back += stamp_ns < self._newest_ns
+            # Records are logged in the order of the rows, so that a clock that was set back stays visible.
+            self._newest_ns = max(self._newest_ns, stamp_ns)
+            for quantity, index, values in columns:
+                value = values[place]
+                if not (math.isfinite(value) or (quantity == 'brake_command' and value == UNKNOWN_EFFORT)):
+                    continue
+                if index >= 0:
+                    made = self._inputs.add(quantity, index, stamp_ns, value)
+                else:
+                    made = self._inputs.put(quantity, stamp_ns, value)
+                # A sum lacks a value where one of its parts is blank for long.
+                records += [(self._newest_ns, record) for record in made if math.isfinite(record.row()[2])]
+        return records
+
+    def _feeds(self, columns: dict[str, Column], known: NDArray[np.bool_]) -> list[_Feed]:
+        feeds: list[_Feed] = []
+        for quantity, signal in self._signals.items():
+            raw = [numbers(columns[source.field]) for source in signal.sources]
+            if signal.function is not None:
+                made = [_Feed(quantity, -1, signal.function.of_columns(raw))]
+            else:
+                pairs = enumerate(zip(signal.sources, raw, strict=True))
+                made = [_Feed(quantity, index, self._values(quantity, *pair)) for index, pair in pairs]
+            blank = ~np.isfinite(made[0].values) & (made[0].values != UNKNOWN_EFFORT)
+            self.blank[quantity] += int(np.count_nonzero(blank & known))
+            feeds += made
+        return feeds
+
+    def _values(self, quantity: str, source: Source, column: NDArray[np.float64]) -> NDArray[np.float64]:
+        cells = self._hold(column) if self._mapping.on_change and quantity == 'brake_command' else column
+        values = np.array([source.value(number) for number in cells.tolist()], dtype=np.float64)
+        if source.table:
+            left_out = column[np.isfinite(column) & np.isnan(values)]
+            self.unlisted.update((source.field, number) for number in left_out.tolist())
+        return values
+
+    def _hold(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a column in which each blank cell repeats the number before it."""
+        whole = np.concatenate(([self._held], column))
+        last = np.maximum.accumulate(np.where(np.isnan(whole), 0, np.arange(whole.size)))
+        self._held = float(whole[last[-1]])
+        return np.asarray(whole[last][1:])

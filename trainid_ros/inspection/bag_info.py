@@ -533,7 +533,6 @@ class _Check:
         return found
 
     def unusable(self) -> list[str]:
-        """Say so if most samples in motion cannot be used."""
         # What is named as a contradiction is not named here.
         used = {Reason.NONE, Reason.CONTRADICTION}
         left_out = Counter({reason: count for reason, count in self._reasons.items() if reason not in used})
@@ -543,7 +542,6 @@ class _Check:
         return [f'{count} of {self._moving} samples in motion cannot be used: {reason.name}']
 
     def faults(self) -> list[str]:
-        """Say which messages are out of range."""
         return [
             f'{INPUT_TOPICS[topic].name}: {count} messages out of range, the first with {self._first_out[topic]:.4g}'
             for topic, count in sorted(self._out_of_range.items())

@@ -166,7 +166,6 @@ class _Collector:
         self._rows: list[tuple[int, int, list[float]]] = []
 
     def add(self, log_ns: int, payload: bytes, kind: StoredType) -> None:
-        """Take in a message."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
 
         self._count += 1

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_names
+from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_factors
 from trainid_ros.inspection.number_series import (
     MIN_NUMBERS,
     PER_MILLE,
@@ -36,10 +36,11 @@ from trainid_ros.inspection.number_series import (
     partial_slope,
     regress,
 )
+from trainid_ros.interface.text import listed, printable
 from trainid_ros.train.forces import G
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -115,13 +116,7 @@ class Suggestion:
 
 def comment(text: str) -> str:
     """Return a text as one comment, whatever characters a name in it has."""
-    return f'# {"".join(char if char.isprintable() else repr(char)[1:-1] for char in text)}'
-
-
-def listed(names: Sequence[str], most: int = 6) -> str:
-    """Return names with commas, no more than some of them."""
-    more = f' and {len(names) - most} more' if len(names) > most else ''
-    return f'{", ".join(names[:most])}{more}'
+    return '# ' + printable(text).replace('\n', r'\n')
 
 
 def described(series: NumberSeries) -> str:
@@ -179,7 +174,7 @@ def is_nameless(series: NumberSeries) -> bool:
     return all(score(quantity, series.topic, series.field) == 0.0 for quantity in _KNOWN)
 
 
-def unit_in(name: str, units: tuple[str, ...]) -> str:
+def unit_in(name: str, units: Collection[str]) -> str:
     """Return the unit that a name states, one of those given; '' if it states none."""
     return next((unit for word in reversed(words_of(name)) if (unit := _UNITS.get(word, '')) in units), '')
 
@@ -204,12 +199,12 @@ def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None)
     missing = tuple(name for name in _ADVICE if name not in chosen and QUANTITIES[name].topic not in own)
     notes = [_ADVICE[name] for name in missing]
     if numbers.own:
-        notes.append(f'from our own topics: {listed(sorted(own))}')
+        notes.append(f'from our own topics: {listed(sorted(own), 6)}')
     used = {part.series.topic for choice in choices for part in choice.parts}
     if rest := sorted({item.topic for item in numbers.series} - used - numbers.own):
-        notes.append(f'not used: {listed(rest)}')
+        notes.append(f'not used: {listed(rest, 6)}')
     if numbers.left_out:
-        notes.append(f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out])}')
+        notes.append(f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out], 6)}')
     return Suggestion(head, choices, missing, tuple(notes))
 
 
@@ -228,21 +223,18 @@ def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
     speeds = [item for item in own if item.field == 'speed'] or _possible_speeds(foreign) or _speeds_by_numbers(foreign)
     if not speeds:
         return []
-    speed, position, motion = _choose_speed(speeds, [*foreign, *own])
-    choices = [speed, *position]
-    rest = _without(foreign, choices)
-    forces = _choose_force([item for item in own if item.field == 'force'] or rest, motion, train_file)
+    speed, position, motion = _choose_speed(speeds, [*foreign, *own], train_file)
+    rest = _without(foreign, [speed, *position])
+    forces = _choose_force([item for item in own if item.field == 'force'] or rest, motion)
     rest = _without(rest, forces)
     total = _total_force(forces[0], motion) if forces else None
-    choices += forces
-    choices += _choose_gradient(rest, motion, total, train_file, has_position=bool(position))
+    gradients = _choose_gradient(rest, motion, total, has_position=bool(position))
     masses = _choose_mass([item for item in own if item.field == 'mass'] or rest, train_file)
-    choices += _choose_brake(rest, motion, _specific_force(total, masses, train_file))
-    return [*choices, *masses]
+    brakes = _choose_brake(rest, motion, _specific_force(total, masses, train_file))
+    return [speed, *position, *forces, *gradients, *brakes, *masses]
 
 
 def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[NumberSeries]:
-    """Return the series that are not chosen."""
     chosen = {id(part.series) for choice in choices for part in choice.parts}
     return [item for item in series if id(item) not in chosen]
 
@@ -281,9 +273,9 @@ def _drive_apart(speeds: Mapping[str, NumberSeries], series: Sequence[NumberSeri
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """The speed that was chosen, at common times."""
+    """The speed that was chosen, at common times, and the train file if it is known."""
 
-    series: NumberSeries  # The speed as it is in the bag
+    train_file: TrainFile | None
     times: Array  # Common times [s], shape (n,)
     speed: Array  # Speed [m/s], shape (n,)
     acceleration: Array  # Its derivative [m/s^2], shape (n,)
@@ -300,7 +292,6 @@ class _Motion:
 
 
 def _possible_speeds(series: Iterable[NumberSeries]) -> list[NumberSeries]:
-    """Return the candidates for a speed by name."""
     return [
         item
         for item in series
@@ -329,8 +320,6 @@ def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
 
 
 class _Ranked(NamedTuple):
-    """A candidate for the speed."""
-
     points: float  # Evidence by name and numbers
     speed: NumberSeries
     position: NumberSeries | None  # Its integral, if there is one
@@ -339,16 +328,15 @@ class _Ranked(NamedTuple):
 
 
 def _choose_speed(
-    speeds: Sequence[NumberSeries], series: Sequence[NumberSeries]
+    speeds: Sequence[NumberSeries], series: Sequence[NumberSeries], train_file: TrainFile | None
 ) -> tuple[Choice, list[Choice], _Motion]:
     """Return the choice among speeds, that of the position, if there is one, and the motion."""
     ranked = sorted((_rank(item, series) for item in speeds), key=lambda item: -item.points)
     best = ranked[0]
-    unit, length, reasons, decisions = _speed_unit(best)
-    factor = find_unit(unit, 'speed').factor
+    unit, length, reason, decisions = _speed_unit(best)
     times = common_times(best.speed)
-    speed_si = factor * np.abs(at_times(best.speed, times))
-    motion = _Motion(best.speed, times, speed_si, derivative(speed_si))
+    speed_si = find_unit(unit, 'speed').factor * np.abs(at_times(best.speed, times))
+    motion = _Motion(train_file, times, speed_si, derivative(speed_si))
     choice = Choice('speed', (Part(best.speed, unit),), decisions=decisions)
     if is_nameless(best.speed):
         top = np.max(best.speed.value)
@@ -356,7 +344,7 @@ def _choose_speed(
         choice.decisions.append('whether this is the speed')
     if abs(best.push[0]) > _MIN_CORRELATION:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
-    choice.reasons += reasons
+    choice.reasons.append(reason)
     alike = [
         item.speed.name
         for item in ranked[1:]
@@ -397,32 +385,32 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
     return _Ranked(points + 0.1 * speed.has_stamps + 0.001 * min(speed.rate, 50.0), speed, position, travel, push)
 
 
-def _speed_unit(best: _Ranked) -> tuple[str, str, list[str], list[str]]:
-    """Return the units of speed and position ('' if none fits both), the reasons, and what to decide."""
+def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
+    """Return the units of speed and position ('' if none fits both), the reason, and what to decide."""
     speed, position = best.speed, best.position
-    named = unit_in(speed.name, unit_names('speed'))
+    named = unit_in(speed.name, unit_factors('speed'))
     pairs = [
         (unit, length)
-        for length, meters in (_factors('length').items() if position is not None else ())
-        for unit, meters_per_s in _factors('speed').items()
+        for length, meters in (unit_factors('length').items() if position is not None else ())
+        for unit, meters_per_s in unit_factors('speed').items()
         if abs(best.travel.ratio * meters / meters_per_s - 1.0) < 0.04
     ]
     if position is not None and pairs:
-        also = unit_in(position.name, unit_names('length'))
+        also = unit_in(position.name, unit_factors('length'))
         unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
         reason = (
             f'unit {unit}: {position.name} changes by {best.travel.ratio:.4g} for each unit and '
             f'second (correlation {best.travel.correlation:.2f}), so positions are in {length}'
         )
         contradiction = f'its name says {named}, its integral {unit}'
-        return unit, length, [reason], [contradiction] if named not in {'', unit} else []
+        return unit, length, reason, [contradiction] if named not in {'', unit} else []
     if named:
-        return named, '', [f'unit {named}: by its name'], []
+        return named, '', f'unit {named}: by its name', []
     top = float(np.max(np.abs(speed.value)))
     steep = float(np.nanpercentile(np.abs(derivative(at_times(speed, common_times(speed)))), 99.0))
     unit = 'km/h' if top > 60.0 or steep > 1.6 else 'm/s'  # no train reaches 60 m/s, or changes by 1.6 m/s^2 for long
-    text = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
-    return unit, '', [text], ['nothing but its range shows the unit of the speed']
+    reason = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
+    return unit, '', reason, ['nothing but its range shows the unit of the speed']
 
 
 # Largest number in each unit, where only the range shows it.
@@ -433,17 +421,11 @@ _MAX_IN: Final = {
 }
 
 
-def _factors(quantity: str) -> dict[str, float]:
-    """Return the factors of the units of a quantity."""
-    return {name: find_unit(name, quantity).factor for name in unit_names(quantity)}
-
-
 def _unit_by_range(quantity: str, top: float) -> str:
-    """Return the unit of the largest number of a quantity."""
     return next(unit for unit, limit in _MAX_IN[quantity].items() if top <= limit)
 
 
-def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
+def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choice]:
     """Return the sources whose sum goes with the acceleration best; empty if nothing does."""
     groups: dict[tuple[str, str, str], list[NumberSeries]] = {}
     for item in series:
@@ -452,7 +434,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: T
         if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _MIN_CORRELATION:
             groups.setdefault((family(item.topic), item.field, item.type), []).append(item)
     if not groups:
-        return _as_force([[item] for item in _by_numbers(series, motion)], motion, train_file)
+        return _as_force([[item] for item in _by_numbers(series, motion)], motion)
     totals = {key: _sum_at(items, motion) for key, items in groups.items()}
     chosen: list[tuple[str, str, str]] = []
     share = 0.0
@@ -464,7 +446,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion, train_file: T
         if shares[best] < share + 0.02:
             break
         chosen, share = [*chosen, best], shares[best]
-    return _as_force([groups[key] for key in chosen], motion, train_file)
+    return _as_force([groups[key] for key in chosen], motion)
 
 
 def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberSeries]:
@@ -488,7 +470,7 @@ def _sum_at(items: Iterable[NumberSeries], motion: _Motion) -> Array:
     return np.asarray(np.sum([at_times(item, motion.times) for item in items], axis=0))
 
 
-def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: TrainFile | None) -> list[Choice]:
+def _as_force(groups: list[list[NumberSeries]], motion: _Motion) -> list[Choice]:
     """Return the choice of groups of sources, each with a sign of its own."""
     totals = [_sum_at(items, motion) for items in groups]
     fit = regress(motion.acceleration, [*totals, motion.speed**2], motion.moving)
@@ -498,7 +480,7 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: Tra
     total: Array = np.sum([sign * item for sign, item in zip(signs, totals, strict=True)], axis=0)
     with_it = correlation(total, motion.acceleration)
     choice = Choice('force', reasons=[f'correlation {with_it:.2f} with d(speed)/dt {motion.minutes}'])
-    unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), train_file)
+    unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), motion.train_file)
     choice.parts = tuple(Part(item, unit, sign) for sign, items in zip(signs, groups, strict=True) for item in items)
     if is_nameless(choice.parts[0].series):
         choice.decisions.append('whether this is the force: no name says so')
@@ -509,13 +491,13 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion, train_file: Tra
 
 def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, train_file: TrainFile | None) -> str:
     """Return the unit of a force, and note the reason; ``slope`` is the acceleration for each unit [m/s^2]."""
-    named = unit_in(series.name, unit_names('force'))
+    named = unit_in(series.name, unit_factors('force'))
     if train_file is None:
         choice.reasons.append('unit by its name' if named else f'up to {top:.3g}')
         choice.decisions.append('the unit; with --train the mass shows it')
         return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    fitting = nearest_unit(newtons, _factors('force'))
+    fitting = nearest_unit(newtons, unit_factors('force'))
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -543,12 +525,7 @@ def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: T
 
 
 def _choose_gradient(
-    series: Iterable[NumberSeries],
-    motion: _Motion,
-    total: Array | None,
-    train_file: TrainFile | None,
-    *,
-    has_position: bool,
+    series: Iterable[NumberSeries], motion: _Motion, total: Array | None, *, has_position: bool
 ) -> list[Choice]:
     """Return the gradient, from a topic or the line, with the position where that needs one; empty if there is none.
 
@@ -556,8 +533,8 @@ def _choose_gradient(
     """
     named = [item for item in series if score('gradient', item.topic, item.field) > 0.0]
     if named:
-        return [max((_gradient(item, motion, total, train_file) for item in named), key=lambda item: item[0])[1]]
-    if train_file is None or not train_file.line.gradient:
+        return [max((_gradient(item, motion, total) for item in named), key=lambda item: item[0])[1]]
+    if motion.train_file is None or not motion.train_file.line.gradient:
         return []
     choice = Choice('gradient', text='{from: line}', reasons=['the train file has a line'])
     if has_position:
@@ -568,14 +545,12 @@ def _choose_gradient(
     return [where, choice]
 
 
-def _gradient(
-    series: NumberSeries, motion: _Motion, total: Array | None, train_file: TrainFile | None
-) -> tuple[float, Choice]:
+def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, Choice]:
     """Return how much more of the acceleration a gradient explains [1], and the choice."""
-    named = unit_in(series.name, unit_names('gradient'))
+    named = unit_in(series.name, unit_factors('gradient'))
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
     unit, sign = named or _unit_by_range('gradient', top), 1.0
-    permille, gain = _slowing(series, motion, total, train_file)
+    permille, gain = _slowing(series, motion, total)
     by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > 1e-3 else ''
     if by_slope:
         choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
@@ -587,9 +562,7 @@ def _gradient(
     return gain, choice
 
 
-def _slowing(
-    series: NumberSeries, motion: _Motion, total: Array | None, train_file: TrainFile | None
-) -> tuple[float, float]:
+def _slowing(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, float]:
     """Return as how many per mille each unit slows the train, and the share of the variance that this explains [1]."""
     if total is None:
         return 1.0, 0.0
@@ -600,19 +573,19 @@ def _slowing(
     slope = partial_slope(y[known], x[known], [item[known] for item in others], motion.times[known] - motion.times[0])
     if slope is None or slope.value == 0.0:
         return 1.0, 0.0
-    rotary = USUAL_ROTARY if train_file is None else train_file.train.rotary_mass
+    rotary = USUAL_ROTARY if motion.train_file is None else motion.train_file.train.rotary_mass
     gain = (slope.value * slope.spread) ** 2 / float(np.var(y[known]))
     return -slope.value * 1000.0 * (1.0 + rotary) / G, gain
 
 
 def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -> list[Choice]:
     """Return a mass that fits the train file, or whose name and range say so; empty if there is none."""
-    units = _factors('mass')
+    units = unit_factors('mass')
     for item in series:
         value = float(np.median(item.value))
         if score('mass', item.topic, item.field) <= 0.0 or value <= 0.0:
             continue
-        named = unit_in(item.name, unit_names('mass'))
+        named = unit_in(item.name, unit_factors('mass'))
         choice = Choice('mass', reasons=[f'median {value:.4g}'])
         if train_file is None:
             unit = named or _unit_by_range('mass', value)

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...', '≥': '>='})
 
@@ -11,6 +14,12 @@ _PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–':
 def pluralise(count: int, word: str) -> str:
     """Return a count with its noun, such as '1 run' or '2 runs'."""
     return f'{count} {word}' if count == 1 else f'{count} {word}s'
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Return names with commas, no more than some of them."""
+    more = f' and {len(names) - most} more' if len(names) > most else ''
+    return f'{", ".join(names[:most])}{more}'
 
 
 def in_ascii(text: str) -> str:

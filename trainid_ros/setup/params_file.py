@@ -26,6 +26,7 @@ from trainid_ros.estimators.algorithm_registry import Choice
 from trainid_ros.estimators.pipeline import PipelineConfig
 from trainid_ros.interface.errors import InputError, SettingInfo, setting_info
 from trainid_ros.interface.records import INPUT_TOPICS
+from trainid_ros.interface.text import listed
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, chosen_algorithms
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
@@ -355,8 +356,7 @@ def check_sections(path: Path, node: str, usual_name: str, warn: Callable[[str],
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         raise InputError(f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?')
-    more = f' and {len(names) - _MAX_NAMED} more' if len(names) > _MAX_NAMED else ''
-    warn(f'{path}: no section for {node!r}; its sections are {", ".join(list(names)[:_MAX_NAMED])}{more}')
+    warn(f'{path}: no section for {node!r}; its sections are {listed(list(names), _MAX_NAMED)}')
 
 
 def read_overrides(path: Path, node: str) -> dict[str, object]:
