@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test.foreign_bag import FLOAT, TWIST, WRENCH, ForeignBag
+from test.foreign_bag import FLOAT, TWIST, ForeignBag, write_foreign
+from test.foreign_bag import MAPPING as FOREIGN
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Train, TrainFile, load_train_file
 
@@ -30,35 +31,13 @@ brake_command: {topic: /both/brake, field: data, stamp: receive}
 """
 TRAIN_PATH = Path(__file__).parents[2] / 'config' / 'trains' / 'yizhuang.yaml'
 METRO = load_train_file(TRAIN_PATH)
-MAPPING = """
-speed: {topic: odo/twist, field: twist.linear.x, unit: km/h}
-position: {topic: /where, field: data, unit: km, stamp: receive}
-force: {sum: [{topic: /car1, field: wrench.force.x, unit: kN}, {topic: /car2, field: wrench.force.x, unit: kN}]}
-gradient: {topic: /track, field: slopes.1, unit: percent}
-brake_command: {topic: /brake, field: data, unit: percent_of 1.2 m/s^2, sign: -1, stamp: receive}
-"""
-SLOPES = 'std_msgs/Header header\nfloat32[] slopes\n'
+MAPPING = FOREIGN.replace('/odo/twist', 'odo/twist')
 
 
 @pytest.fixture(scope='module')
 def foreign(tmp_path_factory: pytest.TempPathFactory, records: list[Record]) -> Path:
-    """Return a bag of another maker, with two cars and a message type that is nobody's."""
     path = tmp_path_factory.mktemp('foreign') / 'bag'
-    with ForeignBag(path, {'maker_msgs/msg/Slopes': SLOPES}) as bag:
-        for record in records:
-            now = record.stamp_ns
-            match record:
-                case SpeedRecord(_, speed, position):
-                    bag.write('/where', FLOAT, now, data=position / 1e3)
-                    bag.write('/odo/twist', TWIST, now, twist__linear__x=3.6 * speed)
-                case ForceRecord(_, force):
-                    for topic, share in (('/car1', 0.6e-3), ('/car2', 0.4e-3)):
-                        bag.write(topic, WRENCH, now, wrench__force__x=share * force)
-                case GradientRecord(_, gradient):
-                    slopes = np.array([0.0, 0.1 * gradient], dtype=np.float32)
-                    bag.write('/track', 'maker_msgs/msg/Slopes', now, slopes=slopes)
-                case BrakeRecord(_, target):
-                    bag.write('/brake', 'std_msgs/msg/Float32', now, data=-100.0 * target / 1.2)
+    write_foreign(path, records)
     return path
 
 
@@ -86,7 +65,7 @@ def key(record: Record) -> tuple[int, int]:
 @pytest.mark.parametrize(
     ('text', 'missing'),
     [
-        (MAPPING.replace('/car2', '/car3'), ('/car3',)),
+        (MAPPING.replace('/car2', '/car3'), ('/car3/force',)),
         (MAPPING.replace('odo/twist', 'other'), ('other',)),
         ('speed: {topic: /odo/twist, field: twist.linear.x}', ('ato/force', 'ato/gradient', 'ato/brake_command')),
     ],
@@ -153,7 +132,10 @@ def test_replay_takes_a_mapping_file(foreign: Path, tmp_path: Path, capsys: pyte
     assert 'map.yaml: speed.field is missing' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(('namespace', 'outside'), [('/', ''), ('/train_2', '/brake, /car1, /car2, /track, /where')])
+OUTSIDE = '/brake, /car1/force, /car2/force, /load, /odo/distance, /track/slope'
+
+
+@pytest.mark.parametrize(('namespace', 'outside'), [('/', ''), ('/train_2', OUTSIDE)])
 def test_topics_outside_the_namespace_are_named(foreign: Path, namespace: str, outside: str) -> None:
     text = f'mapping: {outside} outside --namespace {namespace}, so they may be of another train'
     with reader(foreign, namespace=namespace) as bag:

@@ -18,7 +18,6 @@ from trainid_ros.inputs.mapping import (
     LineLookup,
     Signal,
     SpeedIntegral,
-    StampSource,
     UserFunction,
     date_time_ns,
     find_unit,
@@ -211,7 +210,7 @@ def test_a_whole_mapping_is_read() -> None:
     assert isinstance(mapping.speed, Signal)
     (speed,) = mapping.speed.sources
     assert (speed.topic, speed.path, speed.sign, speed.offset) == ('/odo/twist', ('twist', 'linear', 'x'), -1.0, 0.5)
-    assert speed.stamp is StampSource.RECEIVE
+    assert not speed.has_stamps
     assert mapping.position == SpeedIntegral(1200.0, -1)
     assert mapping.gradient == LineLookup()
     assert isinstance(mapping.force, Signal)
@@ -285,8 +284,8 @@ def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
     assert isinstance(force, Signal)
     assert force.function is not None
     assert (force.function.name, force.function.unit.name) == ('force', 'kN')
-    found = [(source.topic, source.field, source.stamp.value) for source in force.sources]
-    assert found == [('/a', 'data', 'header'), ('/b', 'x.y', 'receive')]
+    found = [(source.topic, source.field, source.has_stamps) for source in force.sources]
+    assert found == [('/a', 'data', True), ('/b', 'x.y', False)]
 
 
 def test_texts_name_the_topics_that_are_read() -> None:

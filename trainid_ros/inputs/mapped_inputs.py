@@ -17,7 +17,6 @@ from trainid_ros.inputs.mapping import (
     Signal,
     Source,
     SpeedIntegral,
-    StampSource,
     load_mapping,
     type_of,
 )
@@ -231,7 +230,7 @@ class _DeadReckoning:
 
 
 def _stamp(source: Source, message: Any, received_ns: int) -> int:
-    if source.stamp is StampSource.RECEIVE:
+    if not source.has_stamps:
         return received_ns
     try:
         return stamp_of(message)

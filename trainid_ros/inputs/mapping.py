@@ -8,7 +8,6 @@ import math
 import re
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import UTC, datetime
-from enum import Enum
 from functools import cache
 from pathlib import Path
 from traceback import extract_tb
@@ -208,13 +207,6 @@ UNKNOWN_EFFORT: Final = -math.inf
 """Brake command where a brake acts, or may act, and nothing says how much."""
 
 
-class StampSource(Enum):
-    """Where the stamp of a value comes from."""
-
-    HEADER = 'header'
-    RECEIVE = 'receive'
-
-
 @dataclass(frozen=True, slots=True)
 class Source:
     """One number in the messages of one topic, or in one column of a table."""
@@ -227,7 +219,7 @@ class Source:
     offset: float = 0.0  # Added after sign and gain, in its unit
     # Value in its unit by raw number, such as that of a notch; empty without
     table: tuple[tuple[float, float], ...] = ()
-    stamp: StampSource = StampSource.HEADER  # Where its stamp comes from
+    has_stamps: bool = True  # Whether its stamps are of headers; if not, they are the times of arrival
 
     @property
     def field(self) -> str:
@@ -508,7 +500,7 @@ def _raw(section: Section, *, is_table: bool) -> Source:
     if is_table:
         return Source('', (section.only(('field',)).text('field'),), RAW)
     section.only(('topic', 'field', 'stamp'))
-    return Source(_topic(section), _path(section), RAW, stamp=_stamp(section))
+    return Source(_topic(section), _path(section), RAW, has_stamps=_has_stamps(section))
 
 
 def _topic(section: Section) -> str:
@@ -517,8 +509,8 @@ def _topic(section: Section) -> str:
     return section.text('topic')
 
 
-def _stamp(section: Section) -> StampSource:
-    return StampSource(section.choice('stamp', tuple(item.value for item in StampSource), 'header'))
+def _has_stamps(section: Section) -> bool:
+    return section.choice('stamp', ('header', 'receive'), 'header') == 'header'
 
 
 def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
@@ -536,7 +528,7 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
         gain=section.number('gain', '', 1.0),
         offset=section.number('offset', unit.name, 0.0),
         table=_table(section, unit.name),
-        stamp=_stamp(section),
+        has_stamps=_has_stamps(section),
     )
     if key == 'brake_command':
         for raw, _ in source.table:

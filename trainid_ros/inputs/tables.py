@@ -173,11 +173,12 @@ _COMMENT: Final = '#'
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How a file is written: encoding, separator, names of its columns, and rows before the numbers."""
+    """How a file is written: encoding, separator, number of its columns, those read, and rows before the numbers."""
 
     encoding: str
     separator: str
-    names: tuple[str, ...]
+    width: int
+    places: tuple[int, ...]
     skipped: int
 
 
@@ -195,27 +196,22 @@ class CsvTable(Table):
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
         layout = self._layout(names)
-        decimal = self._form.decimal or self._decimal(layout, names)
-        for lines, cells, share in self._rows(layout, names):
+        decimal = self._form.decimal or self._decimal(layout)
+        for lines, cells, share in self._rows(layout):
             columns = zip(names, zip(*cells, strict=True), strict=True)
             yield Block({name: self._column(name, lines, column, decimal) for name, column in columns}, share)
 
-    def _rows(
-        self, layout: _Layout, names: Sequence[str]
-    ) -> Iterator[tuple[Sequence[int], Sequence[Sequence[str]], float]]:
+    def _rows(self, layout: _Layout) -> Iterator[tuple[Sequence[int], Sequence[Sequence[str]], float]]:
         """Yield blocks of the rows below the names: line numbers, cells of the columns, share of the file read."""
-        places = [layout.names.index(name) for name in names]
         size, reached = max(1, self.path.stat().st_size), 0
         with self.path.open('rb') as raw, io.TextIOWrapper(raw, layout.encoding, errors='replace', newline='') as text:
             reader = csv.reader(text, delimiter=layout.separator)
             full = ((reader.line_num, row) for row in self._closed(reader, layout) if any(map(str.strip, row)))
-            data = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, places))
+            data = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, layout.places))
             rows = islice(data, layout.skipped, None)
             try:
                 while some := list(islice(rows, ROWS_AT_ONCE)):
-                    lines, cells = zip(
-                        *((line, self._cells(line, row, places, layout)) for line, row in some), strict=True
-                    )
+                    lines, cells = zip(*((line, self._cells(line, row, layout)) for line, row in some), strict=True)
                     before, reached = reached, raw.tell()
                     yield lines, cells, (reached - before) / size
             except csv.Error as error:
@@ -223,7 +219,7 @@ class CsvTable(Table):
 
     def _closed(self, reader: Any, layout: _Layout) -> Iterator[list[str]]:
         """Yield the rows; InputError for a text in quotes that holds whole rows: its second quote is missing."""
-        before, others = 0, len(layout.names) - 1
+        before, others = 0, layout.width - 1
         for row in reader:
             if reader.line_num > before + 1:
                 inside = [line for cell in row for line in cell.splitlines()[1:]]
@@ -235,16 +231,15 @@ class CsvTable(Table):
             before = reader.line_num
             yield row
 
-    def _cells(self, line: int, row: list[str], places: Sequence[int], layout: _Layout) -> list[str]:
+    def _cells(self, line: int, row: list[str], layout: _Layout) -> list[str]:
         """Return the cells of the columns in a row, blank where it ends early."""
         # No one can say which of more cells than names belongs to which.
-        count = len(layout.names)
-        if len(row) > count and any(map(str.strip, row[count:])):
+        if len(row) > layout.width and any(map(str.strip, row[layout.width :])):
             raise InputError(
-                f'{self.path}: line {line} has {len(row)} cells, {count} columns have names; a text with the '
+                f'{self.path}: line {line} has {len(row)} cells, {layout.width} columns have names; a text with the '
                 f'separator {layout.separator!r} must be in quotes'
             )
-        return [row[place] if place < len(row) else '' for place in places]
+        return [row[place] if place < len(row) else '' for place in layout.places]
 
     def _is_comment(self, row: list[str]) -> bool:
         return self._form.comments is not False and row[0].startswith(_COMMENT) and not _is_blank(row[0])
@@ -269,7 +264,7 @@ class CsvTable(Table):
         known = _names(rows[place]) if rows else []
         _check_columns(self.path, names, known)
         above = sum(not self._is_comment(row) for row in rows[:place])
-        places = [known.index(name) for name in names]
+        places = tuple(known.index(name) for name in names)
         below = [row for row in rows[place:] if not self._is_comment(row)]
         cells = [[row[i] if i < len(row) else '' for i in places] for row in below]
         named = int(not self._is_comment(rows[place]))
@@ -278,12 +273,12 @@ class CsvTable(Table):
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
             self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
-        return _Layout(encoding, separator, tuple(known), above + skipped)
+        return _Layout(encoding, separator, len(known), places, above + skipped)
 
-    def _decimal(self, layout: _Layout, names: Sequence[str]) -> str:
+    def _decimal(self, layout: _Layout) -> str:
         """Return the decimal sign of a file; InputError where a comma may also mark thousands."""
         unclear = ''
-        for _, rows, _ in self._rows(layout, names):
+        for _, rows, _ in self._rows(layout):
             for cell in (cell.strip() for row in rows for cell in row if ',' in cell or '.' in cell):
                 with_comma, with_point = _number(cell, ','), _number(cell, '.')
                 if (with_comma is None) != (with_point is None):
