@@ -31,6 +31,7 @@ TINY = Path(__file__).parents[2] / 'bags' / 'tiny'
 
 
 def write(
+    tiny: Path,
     path: Path,
     compression: CompressionType,
     *,
@@ -39,7 +40,7 @@ def write(
     chunk_bytes: int = CHUNK,
 ) -> Path:
     """Write the messages of the tiny bag with images between them, or with all images at the end."""
-    source = next(TINY.glob('*.mcap'))
+    source = next(tiny.glob('*.mcap'))
     with source.open('rb') as file, path.open('wb') as out:
         reader = make_reader(file)
         writer = Writer(out, chunk_size=chunk_bytes, compression=compression, use_chunking=chunk_bytes > 0)
@@ -85,7 +86,7 @@ class Counted(RecordFile):
 def test_the_same_messages_are_read_beside_a_camera(
     tmp_path: Path, compression: CompressionType, *, apart: bool
 ) -> None:
-    path = write(tmp_path / 'a.mcap', compression, apart=apart)
+    path = write(TINY, tmp_path / 'a.mcap', compression, apart=apart)
     expected, _, count, span = rows(TINY)
     found, warnings, more, found_span = rows(path)
     assert found == expected
@@ -96,7 +97,7 @@ def test_the_same_messages_are_read_beside_a_camera(
 
 @pytest.mark.parametrize('apart', [False, True])
 def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, apart: bool) -> None:
-    path = write(tmp_path / 'a.mcap', CompressionType.NONE, apart=apart)
+    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, apart=apart)
     monkeypatch.setattr(mcap_file, 'RecordFile', Counted)
     Counted.total = 0
     rows(path)
@@ -106,12 +107,12 @@ def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *,
 def test_a_damaged_image_is_no_matter_and_a_damaged_index_is_not_relied_on(tmp_path: Path) -> None:
     expected = rows(TINY)[0]
     marked = b'image' * 60_000
-    path = write(tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
+    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
     with changed(path) as content:
         content[content.index(marked) + 1000] ^= 1
     assert rows(path)[:2] == (expected, [])
     # Indexes that claim messages of another channel: the whole chunks are read instead.
-    path = write(tmp_path / 'b.mcap', CompressionType.NONE, image=marked)
+    path = write(TINY, tmp_path / 'b.mcap', CompressionType.NONE, image=marked)
     with path.open('rb') as file, changed(path) as content:
         summary = make_reader(file).get_summary()
         assert summary is not None
@@ -170,7 +171,7 @@ def extended(content: bytes, grown: Iterable[int] = (), added: bytes = b'', at_t
 def test_records_that_are_longer_than_known_or_of_unknown_kinds_lose_nothing(
     tmp_path: Path, compression: CompressionType, chunk_bytes: int, change: dict[str, Any]
 ) -> None:
-    path = write(tmp_path / 'a.mcap', compression, chunk_bytes=chunk_bytes)
+    path = write(TINY, tmp_path / 'a.mcap', compression, chunk_bytes=chunk_bytes)
     content = extended(path.read_bytes(), **change)
     assert chunk_bytes or len(content) > path.stat().st_size
     path.write_bytes(content)
@@ -179,7 +180,7 @@ def test_records_that_are_longer_than_known_or_of_unknown_kinds_lose_nothing(
 
 @pytest.mark.parametrize('opcode', GROWING_AT_THE_END)
 def test_records_of_the_summary_may_be_longer_than_known(tmp_path: Path, opcode: int) -> None:
-    path = write(tmp_path / 'a.mcap', CompressionType.NONE)
+    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE)
     path.write_bytes(extended(path.read_bytes(), at_the_end=[opcode]))
     file = RecordFile(path)
     summary = file.summary()
@@ -191,7 +192,7 @@ def test_records_of_the_summary_may_be_longer_than_known(tmp_path: Path, opcode:
 
 @pytest.mark.parametrize('opcode', [*GROWING, 0x10])
 def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, opcode: int) -> None:
-    path = write(tmp_path / 'a.mcap', CompressionType.ZSTD, image=b'', chunk_bytes=50_000)
+    path = write(TINY, tmp_path / 'a.mcap', CompressionType.ZSTD, image=b'', chunk_bytes=50_000)
     added = packed(0x10, b'new') if opcode == 0x10 else b''
     content = bytearray(extended(path.read_bytes(), grown=[opcode], added=added))
     path.write_bytes(content)

@@ -26,7 +26,6 @@ from trainid_ros.interface.records import (
     ForceRecord,
     GradientRecord,
     SpeedRecord,
-    record_of,
     stamp_of,
 )
 from trainid_ros.interface.results import Status
@@ -278,8 +277,8 @@ def test_a_report_overwrites_no_input(tmp_path: Path, driven_bag: Path, capsys: 
 def test_damage_is_said_and_the_rest_used(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / 'damaged'
     with BagReader(driven_bag) as reader, BagWriter(bag) as writer:
-        for log_ns, row in reader.rows():
-            writer.write_record(record_of(*row), log_ns)
+        for record, (log_ns, _) in zip(reader.records(), reader.rows(), strict=True):
+            writer.write_record(record, log_ns)
             if log_ns % NS_PER_S == 0:
                 writer._writer.storage.close_chunk()  # type: ignore[union-attr]
     path = bag / 'damaged.mcap'

@@ -249,7 +249,7 @@ class RecordFile:
     def _summary_from(self, start: int, crc: int) -> tuple[Summary, bool]:
         """Return the readable part of a summary that starts at an offset, and whether it is whole."""
         found = Summary()
-        if not 0 < start < self.end or self.size - start > MAX_CHUNK:
+        if start >= self.end or self.size - start > MAX_CHUNK:
             return found, False
         content = self.read(start, self.size - start)
         if crc and zlib.crc32(content[: -4 - len(MAGIC)]) != crc:
@@ -474,7 +474,6 @@ class McapFile:
         if found[0]:
             runs, starts = found
             piece = Piece(chunk.offset, chunk.end, is_chunk=True)
-            self._ends_cut = False
             read = partial(self._read, piece, np.array(starts, dtype=np.uint32), tuple(runs))
             self.segments.append(Segment(first_ns, last_ns, read))
         return chunk.end + length
