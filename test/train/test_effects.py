@@ -7,7 +7,7 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -15,9 +15,6 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import EFFECTS, check_effects, effect_value, parse_effects, resistance_terms
 from trainid_ros.train.forces import COOLING_S, TrackPoint, heat_after
 from trainid_ros.train.train_file import Davis, Effect
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 DAVIS = Davis(1.0, 0.03, 0.003)
 POINT = TrackPoint(time_s=100.0, position=500.0, direction=1, speed=20.0, length=100.0)
@@ -27,8 +24,8 @@ def at(**changes: Any) -> TrackPoint:
     return replace(POINT, **changes)
 
 
-def extra_resistance(effects: Sequence[Effect], point: TrackPoint) -> float:
-    return sum(term(DAVIS, point) for term in resistance_terms(effects))
+def extra_resistance(text: str, point: TrackPoint = POINT) -> float:
+    return sum(term(DAVIS, point) for term in resistance_terms(parse_effects([text])))
 
 
 @pytest.mark.parametrize(
@@ -69,7 +66,7 @@ def extra_resistance(effects: Sequence[Effect], point: TrackPoint) -> float:
     ],
 )
 def test_each_effect_against_hand_calculation(text: str, point: TrackPoint, expected: float) -> None:
-    assert extra_resistance(parse_effects([text]), point) == pytest.approx(expected, abs=1e-12)
+    assert extra_resistance(text, point) == pytest.approx(expected, abs=1e-12)
 
 
 def test_consecutive_texts_of_one_name_form_one_effect_until_a_key_is_repeated() -> None:
@@ -125,7 +122,7 @@ def test_a_force_stamped_late_already_acts_now() -> None:
 
 def test_effects_on_records_add_no_resistance_to_the_balance() -> None:
     rising = at(traction=30.0, traction_before=lambda s: 30.0 - 4.0 * s)
-    assert extra_resistance(parse_effects(['stamp_skew:delay=0.5']), rising) == 0.0
+    assert extra_resistance('stamp_skew:delay=0.5', rising) == 0.0
     assert {name for name, kind in EFFECTS.items() if kind.on_records} == {'stamp_skew', 'wheel_diameter', 'wheel_slip'}
     assert list(EFFECTS) == sorted(EFFECTS)
 
@@ -138,20 +135,11 @@ def test_heat_follows_its_equation() -> None:
     assert heat_after(120.0, 0.0, 15.0, COOLING_S) == pytest.approx(120.0 / math.e)
 
 
-def full_point() -> TrackPoint:
-    """A train at a point where every input of an effect is non-zero."""
-    return at(
-        curve_radius=300.0,
-        tunnel=True,
-        distance_run=900.0,
-        since_release=3.0,
-        traction=20.0,
-        brake=-30.0,
-        heat=80.0,
-        brake_before=lambda s: -30.0 + s,
-        traction_before=lambda s: 20.0 - 5.0 * s,
-        gradient_ahead=lambda x: 3.0 + 0.01 * x,
-    )
+# Every input of an effect is non-zero.
+FULL_POINT = at(
+    curve_radius=300.0, tunnel=True, distance_run=900.0, since_release=3.0, traction=20.0, brake=-30.0, heat=80.0,
+    brake_before=lambda s: -30.0 + s, traction_before=lambda s: 20.0 - 5.0 * s, gradient_ahead=lambda x: 3.0 + 0.01 * x,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize('name', EFFECTS)
@@ -172,7 +160,7 @@ def test_an_effect_is_zero_at_neutral_and_grows_with_its_amplitude(name: str) ->
     values = {'start': 100.0, 'end': 900.0, 'time': 60.0, 'speed': 3.0, 'distance': 500.0, 'energy': 200.0}
     parameters = {key: values.get(key, 1.0) for key in kind.parameters}
     none, little, more, typical, large = (
-        kind.resistance(parameters | {kind.amplitude: kind.neutral + size}, DAVIS, full_point())
+        kind.resistance(parameters | {kind.amplitude: kind.neutral + size}, DAVIS, FULL_POINT)
         for size in (0.0, 1e-3, 2e-3, kind.typical_size, 7.0 * kind.typical_size)
     )
     assert none == pytest.approx(0.0, abs=1e-12)
@@ -202,11 +190,14 @@ def test_a_file_in_a_user_folder_becomes_an_effect(tmp_path: Path, monkeypatch: 
     (tmp_path / 'leaves.py').write_text(USERS, encoding='utf-8')
     (tmp_path / '_helper.py').write_text('', encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
-    assert extra_resistance(parse_effects(['leaves:value=2']), POINT) == 3.0
+    assert extra_resistance('leaves:value=2') == 3.0
     assert 'headwind' in EFFECTS
     monkeypatch.delenv('TRAINID_EFFECTS')
     with pytest.raises(InputError, match='effect leaves is not known'):
         parse_effects(['leaves:value=2'])
+    monkeypatch.setenv('TRAINID_EFFECTS', '/nowhere/at/all')
+    with pytest.raises(InputError, match='TRAINID_EFFECTS: /nowhere/at/all is not a folder'):
+        parse_effects(['headwind:speed=1'])
 
 
 @pytest.mark.parametrize(
@@ -248,10 +239,4 @@ def test_an_effect_of_a_user_that_fails_is_named(
     (tmp_path / 'leaves.py').write_text(USERS.replace("p['value'] + davis.a", body), encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
     with pytest.raises(InputError, match=f'effect leaves: {reason}'):
-        extra_resistance(parse_effects(['leaves:value=2']), POINT)
-
-
-def test_a_missing_effects_folder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv('TRAINID_EFFECTS', '/nowhere/at/all')
-    with pytest.raises(InputError, match='TRAINID_EFFECTS: /nowhere/at/all is not a folder'):
-        check_effects([Effect('headwind', (('speed', 1.0),))])
+        extra_resistance('leaves:value=2')

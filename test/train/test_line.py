@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
 from trainid_ros.interface.errors import InputError
@@ -52,14 +51,6 @@ def test_a_line_ends_a_train_beyond_its_last_stop_or_gradient(profile: LineProfi
     assert (longer.first, longer.last) == (-60.0, 4060.0)
     endless = LineProfile(Line(gradient=((0.0, 7.0),)), 50.0)
     assert (endless.first, endless.last) == (-math.inf, math.inf)
-
-
-def test_gradients_at_many_positions_equal_single_ones(profile: LineProfile) -> None:
-    at = np.linspace(-300.0, 3300.0, 997)
-    for direction in (1, -1):
-        one_by_one = [profile.gradient(float(x), direction) for x in at]
-        # Only the order of additions may differ.
-        assert profile.gradients(at, direction) == pytest.approx(one_by_one, abs=1e-9)
 
 
 def test_the_radius_follows_the_mean_curvature(profile: LineProfile) -> None:

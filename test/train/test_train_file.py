@@ -39,13 +39,7 @@ FULL = TrainFile(
     Train(194e3, 0.08, 118.0, 6, 310e3, 3.1e6, 22.2),
     Davis(1.0 / 3.0, -1e-17, 0.1 + 0.2),
     Brake(0.93, 0.4, 0.0),
-    Line(
-        (0.0, 1450.0),
-        ((0.0, 0.0), (620.0, -12.5)),
-        ((0.0, 0.0), (300.0, 400.0)),
-        ((700.0, 1400.0),),
-        ((0.0, 20.0),),
-    ),
+    Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),), ((0.0, 20.0),)),
     (
         Effect('tunnel_drag', (('factor', 1.7),), (('factor', 0.05),), 'run 3: "tunnels" — 1 of 4'),
         Effect('unknown_effect', (('x', 1e5),)),
@@ -53,11 +47,8 @@ FULL = TrainFile(
 )
 
 
-def test_a_minimal_file_uses_defaults() -> None:
+def test_a_minimal_file_uses_defaults_and_a_full_one_reads_back_exactly() -> None:
     assert parse_train_file(MINIMAL, 'T.yaml') == TrainFile(Train(194e3), Davis(1.0, 0.03, 0.003))
-
-
-def test_dump_and_parse_give_exactly_the_same_values() -> None:
     assert parse_train_file(dump_train_file(FULL), 'T.yaml') == FULL
 
 

@@ -6,15 +6,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.forces import TrackPoint
 from trainid_ros.train.train_file import Davis
 
 Parameters = Mapping[str, float]
-PLACE_UNIT: Final = 'm'
-TIME_UNIT: Final = 's'
 Resistance = Callable[[Parameters, Davis, TrackPoint], float]
 """Equivalent extra resistance [N/kN] at one time: the term added to w(v) + i that makes the balance hold."""
 
@@ -35,7 +33,7 @@ class Parameter:
     @property
     def is_place(self) -> bool:
         """True for a position on the line, searched wherever the train has run."""
-        return self.search is None and self.unit == PLACE_UNIT
+        return self.search is None and self.unit == 'm'
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +53,11 @@ class EffectKind:
     equation: str  # Equation in one line
     parameters: Mapping[str, Parameter]  # Parameters by name
     amplitude: str  # Name of the parameter in which the effect is (nearly) linear
-    # Typical distance of the amplitude from neutral: the scale of its prior in the search, in its unit
-    typical_size: float
-    # Equivalent extra resistance [N/kN]; None if the effect cannot be expressed as one
-    resistance: Resistance | None = None
+    typical_size: float  # Typical distance of the amplitude from neutral: scale of its prior in the search, in its unit
+    resistance: Resistance | None = None  # Equivalent extra resistance [N/kN]; None if it cannot be expressed as one
     neutral: float = 0.0  # Value of ``amplitude`` at which there is no effect
     linear: bool = False  # True if the resistance is proportional to the distance of the amplitude from neutral
-    # 'physics' if the motion of the train differs, 'sensor' if only its data are wrong
-    origin: Literal['physics', 'sensor'] = 'physics'
+    origin: Literal['physics', 'sensor'] = 'physics'  # 'sensor' if only the data of the train are wrong
     # True if the effect acts on the records: the simulator corrupts them, the live estimators correct them, and neither
     # adds ``resistance``, which is for fits to data that cannot be corrected one by one
     on_records: bool = False
@@ -70,9 +65,21 @@ class EffectKind:
     twins: tuple[Twin, ...] = ()  # Similar effects that it can be confused with
 
     @property
+    def shape(self) -> tuple[str, ...]:
+        """Names of all parameters except the amplitude."""
+        return tuple(name for name in self.parameters if name != self.amplitude)
+
+    @property
+    def sign(self) -> int:
+        """Side of neutral on which the amplitude can lie: +1, -1, or 0 for both."""
+        limits = self.parameters[self.amplitude]
+        low, high = limits.search or (limits.low, limits.high)
+        return int(low >= self.neutral) - int(high <= self.neutral)
+
+    @property
     def repeatable(self) -> bool:
         """True if the effect has its own position or time, so that it may occur several times."""
-        return any(p.search is None for name, p in self.parameters.items() if name != self.amplitude)
+        return any(self.parameters[name].search is None for name in self.shape)
 
     def __post_init__(self) -> None:
         """Raise InputError for an amplitude or neutral value that cannot be, or a shape parameter without a range."""
@@ -83,9 +90,9 @@ class EffectKind:
             )
         if not limits.low <= self.neutral <= limits.high:
             raise InputError(f'effect {self.name}: neutral = {self.neutral:g} is outside the range of {self.amplitude}')
-        for name, parameter in self.parameters.items():
-            given = parameter.search is not None or parameter.unit in {PLACE_UNIT, TIME_UNIT}
-            if name != self.amplitude and not given:
+        for name in self.shape:
+            parameter = self.parameters[name]
+            if parameter.search is None and parameter.unit not in {'m', 's'}:
                 raise InputError(
                     f'effect {self.name}: parameter {name} needs search=(low, high), its range of values; only '
                     f'positions [m] and times [s] need none, its unit is {parameter.unit!r}'

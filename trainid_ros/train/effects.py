@@ -93,12 +93,9 @@ Term = Callable[[Davis, TrackPoint], float]
 
 
 def check_effects(effects: Sequence[Effect]) -> None:
-    """Check that every effect is known, has exactly its parameters, each in range, and occurs once.
+    """Raise InputError unless every effect is known, has exactly its parameters, each in range, and occurs once.
 
-    Effects with their own position or time may occur several times.
-
-    Raises:
-        InputError: A check fails; the message names the effect, or effect:key and the value.
+    Effects with their own position or time may occur several times. The error names the effect, or effect:key.
     """
     for effect in effects:
         kind = EFFECTS.get(effect.name)
@@ -111,28 +108,26 @@ def check_effects(effects: Sequence[Effect]) -> None:
                 raise InputError(f'effect {effect.name}:{key} is not a parameter; {hint}')
         for key, limits in kind.parameters.items():
             _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
-        if 'start' in values and 'end' in values and not values['start'] < values['end']:
-            start, end = values['start'], values['end']
+        start, end = values.get('start', -math.inf), values.get('end', math.inf)
+        if not start < end:
             raise InputError(f'effect {effect.name}:end = {end:g} m must be greater than start = {start:g} m')
         if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
             raise InputError(f'effect {effect.name}: given more than once')
 
 
 def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
-    """Return one function for each effect that adds to the balance [N/kN]; parameters are checked once, here.
-
-    Effects that act on the records (``on_records``) are left out.
+    """Return one function for each effect that adds to the balance [N/kN]; none for those ``on_records``.
 
     Raises:
-        InputError: As :func:`check_effects`.
+        InputError: As :func:`check_effects`; parameters are checked once, here.
     """
     check_effects(effects)
-    terms = []
-    for effect in effects:
-        kind = EFFECTS[effect.name]
-        if kind.resistance is not None and not kind.on_records:
-            terms.append(_bind(kind, kind.resistance, dict(effect.parameters)))
-    return tuple(terms)
+    kinds = ((EFFECTS[effect.name], effect) for effect in effects)
+    return tuple(
+        _bind(kind, kind.resistance, dict(effect.parameters))
+        for kind, effect in kinds
+        if kind.resistance is not None and not kind.on_records
+    )
 
 
 def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
@@ -173,12 +168,9 @@ def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
 
 
 def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
-    """Parse and check effects ``NAME:key=value``.
+    """Parse and check effects ``NAME:key=value``; raise InputError for a wrong form or value.
 
     Consecutive texts with the same name add parameters to one effect; a repeated key starts another one.
-
-    Raises:
-        InputError: A text has the wrong form, or an effect or parameter is unknown or out of range.
     """
     found: list[tuple[str, dict[str, float]]] = []
     for text in texts:

@@ -24,8 +24,11 @@ def shown(value: object) -> str:
     """Format a value for an error message: short and on one line."""
     if isinstance(value, float):
         return f'{value:g}'
-    text = ' '.join(repr(value).split())
-    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + '...'
+    return _cut(' '.join(repr(value).split()))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _MAX_SHOWN else f'{text[: _MAX_SHOWN - 3]}...'
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -49,7 +52,7 @@ class Section:
 
     def name(self, key: str) -> str:
         """Return the dotted name of a field of this section."""
-        key = key if len(key) <= _MAX_SHOWN else f'{key[: _MAX_SHOWN - 3]}...'
+        key = _cut(key)
         return f'{self.path}.{key}' if self.path else key
 
     def fail(self, key: str, problem: str) -> NoReturn:
@@ -67,11 +70,9 @@ class Section:
     def section(self, key: str, *, required: bool = False) -> Section:
         """Return a nested mapping, empty if absent and not required."""
         value = self.data.get(key)
-        if value is None:
-            if required:
-                self.fail(key, 'is missing')
-            value = {}
-        return as_section(self.source, self.name(key), value)
+        if value is None and required:
+            self.fail(key, 'is missing')
+        return as_section(self.source, self.name(key), {} if value is None else value)
 
     def number(
         self, key: str, unit: str, default: float | None = None, *, low: float = -inf, high: float = inf
@@ -213,11 +214,7 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_yaml(text: str, source: str) -> Section:
-    """Return the top-level mapping of a YAML text.
-
-    Raises:
-        InputError: The text is not YAML, a key is given twice, or the top level is not a mapping.
-    """
+    """Return the top-level mapping of a YAML text; raise InputError if it is none, or has a key twice."""
     # Imported here so that only code that reads a file loads PyYAML.
     from trainid_ros.train.strict_yaml import load  # noqa: PLC0415
 

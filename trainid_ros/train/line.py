@@ -12,9 +12,6 @@ import math
 from bisect import bisect_left, bisect_right
 from itertools import pairwise, takewhile
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.train_file import Line, Pairs
 
@@ -27,12 +24,9 @@ class LineProfile:
 
     Attributes:
         line: Line of the train file.
-        length: Length of the train [m].
+        length: Length of the train [m]; InputError unless it is positive.
         first: Where the line begins [m]: the lower one of first stop and first gradient, less the length of the train.
         last: Where it ends [m]. A line without stops has no ends.
-
-    Raises:
-        InputError: The length is not positive.
     """
 
     def __init__(self, line: Line, train_length: float) -> None:
@@ -53,11 +47,6 @@ class LineProfile:
         """Return the mean gradient under the train [per mille, + uphill in its direction]: its height difference."""
         rear = position - direction * self.length
         return (self._gradient.integral(position) - self._gradient.integral(rear)) / self.length
-
-    def gradients(self, positions: NDArray[np.float64], direction: int) -> NDArray[np.float64]:
-        """Return :meth:`gradient` [per mille] at many positions [m], shape (n,)."""
-        rear = positions - direction * self.length
-        return (self._gradient.integrals(positions) - self._gradient.integrals(rear)) / self.length
 
     def curve_radius(self, position: float, direction: int) -> float:
         """Return the radius of the mean curvature under the train [m]; 0 = straight."""
@@ -120,10 +109,3 @@ class _Steps:
         """Return the integral from the first knot to x [m]."""
         i = max(0, bisect_right(self._x, x) - 1)
         return self._sum[i] + self._value[i] * (x - self._x[i])
-
-    def integrals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return :meth:`integral` at many points, shape (n,)."""
-        knots = np.array(self._x)
-        i = np.maximum(0, np.searchsorted(knots, x, side='right') - 1)
-        result: NDArray[np.float64] = np.array(self._sum)[i] + np.array(self._value)[i] * (x - knots[i])
-        return result

@@ -72,16 +72,11 @@ def load(text: str, source: str) -> object:
 
 
 def compose(text: str, source: str) -> yaml.Node | None:
-    """Return the nodes of a YAML text, None if it is empty; ``source`` is the file named in errors.
-
-    Raises:
-        InputError: As :func:`load`.
-    """
+    """Return the nodes of a YAML text, None if it is empty; the rest as in :func:`load`."""
     return _checked(text, source, lambda: yaml.compose(text, Loader=StrictLoader))
 
 
 def _checked(text: str, source: str, read: Callable[[], ResultT]) -> ResultT:
-    """Return the result of reading a text whose size was checked; InputError if it cannot be read."""
     try:
         _check_size(text)
         return read()

@@ -23,8 +23,7 @@ NamedValues = tuple[tuple[str, float], ...]
 
 MIN_RATE, MAX_RATE = 0.01, 10.0
 """A brake rate outside this range is a unit error [1]."""
-_CARS = 6
-"""Number of cars of a train without a stated number, as that of Yizhuang Line."""
+_CARS = 6  # Number of cars of a train without a stated number, as that of Yizhuang Line
 _MAX_ROWS = 100
 """Maximum number of rows of the brake rate: the time of an answer of the client grows with them."""
 _MAX_SPEED, _MAX_POSITION = 1000.0, 1e8
@@ -129,25 +128,20 @@ class TrainFile:
 
 
 def load_train_file(path: str | Path) -> TrainFile:
-    """Read a train file.
-
-    Raises:
-        InputError: The file cannot be read or a field is invalid; one line names both.
-    """
+    """Read a train file; raise InputError, which names file and field in one line, if it cannot be used."""
     return parse_train_file(read_text(path), str(path))
 
 
 def parse_train_file(text: str, source: str) -> TrainFile:
     """Read a train file from its text; ``source`` is the name shown in the InputError of an invalid field."""
     top = parse_yaml(text, source).only(_names(TrainFile))
+    train = top.section('train', required=True).only(_names(Train))
     return TrainFile(
-        train=_train(top.section('train', required=True)),
+        train=Train(**_numbers(train, Train), cars=train.integer('cars', _CARS, low=1, high=1000)),
         resistance=Davis(**_numbers(top.section('resistance', required=True).only(_names(Davis)), Davis)),
         brake=_brake(top.section('brake')),
         line=_line(top.section('line')),
-        effects=tuple(
-            _effect(as_section(source, f'effects[{i}]', item)) for i, item in enumerate(top.items('effects'))
-        ),
+        effects=tuple(_effect(as_section(source, f'effects[{i}]', x)) for i, x in enumerate(top.items('effects'))),
     )
 
 
@@ -156,21 +150,17 @@ def dump_train_file(train_file: TrainFile) -> str:
     brake = _plain(train_file.brake)
     if brake.pop('rate_table'):
         brake['rate'] = [[float(v), train_file.brake.rate * rate] for v, rate in train_file.brake.rate_table]
+    effects = [
+        {
+            'name': effect.name, 'parameters': plain_numbers(effect.parameters), 'std': plain_numbers(effect.std),
+            'provenance': effect.provenance,
+        }
+        for effect in train_file.effects
+    ]  # fmt: skip
     document = {
-        'train': _plain(train_file.train),
-        'resistance': _plain(train_file.resistance),
-        'brake': brake,
-        'line': _plain(train_file.line),
-        'effects': [
-            {
-                'name': effect.name,
-                'parameters': plain_numbers(effect.parameters),
-                'std': plain_numbers(effect.std),
-                'provenance': effect.provenance,
-            }
-            for effect in train_file.effects
-        ],
-    }
+        'train': _plain(train_file.train), 'resistance': _plain(train_file.resistance), 'brake': brake,
+        'line': _plain(train_file.line), 'effects': effects,
+    }  # fmt: skip
     import yaml  # noqa: PLC0415 (slow to load)
 
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
@@ -184,11 +174,6 @@ def _numbers(section: Section, kind: type[Any], *others: str) -> dict[str, Any]:
             unit, default = '' if info.unit == '1' else info.unit, None if item.default is MISSING else item.default
             numbers[item.name] = section.number(item.name, unit, default, low=info.low, high=info.high)
     return numbers
-
-
-def _train(section: Section) -> Train:
-    section.only(_names(Train))
-    return Train(**_numbers(section, Train), cars=section.integer('cars', _CARS, low=1, high=1000))
 
 
 def _brake(section: Section) -> Brake:
@@ -219,10 +204,15 @@ def _line(section: Section) -> Line:
     section.only(_names(Line))
     stops = section.numbers('stops', 'm')
     _check_positions(section, 'stops', stops)
+    gradient = _profile(section, 'gradient', 'per mille', low=-500.0, high=500.0)
+    curve = _profile(section, 'curve', 'm radius', low=0.0, high=1e9)
+    for i, (_, radius) in enumerate(curve):
+        if radius:
+            section.check(f'curve[{i}][1]', radius, 'm radius', low=1.0)
     return Line(
         stops=stops,
-        gradient=_profile(section, 'gradient', 'per mille', low=-500.0, high=500.0),
-        curve=_curves(section),
+        gradient=gradient,
+        curve=curve,
         tunnel=_tunnels(section),
         speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MAX_SPEED),
         **_numbers(section, Line),
@@ -235,14 +225,6 @@ def _profile(section: Section, key: str, unit: str, *, low: float = -math.inf, *
     for i, (_, value) in enumerate(rows):
         section.check(f'{key}[{i}][1]', value, unit, low=low, **limits)
     return tuple((position, value) for position, value in rows)
-
-
-def _curves(section: Section) -> Pairs:
-    curves = _profile(section, 'curve', 'm radius', low=0.0, high=1e9)
-    for i, (_, radius) in enumerate(curves):
-        if radius:
-            section.check(f'curve[{i}][1]', radius, 'm radius', low=1.0)
-    return curves
 
 
 def _tunnels(section: Section) -> Pairs:
