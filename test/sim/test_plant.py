@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from trainid_ros.sim.plant import MAX_DELAY_S, STEP_NS, DelayLine, Driver, DriverModel, Gust, GustModel, Phase, Plant
-from trainid_ros.sim.scenario import ar1_path
 from trainid_ros.train.forces import G, required_force, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
@@ -89,17 +88,16 @@ def test_delay_and_lag_of_the_brake_are_exact() -> None:
     integral = 1.0 - 0.4 * (1.0 - math.exp(-1.0 / 0.4))
     assert train.speed == pytest.approx(20.0 - 0.9 * integral, rel=1e-12)
     assert train.reported_force == pytest.approx(1.08 * 200e3 * train.brake)
-
-
-def test_a_delay_that_ends_between_two_steps_is_exact() -> None:
-    train = braked(replace(FILE, brake=Brake(1.0, 0.4, 0.607)), 20.0, -1.0)
-    run(train, 1.6)
-    assert train.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
+    between = braked(replace(FILE, brake=Brake(1.0, 0.4, 0.607)), 20.0, -1.0)  # the delay ends between two steps
+    run(between, 1.6)
+    assert between.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
 
 
 def test_the_work_of_the_traction_becomes_kinetic_energy_without_resistance() -> None:
     train = plant(replace(FILE, resistance=NO_RESISTANCE), jerk=0.8)
-    run(train, 9.3, 180e3)
+    run(train, 0.5, 180e3)
+    assert train.traction == pytest.approx(0.8 * 200e3 * 0.5)  # limited by the jerk
+    run(train, 8.8, 180e3)
     run(train, 3.0)
     assert train.traction == 0.0
     assert train.work == pytest.approx(0.5 * 1.08 * 200e3 * train.speed**2, rel=1e-9)
@@ -110,7 +108,7 @@ def test_a_braking_train_stops_and_remains_at_rest() -> None:
     run(train, 10.0)
     stopped = train.position
     run(train, 5.0)
-    assert (train.speed, train.position) == (0.0, stopped)
+    assert (train.speed, train.position, train.now_ns) == (0.0, stopped, 16 * 10**9)
 
 
 def test_a_train_does_not_roll_back_uphill_and_starts_with_sufficient_force() -> None:
@@ -121,12 +119,6 @@ def test_a_train_does_not_roll_back_uphill_and_starts_with_sufficient_force() ->
     assert (train.speed, train.position) == (0.0, 0.0)
     run(train, 2.0, 1.01 * holding)
     assert train.speed > 0.0
-
-
-def test_traction_is_jerk_limited() -> None:
-    train = plant(jerk=0.8)
-    run(train, 0.5, 300e3)
-    assert train.traction == pytest.approx(0.8 * 200e3 * 0.5)
 
 
 @pytest.mark.parametrize(
@@ -142,10 +134,9 @@ def test_mass_and_traction_ratios_scale_the_acceleration(file: TrainFile, expect
 
 def test_brake_delay_delays_the_braking_but_not_the_reported_force() -> None:
     """The reported force is that of the assumed brake, so it is the same as without the effect."""
-    nominal = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
-    late = plant(effects('brake_delay', extra=0.4), speed=20.0)
+    nominal = braked(replace(FILE, resistance=NO_RESISTANCE), 20.0, -1.0)
+    late = braked(effects('brake_delay', extra=0.4), 20.0, -1.0)
     for train in (nominal, late):
-        train.command(-1.0)
         run(train, 1.0)
     assert late.reported_force == nominal.reported_force < 0.0
     assert late.speed == pytest.approx(20.0, abs=1e-12)
@@ -189,12 +180,6 @@ def test_a_released_brake_drags_for_its_time() -> None:
     assert train.acceleration == pytest.approx(0.0, abs=1e-6)
 
 
-def test_time_advances_in_integer_nanoseconds() -> None:
-    train = plant()
-    run(train, 1.0)
-    assert train.now_ns == 2 * 10**9
-
-
 def test_the_brake_follows_its_table_over_speed() -> None:
     table = ((0.0, 1.1), (20.0, 0.9))
     train = braked(replace(FILE, resistance=NO_RESISTANCE, brake=Brake(0.9, 0.4, 0.6, table)), 18.0, -0.5)
@@ -204,14 +189,11 @@ def test_the_brake_follows_its_table_over_speed() -> None:
     assert train.acceleration == pytest.approx(-0.5 * 0.9 * (1.1 - 0.01 * before), rel=1e-3)
 
 
-def test_the_history_is_zero_before_the_first_value() -> None:
+def test_a_history_is_interpolated_between_steps_zero_before_the_first_and_bounded() -> None:
     recent = DelayLine()
     assert recent.before(0.0) == 0.0
-    recent.add(10**9, 5.0)
+    recent.add(1, 5.0)
     assert (recent.before(0.0), recent.before(-1.0), recent.before(1e-6)) == (5.0, 5.0, 0.0)
-
-
-def test_values_are_interpolated_between_steps_and_memory_is_bounded() -> None:
     recent = DelayLine()
     for k in range(5000):
         recent.add(10**9 + k * STEP_NS, math.sin(0.02 * k))
@@ -230,23 +212,22 @@ def test_gust_has_its_std_and_its_correlation_time() -> None:
     assert correlation == pytest.approx(math.exp(-1.0), abs=0.08)
 
 
-def test_map_error_path_has_its_std_and_correlation() -> None:
-    path = ar1_path(100_000, 0.5, 0.95, np.random.default_rng(4))
-    # Correlation 0.95 leaves about 2600 independent values: 1.4 % on the std, so 6 % is 4 sigma.
-    assert path.std() == pytest.approx(0.5, rel=0.06)
-    assert float(np.corrcoef(path[:-1], path[1:])[0, 1]) == pytest.approx(0.95, abs=0.005)
-
-
 DRIVEN = TrainFile(Train(200e3), Davis(1.5, 0.03, 0.004), Brake(), Line(stops=(0.0, 2000.0)))
 DRIVEN_LINE = LineProfile(DRIVEN.line, DRIVEN.train.length)
 
 
-def driver(**settings: float) -> Driver:
-    return Driver(replace(DriverModel(), **settings), DRIVEN, DRIVEN_LINE, np.random.default_rng(1))
+def driven(speed: float = 0.0, position: float = 0.0, **settings: float) -> tuple[Driver, Plant]:
+    """Return a driver on the way to 2000 m, and its train."""
+    ato = Driver(replace(DriverModel(), **settings), DRIVEN, DRIVEN_LINE, np.random.default_rng(1))
+    train = Plant(DRIVEN, DRIVEN_LINE, 1, 0.8)
+    if position:
+        ato.depart(2000.0)
+    train.speed, train.position = speed, position
+    return ato, train
 
 
 def test_the_train_is_held_until_the_dwell_is_over() -> None:
-    ato, train = driver(dwell_low=20.0, dwell_high=20.0), Plant(DRIVEN, DRIVEN_LINE, 1, 0.8)
+    ato, train = driven(dwell_low=20.0, dwell_high=20.0)
     decision = ato.decide(0.0, train)
     assert (decision.traction, decision.brake) == (0.0, -0.6)
     assert not ato.may_depart(9.9)
@@ -254,9 +235,7 @@ def test_the_train_is_held_until_the_dwell_is_over() -> None:
 
 
 def test_traction_stays_within_force_and_power() -> None:
-    ato, train = driver(), Plant(DRIVEN, DRIVEN_LINE, 1, 0.8)
-    ato.depart(2000.0)
-    train.speed, train.position = 18.0, 300.0
+    ato, train = driven(18.0, 300.0)
     decision = ato.decide(20.0, train)
     assert ato.phase is Phase.POWER
     assert decision.traction == pytest.approx(3.1e6 / 18.0)
@@ -265,24 +244,18 @@ def test_traction_stays_within_force_and_power() -> None:
     assert ato.decide(20.2, train).traction == pytest.approx(0.9 * 216e3 + 1.534 * 200 * 9.80665)
 
 
-def phase_at(left: float) -> Phase:
-    ato, train = driver(), Plant(DRIVEN, DRIVEN_LINE, 1, 0.8)
-    ato.depart(2000.0)
-    train.speed, train.position = 15.0, 2000.0 - left
-    ato.decide(100.0, train)
-    return ato.phase
-
-
-def test_braking_starts_on_the_curve_before_the_stop() -> None:
-    # Braking from 15 m/s at 0.65 m/s^2 takes 173 m, plus 15 m for dead time and lag.
-    assert phase_at(200.0) is Phase.POWER
-    assert phase_at(180.0) is Phase.BRAKE
-
-
-@pytest.mark.parametrize(('window', 'phase'), [(1.0, Phase.POWER), (4.0, Phase.DWELL)])
-def test_a_stationary_train_within_the_stop_window_has_arrived(window: float, phase: Phase) -> None:
-    ato, train = driver(stop_window=window), Plant(DRIVEN, DRIVEN_LINE, 1, 0.8)
-    ato.depart(2000.0)
-    train.position = 1997.0
+@pytest.mark.parametrize(
+    ('speed', 'position', 'window', 'phase'),
+    [
+        # Braking from 15 m/s at 0.65 m/s^2 takes 173 m, plus 15 m for dead time and lag.
+        (15.0, 1800.0, 1.0, Phase.POWER),
+        (15.0, 1820.0, 1.0, Phase.BRAKE),
+        # A stationary train within the stop window has arrived.
+        (0.0, 1997.0, 1.0, Phase.POWER),
+        (0.0, 1997.0, 4.0, Phase.DWELL),
+    ],
+)
+def test_the_phase_before_a_stop(speed: float, position: float, window: float, phase: Phase) -> None:
+    ato, train = driven(speed, position, stop_window=window)
     ato.decide(100.0, train)
     assert ato.phase is phase

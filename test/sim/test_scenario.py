@@ -153,8 +153,7 @@ def test_a_fit_of_exact_records_recovers_the_true_resistance(quiet: Simulation) 
 
 
 def test_changes_are_applied_and_recorded_in_the_truth() -> None:
-    rain = Davis(2.5, 0.03, 0.004)
-    changes = (Change(30.05, resistance=rain), Change(40.0, brake_rate=0.8))
+    changes = (Change(30.05, resistance=Davis(2.5, 0.03, 0.004)), Change(40.0, brake_rate=0.8))
     truth = drive(replace(SCENARIO, runs=1, changes=changes)).truth
     # Changes take effect at the next 5 Hz tick.
     assert truth.resistance == ((0.0, 1.5, 0.03, 0.004), (30.2, 2.5, 0.03, 0.004))
@@ -163,11 +162,9 @@ def test_changes_are_applied_and_recorded_in_the_truth() -> None:
 
 
 def test_effects_on_resistance_and_brake_rate_are_part_of_the_truth() -> None:
-    step = Effect('resistance_step', (('time', 50.0), ('a', 0.5)))
-    scale = Effect('brake_scale', (('ratio', 0.9),))
+    effects = Effect('resistance_step', (('time', 50.0), ('a', 0.5))), Effect('brake_scale', (('ratio', 0.9),))
     changes = (Change(60.0, resistance=Davis(2.0, 0.03, 0.004)),)
-    scenario = replace(SCENARIO, runs=1, train_file=replace(FILE, effects=(step, scale)), changes=changes)
-    truth = drive(scenario).truth
+    truth = drive(replace(SCENARIO, runs=1, train_file=replace(FILE, effects=effects), changes=changes)).truth
     assert [row[:2] for row in truth.resistance] == [(0.0, 1.5), (50.0, 2.0), (60.0, 2.5)]
     assert truth.brake_rate == ((0.0, 0.9),)
 
@@ -242,31 +239,24 @@ def test_sensors_without_errors_report_true_values() -> None:
     assert sensors(force_delay=0.4).force(7 * 10**8, -3e4, 2e5) == ForceRecord(11 * 10**8, -3e4)
 
 
-def test_speed_noise() -> None:
+def test_speed_noise_and_quantum() -> None:
     # The std of 20 000 values is known to 0.5 %: 2 % is 4 sigma; the mean to 0.02 / 141.
     measured = speeds(sensors(speed_noise=0.02))
     assert measured.std() == pytest.approx(0.02, rel=0.02)
     assert measured.mean() == pytest.approx(10.0, abs=4 * 0.02 / math.sqrt(COUNT))
     assert speeds(sensors(speed_noise=1.0), true=0.1).min() == 0.0
-
-
-def test_speed_quantum() -> None:
     quantum = 0.1 / 3.6
     steps = speeds(sensors(speed_noise=0.1, speed_quantum=quantum)) / quantum
     assert np.abs(steps - np.round(steps)).max() < 1e-9
     assert len(np.unique(np.round(steps))) > 10
 
 
-def test_wheel_ratio_scales_speed_and_odometry() -> None:
-    device = sensors(wheel_ratio=1.125)
-    device.speed(1, 10.0, 0.0, 1.0)
-    assert device.speed(2, 10.0, 100.0, 1.0) == SpeedRecord(2, 11.25, 112.5)
-
-
-def test_a_stationary_train_measures_zero_speed_and_its_exact_position() -> None:
-    device = sensors(speed_noise=0.5, position_drift=5.0)
-    device.speed(1, 10.0, 0.0, 1.0)
-    assert device.speed(2, 0.0, 40.0, 0.0) == SpeedRecord(2, 0.0, 40.0)
+def test_the_wheel_scales_speed_and_odometry_and_a_stationary_train_has_its_exact_position() -> None:
+    worn, noisy = sensors(wheel_ratio=1.125), sensors(speed_noise=0.5, position_drift=5.0)
+    for device in (worn, noisy):
+        device.speed(1, 10.0, 0.0, 1.0)
+    assert worn.speed(2, 10.0, 100.0, 1.0) == SpeedRecord(2, 11.25, 112.5)
+    assert noisy.speed(2, 0.0, 40.0, 0.0) == SpeedRecord(2, 0.0, 40.0)
 
 
 def test_odometry_drifts_as_a_random_walk() -> None:
@@ -295,15 +285,12 @@ def test_force_noise(settings: dict[str, float], force: float, expected: float) 
     assert measured.mean() == pytest.approx(force, abs=4 * expected / math.sqrt(COUNT))
 
 
-def test_the_map_error_depends_on_position_and_changes_sign_with_the_direction() -> None:
+def test_the_map_error_is_correlated_over_its_length_and_changes_sign_with_the_direction() -> None:
     device = sensors(map_error=0.5)
     there, back = (device.gradient(1, 0.0, 1234.0, way, radius=0.0, tunnel=False) for way in (1, -1))
     assert there is not None
     assert back is not None
     assert there.gradient == -back.gradient != 0.0
-
-
-def test_the_map_error_is_correlated_over_its_length() -> None:
     device = Sensors(replace(EXACT, map_error=0.5), 0.2, (0.0, 2e6), np.random.default_rng(5))
     errors = np.array([device.map_error(x) for x in np.arange(0.0, 2e6, 100.0)])
     # 2000 km contain about 5000 independent values of 400 m.

@@ -30,11 +30,8 @@ def test_each_value_applies_from_its_time_on() -> None:
     assert TRUTH.truth_at(60.0).resistance == Davis(1.5, 0.3, 1e-5)
     assert TRUTH.truth_at(-5.0).brake_rate == 1.0
     assert TRUTH.truth_at_ns(10**18 + 30 * 10**9).brake_rate == 0.85
-
-
-def test_an_unknown_brake_rate_is_none() -> None:
-    truth = parse_truth('start_ns: 5\nresistance: [[0, 1, 0, 0]]', 'truth.yaml')
-    assert truth.truth_at(1.0).brake_rate is None
+    unknown = parse_truth('start_ns: 5\nresistance: [[0, 1, 0, 0]]', 'truth.yaml')
+    assert unknown.truth_at(1.0).brake_rate is None
 
 
 @pytest.mark.parametrize(

@@ -44,29 +44,20 @@ def field_day(name: str, runs: int, seed: int) -> Simulation:
     return simulation
 
 
-def test_there_are_five_worlds() -> None:
+def test_the_train_files_of_the_five_worlds() -> None:
     assert tuple(WORLDS) == ('metro', 'emu', 'high_speed', 'freight', 'tram')
     with pytest.raises(InputError, match=r"world 'trm' is not known; did you mean 'tram'\?"):
         find_world('trm')
-
-
-@pytest.mark.parametrize('name', WORLDS)
-def test_train_files_have_all_fields_that_the_simulator_needs(name: str) -> None:
-    file = world_train(find_world(name))
-    assert len(file.line.stops) >= 3
-    assert file.line.gradient
-    assert file.line.speed_limit
-    assert file.line.curve or name == 'metro'
-
-
-def test_the_freight_train_has_a_slow_brake() -> None:
-    brake = world_train(WORLDS['freight']).brake
-    assert (brake.delay, brake.time_constant) == (3.0, 4.0)
-
-
-def test_the_resistance_of_the_emu_has_half_the_quadratic_term_of_its_source() -> None:
-    file = world_train(WORLDS['emu'])
-    newton = file.resistance.c * file.train.mass * 9.80665 / 1000.0
+    for name in WORLDS:
+        file = world_train(find_world(name))
+        assert len(file.line.stops) >= 3
+        assert file.line.gradient
+        assert file.line.speed_limit
+        assert file.line.curve or name == 'metro'
+    brake, emu = world_train(WORLDS['freight']).brake, world_train(WORLDS['emu'])
+    assert (brake.delay, brake.time_constant) == (3.0, 4.0)  # slow
+    # The EMU has half the quadratic term of its source.
+    newton = emu.resistance.c * emu.train.mass * 9.80665 / 1000.0
     assert newton == pytest.approx(0.5 * 0.00093264e3 * 3.6**2, rel=1e-4)
 
 
@@ -197,15 +188,12 @@ def test_the_map_error_has_the_stated_standard_deviation(clean: Simulation) -> N
     assert 100.0 <= case.scenario.sensors.map_error_length <= 500.0
 
 
-def test_gusts_have_the_true_parameters() -> None:
+def test_gusts_have_the_true_parameters_and_speeds_are_multiples_of_the_quantum() -> None:
     case = case_of(['gusts'])
     gust, values = case.scenario.gust, dict(case.true_values)
     assert (gust.std, gust.time_constant) == (values['gust_std'], values['gust_time_constant'])
     assert 0.1 <= gust.std <= 0.4
     assert 3.0 <= gust.time_constant <= 12.0
-
-
-def test_speeds_are_multiples_of_the_quantum() -> None:
     case = case_of(['quantum'], runs=1)
     quantum = dict(case.true_values)['speed_quantum']
     records = of(SpeedRecord, simulate(case.scenario, np.random.default_rng(2)))

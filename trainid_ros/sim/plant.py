@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import dataclass
 from enum import Enum
 from operator import itemgetter
@@ -47,10 +47,7 @@ STEP_NS: Final = 20_000_000
 class Plant:
     """Simulated train, at rest at the first stop of the line; its public attributes are the true state.
 
-    ``jerk`` is the maximum rate of change of the traction, as jerk [m/s^3].
-
-    Raises:
-        InputError: An effect is unknown or has invalid parameters.
+    ``jerk`` is the maximum rate of change of the traction [m/s^3]. An invalid effect raises InputError.
 
     Attributes:
         now_ns: Time of the state [ns].
@@ -99,7 +96,7 @@ class Plant:
         other = copy(self)
         other._actuator = BrakeActuator(self._brake)
         other._actuator.commands, other._actuator.output = CommandHistory(self._actuator.commands.changes), self.brake
-        other._tractions, other._brakes = self._tractions.twin(), self._brakes.twin()
+        other._tractions, other._brakes = deepcopy((self._tractions, self._brakes))
         return other
 
     def command(self, target_acceleration: float) -> None:
@@ -109,8 +106,12 @@ class Plant:
     def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
         """Advance by one step [ns] while the traction ramps towards a demand [N]."""
         dt = dt_ns / NS_PER_S
-        brake = self._brake_acceleration(dt_ns)
-        traction = self._ramp_traction(traction_demand, dt)
+        change = self._actuator.advance(self.now_ns, self.now_ns + dt_ns)
+        self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
+        brake = self.brake_rate * self._brake.shape_at(self.speed) * change / dt
+        ramp, start = self._jerk * self.mass * dt, self.traction
+        self.traction = start + min(ramp, max(-ramp, traction_demand - start))
+        traction = 0.5 * (start + self.traction)
         driven = traction / (self.mass * (1.0 + self._train.rotary_mass)) + brake
         if self._terms:
             middle_ns = self.now_ns + dt_ns // 2
@@ -138,23 +139,14 @@ class Plant:
     def _track_point(self, position: float, speed: float, ahead_s: float) -> TrackPoint:
         profile, direction = self.profile, self.direction
         return TrackPoint(
-            time_s=(self.now_ns - self._start_ns) / NS_PER_S + ahead_s,
-            position=position,
-            direction=direction,
-            speed=speed,
-            curve_radius=profile.curve_radius(position, direction),
-            tunnel=profile.tunnel(position, direction),
-            length=profile.length,
-            distance_run=self.distance_run,
-            since_release=self._since_release,
-            traction=self._tractions.before(0.0),
-            brake=self._brakes.before(0.0),
-            heat=self.heat,
+            (self.now_ns - self._start_ns) / NS_PER_S + ahead_s, position, direction, speed,
+            curve_radius=profile.curve_radius(position, direction), tunnel=profile.tunnel(position, direction),
+            length=profile.length, distance_run=self.distance_run, since_release=self._since_release,
+            traction=self._tractions.before(0.0), brake=self._brakes.before(0.0), heat=self.heat,
             acceleration=self.acceleration,
-            brake_before=self._brakes.before,
-            traction_before=self._tractions.before,
+            brake_before=self._brakes.before, traction_before=self._tractions.before,
             gradient_ahead=lambda ahead: profile.gradient(position + direction * ahead, direction),
-        )
+        )  # fmt: skip
 
     def _move(self, acceleration: float, dt: float) -> None:
         before = self.speed
@@ -162,26 +154,13 @@ class Plant:
         if after > 0.0:
             run = 0.5 * (before + after) * dt
         else:
-            # The train stops within the step and is held there.
+            # The train stops within the step.
             run = 0.5 * before * before / -acceleration if before > 0.0 else 0.0
             after = 0.0
         self.speed = after
         self.acceleration = (after - before) / dt
         self.position += self.direction * run
         self.distance_run += run
-
-    def _ramp_traction(self, demand: float, dt: float) -> float:
-        """Ramp the traction towards its demand; return its mean over the step [N]."""
-        max_change = self._jerk * self.mass * dt
-        before = self.traction
-        self.traction = before + min(max_change, max(-max_change, demand - before))
-        return 0.5 * (before + self.traction)
-
-    def _brake_acceleration(self, dt_ns: int) -> float:
-        """Advance the actuator; return the mean brake acceleration [m/s^2]."""
-        change, dt = self._actuator.advance(self.now_ns, self.now_ns + dt_ns), dt_ns / NS_PER_S
-        self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
-        return self.brake_rate * self._brake.shape_at(self.speed) * change / dt
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +174,7 @@ class GustModel:
 class Gust:
     """Gust resistance in time steps ``dt`` [s], stationary from the start; ``value`` is the current one [N/kN].
 
-    Raises:
-        InputError: A setting is out of range.
+    A setting out of range raises InputError.
     """
 
     def __init__(self, model: GustModel, dt: float, rng: np.random.Generator) -> None:
@@ -213,7 +191,7 @@ class Gust:
 
 
 MAX_DELAY_S: Final = 12.0
-"""Length of the history [s]; no effect looks back further."""
+"""Length of a :class:`DelayLine` [s]; no effect looks back further."""
 
 
 class DelayLine:
@@ -222,12 +200,6 @@ class DelayLine:
     def __init__(self) -> None:
         self._stamps: list[int] = []
         self._values: list[float] = []
-
-    def twin(self) -> DelayLine:
-        """Return a copy."""
-        other = DelayLine()
-        other._stamps, other._values = self._stamps.copy(), self._values.copy()
-        return other
 
     def add(self, stamp_ns: int, value: float) -> None:
         """Append a value; stamps [ns] must increase."""
@@ -306,10 +278,8 @@ class StopEvent:
 class Driver:
     """Driver with a period of ``TICK_S``; ``phase``, ``stop`` and ``arrivals`` show its progress.
 
-    It starts with a dwell at the first stop, and takes the brake of the train file as nominal.
-
-    Raises:
-        InputError: A setting is out of range.
+    It starts with a dwell at the first stop, and takes the brake of the train file as nominal. A setting out of range
+    raises InputError.
     """
 
     def __init__(

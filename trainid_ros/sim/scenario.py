@@ -64,12 +64,9 @@ class SensorModel:
 
 
 class Sensors:
-    """Turn true values into records; a lost message is None.
+    """Turn true values into records; a lost message is None. A setting out of range raises InputError.
 
     ``dt`` is the time between two speed measurements [s], ``extent`` are the ends of the line [m].
-
-    Raises:
-        InputError: A setting is out of range.
     """
 
     def __init__(self, model: SensorModel, dt: float, extent: tuple[float, float], rng: np.random.Generator) -> None:
@@ -85,8 +82,7 @@ class Sensors:
     def speed(self, stamp_ns: int, speed: float, position: float, force_per_weight: float) -> SpeedRecord | None:
         """Measure speed [m/s] and position [m]; ``force_per_weight`` [N/kN] causes wheel slip (> 0) or slide (< 0).
 
-        A stationary wheel gives no pulses: its speed is measured as exactly zero, and the position is corrected
-        at the platform.
+        A stationary wheel gives no pulses: the speed is exactly zero, and the position is corrected at the platform.
         """
         model = self.model
         noise, drift = self._rng.standard_normal(2).tolist()
@@ -117,10 +113,7 @@ class Sensors:
     def gradient(
         self, stamp_ns: int, gradient: float, position: float, direction: int, *, radius: float, tunnel: bool
     ) -> GradientRecord | None:
-        """Read the track data from the map, whose gradient error is the same at each passage.
-
-        The gradient is in per mille, + uphill in the direction of travel; position and curve radius are in m.
-        """
+        """Read the gradient [per mille, + uphill in the direction of travel], radius [m] and tunnel from the map."""
         measured = gradient + direction * self.map_error(position)
         stamp = self._stamp(stamp_ns)
         return None if self._lost() else GradientRecord(stamp, measured, radius, tunnel)
@@ -226,13 +219,8 @@ class Simulation:
 class TrainDriver(Protocol):
     """Who drives: a driver model, or a controller that sees the records of the sensors."""
 
-    @property
-    def arrivals(self) -> list[StopEvent]:
-        """Stops so far."""
-
-    @property
-    def stop(self) -> float:
-        """Stop that it drives to [m]."""
+    arrivals: list[StopEvent]  # Stops so far
+    stop: float  # Stop that it drives to [m]
 
     def observe(self, record: Record) -> None:
         """Take in what a sensor has measured."""
@@ -247,11 +235,10 @@ class TrainDriver(Protocol):
         """Return the demands until the next tick."""
 
 
-def simulate(
-    scenario: Scenario,
-    rng: np.random.Generator,
-    make_driver: Callable[[Plant, np.random.Generator], TrainDriver] | None = None,
-) -> Simulation:
+MakeDriver = Callable[[Plant, np.random.Generator], TrainDriver]
+
+
+def simulate(scenario: Scenario, rng: np.random.Generator, make_driver: MakeDriver | None = None) -> Simulation:
     """Simulate a scenario; the same scenario and generator state give the same records.
 
     Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not change the driving.
@@ -287,12 +274,7 @@ def check_scenario(scenario: Scenario) -> None:
 class _Day:
     """State of a running simulation."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        rng: np.random.Generator,
-        make_driver: Callable[[Plant, np.random.Generator], TrainDriver] | None,
-    ) -> None:
+    def __init__(self, scenario: Scenario, rng: np.random.Generator, make_driver: MakeDriver | None) -> None:
         drive, gust, sense, self._load = rng.spawn(4)
         file = scenario.train_file
         self._scenario, self._effects, length = scenario, file.effects, file.train.length
@@ -358,7 +340,9 @@ class _Day:
         for step in range(1, TICK_NS // STEP_NS + 1):
             plant.step(decision.traction)
             if step == 5:
-                self._record(self._gradient())
+                at, line = (plant.position, plant.direction), self._profile
+                gradient, radius, tunnel = line.gradient(*at), line.curve_radius(*at), line.tunnel(*at)
+                self._record(sensors.gradient(plant.now_ns, gradient, *at, radius=radius, tunnel=tunnel))
             elif step == 7:
                 self._record(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
             elif step == 8:
@@ -370,12 +354,6 @@ class _Day:
         if record is not None:
             self._records.append(record)
             self._driver.observe(record)
-
-    def _gradient(self) -> Record | None:
-        stamp_ns, at, direction = self._plant.now_ns, self._plant.position, self._plant.direction
-        gradient, radius = self._profile.gradient(at, direction), self._profile.curve_radius(at, direction)
-        tunnel = self._profile.tunnel(at, direction)
-        return self._sensors.gradient(stamp_ns, gradient, at, direction, radius=radius, tunnel=tunnel)
 
     def _depart(self, time_s: float) -> None:
         plant = self._plant
@@ -409,10 +387,9 @@ class _Day:
 
     def _sensor_model(self) -> SensorModel:
         model = self._scenario.sensors
-        ratio = effect_value(self._effects, 'wheel_diameter', 'ratio', 1.0)
         return replace(
             model,
-            wheel_ratio=model.wheel_ratio * ratio,
+            wheel_ratio=model.wheel_ratio * effect_value(self._effects, 'wheel_diameter', 'ratio', 1.0),
             force_delay=model.force_delay + effect_value(self._effects, 'stamp_skew', 'delay', 0.0),
             slip_share=effect_value(self._effects, 'wheel_slip', 'share', model.slip_share),
             slip_speed=effect_value(self._effects, 'wheel_slip', 'speed', model.slip_speed),

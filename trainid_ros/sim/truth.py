@@ -76,11 +76,7 @@ def dump_truth(truth: Truth) -> str:
 
 
 def save_truth(truth: Truth, path: str | Path) -> None:
-    """Write a truth file.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a truth file; raise InputError if it cannot be written."""
     try:
         Path(path).write_text(dump_truth(truth), encoding='utf-8')
     except OSError as error:
@@ -88,11 +84,7 @@ def save_truth(truth: Truth, path: str | Path) -> None:
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Read a truth file.
-
-    Raises:
-        InputError: The file cannot be read or a field is invalid.
-    """
+    """Read a truth file; raise InputError if it cannot be read or a field is invalid."""
     return parse_truth(read_text(path), str(path))
 
 

@@ -133,13 +133,13 @@ def make_case(
     rng: np.random.Generator,
     extra: tuple[Effect, ...] = (),
 ) -> Case:
-    """Draw a case.
+    """Draw a case of a number of runs from stop to stop.
 
     Args:
         world: Type of railway, with its load and driver.
         file: The train as described by an engineer.
         names: The unknowns to draw, see :func:`unknowns_of`.
-        runs: Number of runs from stop to stop.
+        runs: Number of runs.
         rng: Random generator.
         extra: Further effects of the true train that are missing from the train file.
 
@@ -148,11 +148,10 @@ def make_case(
     """
     unknowns = draw_unknowns(names, rng)
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
-    for name in (effect.name for effect in extra):
-        if any(name == other.name for other in true.effects):
-            raise InputError(
-                f'effect {name}: the true train has it already, from its train file or from the unknowns drawn'
-            )
+    known = {effect.name for effect in true.effects}
+    for name in (effect.name for effect in extra if effect.name in known):
+        source = 'from its train file or from the unknowns drawn'
+        raise InputError(f'effect {name}: the true train has it already, {source}')
     true = replace(true, effects=(*true.effects, *extra))
     scenario = Scenario(
         train_file=true,
@@ -162,9 +161,9 @@ def make_case(
         sensors=SensorModel(
             speed_quantum=unknowns.speed_quantum,
             wheel_ratio=unknowns.wheel_ratio,
+            force_delay=unknowns.force_delay,
             map_error=unknowns.map_std,
             map_error_length=unknowns.map_length,
-            force_delay=unknowns.force_delay,
         ),
         driver=world.driver,
         gust=GustModel(unknowns.gust_std, unknowns.gust_time_constant),
@@ -247,17 +246,11 @@ def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change,
 
 def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:
     curve = _curve_coefficient(true)
+    drawn = ('map_std', 'map_length', 'wheel_ratio', 'gust_std', 'gust_time_constant', 'speed_quantum')
     return (
-        ('mass_ratio', unknowns.mass_ratio),
-        ('force_ratio', unknowns.force_ratio),
-        ('force_delay', unknowns.force_delay),
+        *((name, getattr(unknowns, name)) for name in ('mass_ratio', 'force_ratio', 'force_delay')),
         *((('curve_coefficient', curve),) if curve > 0.0 else ()),
-        ('map_std', unknowns.map_std),
-        ('map_length', unknowns.map_length),
-        ('wheel_ratio', unknowns.wheel_ratio),
-        ('gust_std', unknowns.gust_std),
-        ('gust_time_constant', unknowns.gust_time_constant),
-        ('speed_quantum', unknowns.speed_quantum),
+        *((name, getattr(unknowns, name)) for name in drawn),
         ('brake_delay', true.brake.delay),
         ('brake_time_constant', true.brake.time_constant),
     )
