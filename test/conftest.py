@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 
 from benchmarks.yizhuang_day import yizhuang_day
+from trainid_ros.explain.likelihood import Noise, Spread
 from trainid_ros.explain.result import (
-    Alternative,
     Explanation,
     FoundEffect,
     Gap,
     Location,
-    NoiseLevels,
     Place,
     RunTrace,
     Verdict,
@@ -28,6 +27,7 @@ from trainid_ros.explain.result import (
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.stream.samples import Sample, coasting_sample
+from trainid_ros.train.effects import Twin
 from trainid_ros.train.forces import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 
@@ -47,7 +47,7 @@ DRAG = FoundEffect(
     where='position 300 to 500 m (+1.50 N/kN)',
     twins=(),
 )
-TWIN = Alternative('gradient_error', 'run <both> ways')
+TWIN = Twin('gradient_error', 'run <both> ways')
 NAN = (math.nan, math.nan)
 
 # A shell ignores SIGINT in what it starts in the background, and so would the programs that tests stop by it.
@@ -88,7 +88,8 @@ def make_explanation() -> Callable[..., Explanation]:
         davis_std=(0.12, 0.004, 0.0001),
         locations=(Location('position', 'm', parts), Location('mode', '', modes), Location('run', '', runs)),
         traces=(trace(1), trace(-1)),
-        noise=NoiseLevels(0.02, 0.1, 4.0, 0.003, 0.002, 0.1),
+        noise=Noise(0.02, 0.1, 4.0, 0.0),
+        spread=Spread(0.003, 0.002, 0.1),
         outliers=0.012,
         weighed=True,
         gradient_point=None,

@@ -35,7 +35,6 @@ MODULES: Final = (
     'client/stopping',
     'estimators/consistency',
     'estimators/pipeline',
-    'explain/track_points',
     'interface/results',
     'interface/scalars',
     'resistance/change_points',

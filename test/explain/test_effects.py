@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects in the model: evaluation along the runs, and merging with those that the train file lists."""
+"""Effects in the model: their inputs along a run, evaluation, and merging with those that the train file lists."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from test.explain.made_runs import TRAIN, Maker, local_drag
 from trainid_ros.explain.dataset import Dataset, assemble
-from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, without_replaced
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, track_points, without_replaced
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.effects import parse_effects
+from trainid_ros.train.effects import TrackPoint, parse_effects
+from trainid_ros.train.forces import specific_inertia
 
 DRAG = 'local_drag:start=0,end=200,permille=1'
 
@@ -124,3 +126,38 @@ def test_effect_on_records_is_combined_with_its_correction() -> None:
     # Records are never corrected for slip.
     before, added = (parse_effects([f'wheel_slip:share={share},speed=2']) for share in (0.05, 0.03))
     assert merged(before, added) == added
+
+
+Points = tuple[Any, list[TrackPoint]]
+
+
+@pytest.fixture(scope='module', params=[0, 1], ids=['rising', 'falling'])
+def run_and_points(request: pytest.FixtureRequest) -> Points:
+    run = Maker(noise=0.0).runs(2, 5)[request.param]
+    inertia = specific_inertia(1.0, TRAIN.train.rotary_mass)
+    speed = np.concatenate([run.speed[:1], 0.5 * (run.speed[1:] + run.speed[:-1])])
+    return run, track_points(run, speed, TRAIN.train.length, inertia, TRAIN.resistance)
+
+
+def test_points_lie_at_mid_stage(run_and_points: Points) -> None:
+    run, points = run_and_points
+    middle = 0.5 * (run.time[1:] + run.time[:-1])
+    np.testing.assert_allclose([p.time_s for p in points[1:]], middle)
+    place = np.interp(middle, run.time, run.position)
+    np.testing.assert_allclose([p.position for p in points[1:]], place, atol=0.05)
+    assert {p.direction for p in points} == {run.direction}
+    moved = np.diff(run.speed) / run.dt[1:]
+    np.testing.assert_allclose([p.acceleration for p in points[1:-1]], moved[:-1], atol=1e-3)
+
+
+def test_forces_before_and_gradients_ahead_are_interpolated(run_and_points: Points) -> None:
+    run, points = run_and_points
+    times = np.array([p.time_s for p in points])
+    for seconds in (0.0, 0.33, -0.5):
+        np.testing.assert_allclose(
+            [(p.brake_before(seconds), p.traction_before(seconds)) for p in points],
+            np.stack([np.interp(times - seconds, times, force) for force in (run.brake, run.traction)], axis=1),
+        )
+    way = run.direction * np.array([p.position for p in points])
+    ahead = np.interp(way + 40.0, way, run.gradient)
+    np.testing.assert_allclose([p.gradient_ahead(40.0) for p in points], ahead, atol=0.01)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regression on whitened columns and the marginal likelihood."""
+"""Regression on whitened columns, the marginal likelihood, whitening, columns and priors of nuisances."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,20 +11,30 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
 from test.explain.made_runs import TRAIN, Maker, local_drag
-from trainid_ros.explain.dataset import Dataset, Run
+from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.effects import prior_cost
 from trainid_ros.explain.likelihood import (
+    Bins,
     Gram,
+    Grid,
     Hyperparameters,
     MarginalLikelihood,
+    Noise,
+    Spread,
+    Whitener,
+    Whitening,
+    common_columns,
+    common_std,
     eliminate,
     group_log_bayes,
     informations,
     log_bayes,
     posterior,
+    prior_factor,
+    run_columns,
+    share_of_mean,
 )
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import Grid, Noise, Whitener, Whitening, run_columns
 from trainid_ros.interface.errors import NoAnswerError
 
 Array = NDArray[np.float64]
@@ -101,18 +113,15 @@ def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None
 Found = tuple[Hyperparameters, NDArray[np.float64]]
 
 
-def evidence_of(runs: list[Run]) -> MarginalLikelihood:
-    return Model.of(runs, TRAIN).evidence()
+def evidence_of(count: int, seed: int, noise: float = 0.02) -> MarginalLikelihood:
+    return Model.of(Maker(noise=noise).runs(count, seed), TRAIN).evidence()
 
 
-def test_noise_is_estimated() -> None:
-    found = [evidence_of(Maker(noise=size).runs(2, 51)).maximise()[0].noise.speed for size in (0.02, 0.1)]
-    assert found == pytest.approx([0.02, 0.1], rel=0.5)
-
-
-def test_maximum_is_a_maximum() -> None:
-    evidence = evidence_of(Maker().runs(2, 52))
+@pytest.mark.parametrize('noise', [0.02, 0.1])
+def test_noise_is_estimated_by_the_maximum(noise: float) -> None:
+    evidence = evidence_of(2, 51, noise)
     hyper, logs = evidence.maximise()
+    assert hyper.noise.speed == pytest.approx(noise, rel=0.5)
     assert evidence.at(logs) == pytest.approx(hyper.evidence)
     for step in (*np.eye(logs.size), *-np.eye(logs.size)):
         assert evidence.at(logs + 0.5 * step) < hyper.evidence + 0.2
@@ -130,7 +139,7 @@ class Bounded(MarginalLikelihood):
 
 
 def test_the_maximum_is_searched_where_the_likelihood_can_be_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    evidence = evidence_of(Maker(noise=0.1).runs(2, 51))
+    evidence = evidence_of(2, 51, 0.1)
     free = evidence.maximise()[0].noise.speed
     evidence.__class__ = Bounded
     for limit in (0.8 * free, 0.035):
@@ -168,10 +177,137 @@ def test_residual_is_reduced_by_the_response_of_effects(dragged_model: Model) ->
 
 
 def test_excess_counts_values_above_the_prior_median() -> None:
-    evidence = evidence_of(Maker().runs(3, 5))
+    evidence = evidence_of(3, 5)
     usual = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
     assert evidence.excess(usual) == evidence.excess(usual - 1.0) == 0.0
     # Sensor noise and jitter do not count; gusts count by the speed error they cause.
     assert evidence.excess(usual + np.array([3.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0])) == 0.0
     assert evidence.excess(usual + np.array([0.0, 1.0, -2.0, 0.0, 0.0, 0.0, 0.0])) == pytest.approx(0.0)
     assert evidence.excess(usual + np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.8])) == pytest.approx(12.0)
+
+
+INERTIA = 110.0
+INITIAL_VARIANCE = 100.0
+
+
+def grid_of(times: Array, share: Array, change: Array) -> Grid:
+    """Return the grid of one run."""
+    inside, order = np.ones((times.size, 1), dtype=bool), np.arange(times.size)
+    dt = np.diff(times, prepend=times[0])[:, None]
+    return Grid((0, times.size), inside, order, dt, share[:, None], change[:, None], INERTIA)
+
+
+def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array:
+    """Return the covariance of speed errors: integrated Ornstein-Uhlenbeck gusts, impulses, noise, initial speed."""
+    t, tau = times - times[0], noise.gust_time
+    earlier = np.minimum(t[:, None], t[None, :])
+    decay = np.exp(-t / tau)
+    apart = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
+    gusts = (noise.gust * tau / INERTIA) ** 2 * (2.0 * earlier / tau - 1.0 + decay[:, None] + decay[None, :] - apart)
+    impulses = np.cumsum(np.square(noise.jitter * change))
+    before = np.minimum(np.arange(t.size)[:, None], np.arange(t.size)[None, :])
+    return np.asarray(gusts + impulses[before] + noise.speed**2 * np.diag(share) + INITIAL_VARIANCE)
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.05])
+@pytest.mark.parametrize('gust_time', [1.5, 20.0])
+def test_the_filter_whitens_the_dense_covariance(jitter: float, gust_time: float) -> None:
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.4, 3.0, 40))
+    share, change = rng.uniform(0.2, 1.0, 40), rng.uniform(0.0, 1.0, 40) * (rng.random(40) < 0.3)
+    change[0] = 0.0
+    noise = Noise(0.03, 0.4, gust_time, jitter)
+    whitener = Whitener.of(grid_of(times, share, change), noise)
+    Z = whitener.apply(np.eye(40))
+    C = covariance(times, share, change, noise)
+    np.testing.assert_allclose(Z @ C @ Z.T, np.eye(40), atol=1e-6)
+    assert whitener.log_det == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-6)
+
+
+def test_missing_measurement_has_no_weight() -> None:
+    times, share, change = np.arange(30.0), np.ones(30), np.zeros(30)
+    noise = Noise(0.03, 0.4, 5.0, 0.0)
+    share[7] = np.inf
+    values = np.random.default_rng(0).standard_normal((30, 1))
+    spoiled = values.copy()
+    spoiled[7] = 1e3
+    whitener = Whitener.of(grid_of(times, share, change), noise)
+    np.testing.assert_array_equal(whitener.apply(values), whitener.apply(spoiled))
+    assert whitener.apply(spoiled)[7, 0] == 0.0
+
+
+def test_runs_are_whitened_independently(dataset: Dataset) -> None:
+    grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
+    whitener = Whitener.of(grid, noise)
+    column = np.random.default_rng(1).standard_normal((dataset.point_time.size, 1))
+    together, log_det = whitener.apply(column), 0.0
+    for run, points in zip(dataset.runs, grid.runs, strict=True):
+        alone = Whitener.of(Grid.of(assemble([run], TRAIN)), noise)
+        np.testing.assert_allclose(together[points], alone.apply(column[points]), rtol=1e-9)
+        log_det += alone.log_det
+    assert whitener.log_det == pytest.approx(log_det, rel=1e-12)
+
+
+def test_factors_of_runs_are_whitened(dataset: Dataset) -> None:
+    """Whitening equals the inverse of the covariance of noise and factors, also with a factor that does not act."""
+    whitener = Whitener.of(Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02))
+    factors, std = dataset.column(run_columns(dataset)), np.array([0.03, 0.02])
+    factors[whitener.grid.runs[1], 1] = 0.0
+    Z, white = (w.apply(np.eye(len(factors))) for w in (Whitening.of(whitener, factors, std), whitener))
+    for run in whitener.grid.runs:
+        scaled = white[run, run] @ factors[run] * std
+        expected = white[run, run].T @ np.linalg.inv(np.eye(len(scaled)) + scaled @ scaled.T) @ white[run, run]
+        np.testing.assert_allclose(Z[run, run].T @ Z[run, run], expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_mean_of_many_samples_keeps_their_common_noise_and_that_of_none_is_infinite(dataset: Dataset) -> None:
+    np.testing.assert_allclose(share_of_mean(np.array([1.0, 5.0, 1e9])), [1.0, 0.28, 0.1])
+    count = dataset.point_count.copy()
+    count[4] = 0.0
+    grid = Grid.of(replace(dataset, point_count=count))
+    missing = np.isinf(grid.share[grid.inside])
+    assert grid.order[missing].tolist() == [4]
+
+
+@pytest.mark.parametrize('length', [1.0, 100.0, 350.0])
+def test_shares_of_the_train_sum_to_one(dataset: Dataset, length: float) -> None:
+    bins = Bins.of(dataset, length)
+    shares = bins.shares(dataset, length)
+    assert shares.shape == (dataset.time.size, bins.count)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    fine = Bins.of(dataset, length, fine=True)
+    assert fine.width == pytest.approx(0.5 * bins.width)
+    assert fine.edges[0] <= dataset.joined('position').min() - length
+    assert fine.edges[-1] >= dataset.joined('position').max() + length
+
+
+def test_train_lies_behind_its_front(dataset: Dataset) -> None:
+    bins = Bins(-1000.0, 100.0, 30)
+    shares = bins.shares(dataset, 100.0)
+    middle = bins.edges[:-1] + 50.0
+    behind = (shares @ middle - dataset.joined('position')) * dataset.direction
+    np.testing.assert_allclose(behind, -50.0, atol=50.0)
+    assert np.all(behind < 1e-9)
+
+
+def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset) -> None:
+    columns = common_columns(dataset)
+    unweighed, weighed = common_std(TRAIN, weighed=False), common_std(TRAIN, weighed=True)
+    assert columns.shape == (dataset.time.size, unweighed.size)
+    assert np.isfinite(columns).all()
+    assert np.all(unweighed > 0.0)
+    assert weighed[-1] < unweighed[-1]
+    # A mass error is equivalent to a common gain error of both forces.
+    np.testing.assert_allclose(columns[:, -1], run_columns(dataset).sum(axis=1))
+
+
+def test_prior_covariance(dataset: Dataset) -> None:
+    bins = Bins.of(dataset, 100.0)
+    correlation = bins.covariance()
+    map_root = np.asarray(np.linalg.cholesky(correlation))
+    root = prior_factor(np.array([0.5, 2.0]), map_root, Spread(0.01, 0.02, 0.3))
+    covariance = root @ root.T
+    np.testing.assert_allclose(np.diag(covariance), [0.25, 4.0, *[0.09] * bins.count])
+    np.testing.assert_allclose(covariance[2:, 2:], 0.09 * correlation)
+    assert not covariance[:2, 2:].any()
+    np.testing.assert_array_equal(Spread(0.01, 0.02, 0.3).of_run, [0.01, 0.02])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,10 +23,13 @@ def runs() -> list[Run]:
     return Maker(noise=0.0).runs(6, 8)
 
 
+def odometry(runs: list[Run], stops: Sequence[float] = ()) -> Odometry:
+    return Odometry.of(assemble(runs, TRAIN), stops)
+
+
 def test_worn_wheel_measures_longer_distances(runs: list[Run]) -> None:
-    true = Odometry.of(assemble(runs, TRAIN), ())
-    worn = [replace(run, speed=run.speed * 1.02, travelled=run.travelled * 1.02) for run in runs]
-    found = Odometry.of(assemble(worn, TRAIN), ())
+    true = odometry(runs)
+    found = odometry([replace(run, speed=run.speed * 1.02, travelled=run.travelled * 1.02) for run in runs])
     assert found.excess - true.excess == pytest.approx(0.02, abs=0.002)
     assert abs(true.excess) < 2.0 / math.sqrt(true.precision)
     assert 0.001 < 1.0 / math.sqrt(found.precision) < 0.01
@@ -33,28 +37,24 @@ def test_worn_wheel_measures_longer_distances(runs: list[Run]) -> None:
 
 def test_stops_of_the_line_take_precedence_over_positions(runs: list[Run]) -> None:
     """The stops of the line are 1 % further apart than the measured positions."""
-    dataset: Dataset = assemble(runs[:2], TRAIN)
     (a, b), (_, c) = runs[0].stops, runs[1].stops
     stops = sorted({a, a + 1.01 * (b - a), a + 1.01 * (b - a) - 1.01 * (b - c)})
-    known, measured = Odometry.of(dataset, stops), Odometry.of(dataset, ())
+    known, measured = odometry(runs[:2], stops), odometry(runs[:2])
     assert known.excess - measured.excess == pytest.approx(-0.01, abs=0.002)
-    assert Odometry.of(dataset, (50_000.0, 60_000.0)) == measured  # stops of another line
+    assert odometry(runs[:2], (50_000.0, 60_000.0)) == measured  # stops of another line
 
 
 @pytest.mark.parametrize(
     'fields', [{'stops': (math.nan, 0.0)}, {'positioned': False}, {'stops': (5.0, 5.0)}, {'stops': (0.0, 1e5)}]
 )
 def test_without_distances_the_ratio_is_unknown(runs: list[Run], fields: dict[str, Any]) -> None:
-    dataset = assemble([replace(run, **fields) for run in runs], TRAIN)
-    assert Odometry.of(dataset, ()) == Odometry(0.0, 0.0)
+    assert odometry([replace(run, **fields) for run in runs]) == Odometry(0.0, 0.0)
 
 
 def test_outliers_add_no_distance(runs: list[Run]) -> None:
-    clean = Odometry.of(assemble(runs, TRAIN), ())
-    outliers = [(slice(100, 103), 8.0)]
-    spoiled = [replace(disturbed(run, *outliers), travelled=run.travelled + 3 * 0.2 * 8.0) for run in runs]
-    found = Odometry.of(assemble(spoiled, TRAIN), ())
-    assert found.excess == pytest.approx(clean.excess, abs=5e-4)
+    burst, more = (slice(100, 103), 8.0), 3 * 0.2 * 8.0
+    spoiled = [replace(disturbed(run, burst), travelled=run.travelled + more) for run in runs]
+    assert odometry(spoiled).excess == pytest.approx(odometry(runs).excess, abs=5e-4)
 
 
 BURST = 6

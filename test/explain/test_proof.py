@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag, local_drag
-from trainid_ros.explain.likelihood import Hyperparameters, posterior
+from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread, posterior
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.proof import gap_of, hold_out, locate
 from trainid_ros.explain.result import place_text
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from test.explain.made_runs import TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.dataset import Dataset, Run
-from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, sign
-from trainid_ros.explain.likelihood import Hyperparameters
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm
+from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
@@ -80,7 +79,7 @@ def test_grids_cover_the_positions_and_times_driven(dataset: Dataset) -> None:
 
 
 def test_sign_of_amplitudes() -> None:
-    assert [sign(EFFECTS[name]) for name in ('local_drag', 'gradient_error', 'brake_fade')] == [1, 0, 1]
+    assert [EFFECTS[name].sign for name in ('local_drag', 'gradient_error', 'brake_fade')] == [1, 0, 1]
 
 
 def test_groups_are_finite_with_unique_names(dataset: Dataset) -> None:

@@ -13,8 +13,7 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag
 from trainid_ros.explain.dataset import Run
-from trainid_ros.explain.likelihood import Hyperparameters
-from trainid_ros.explain.noise import Noise, Spread
+from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.explain.workflow import FitSummary, distinguishing_drive, explain
 from trainid_ros.interface.errors import NoAnswerError
@@ -52,11 +51,9 @@ def names(reported: Explanation) -> list[str]:
 def test_no_gap() -> None:
     steps: list[str] = []
     reported = explain(Maker().runs(4, 41), TRAIN, advance=steps.append)
-    assert reported.verdict is Verdict.NO_GAP
-    assert reported.effects == ()
+    assert (reported.verdict, reported.effects, reported.train_file.effects) == (Verdict.NO_GAP, (), ())
     assert reported.gap is not None
     assert reported.gap.before == reported.gap.after < 1.2 * reported.gap.noise_floor
-    assert reported.train_file.effects == ()
     assert abs(reported.train_file.resistance.a - TRAIN.resistance.a) < 4.0 * reported.davis_std[0]
     assert reported.remaining.startswith('What is left is noise')
     assert len(reported.traces) == 4
@@ -88,11 +85,8 @@ def test_effect_is_named_added_and_validated(dragged: list[Run]) -> None:
 @pytest.mark.slow
 def test_gap_that_no_effect_fits_is_unexplained() -> None:
     reported = explain(Maker().runs(8, 43, hunting), TRAIN)
-    assert reported.verdict is Verdict.UNEXPLAINED
-    assert reported.effects == ()
-    assert reported.train_file.effects == ()
-    assert 'speed' in reported.remaining
-    assert 'no effect of the library fits' in reported.remaining
+    assert (reported.verdict, reported.effects, reported.train_file.effects) == (Verdict.UNEXPLAINED, (), ())
+    assert 'speed, and no effect of the library fits' in reported.remaining
     assert not set(not_finite(reported)) - UNKNOWN
 
 
@@ -106,8 +100,7 @@ def test_result_explains_the_data_for_a_wrong_initial_c() -> None:
     runs = Maker().runs(10, 47, windy)
     reported = explain(runs, replace(TRAIN, resistance=replace(TRAIN.resistance, c=0.0022)))
     assert names(reported) == ['headwind']
-    speed, std = dict(reported.effects[0].parameters)['speed'], dict(reported.effects[0].std)['speed']
-    assert abs(speed - 6.0) < 3.0 * std
+    assert abs(dict(reported.effects[0].parameters)['speed'] - 6.0) < 3.0 * dict(reported.effects[0].std)['speed']
     assert abs(reported.train_file.resistance.c - 0.003) < 3.0 * reported.davis_std[2]
     assert explain(runs, reported.train_file).verdict is Verdict.NO_GAP
 
@@ -143,8 +136,7 @@ def test_user_effect_is_found(user_effect: Callable[[str, str, str], None]) -> N
     reported = explain(Maker().runs(8, 43, hunting), TRAIN)
     assert names(reported) == ['resonance']
     (effect,) = reported.effects
-    value, std = dict(effect.parameters)['value'], dict(effect.std)['value']
-    assert abs(value - 4.0) < 3.0 * std
+    assert abs(dict(effect.parameters)['value'] - 4.0) < 3.0 * dict(effect.std)['value']
     assert reported.gap is not None
     assert reported.gap.after < reported.gap.before
     assert reported.train_file.effects[0].name == 'resonance'

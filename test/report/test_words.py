@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.explain.result import Alternative, Explanation, Gap, Verdict
+from trainid_ros.explain.result import Explanation, Gap, Verdict
 from trainid_ros.report import words
 from trainid_ros.report.words import alternatives, drive_text, gap_sentence, headline, how_sure, parameters_text
+from trainid_ros.train.effects import Twin
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Explanation]
@@ -43,7 +44,7 @@ def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
     drag, wind = make_explanation().effects[0], replace(make_explanation().effects[0], name='headwind')
     assert headline(make_explanation(effects=(drag, wind, drag))).endswith('lacks local_drag twice and headwind.')
     assert headline(make_explanation(effects=(drag, drag, drag))).endswith('lacks local_drag three times.')
-    both = tuple(replace(effect, twins=(Alternative('gradient_error', ''),)) for effect in (drag, wind))
+    both = tuple(replace(effect, twins=(Twin('gradient_error', ''),)) for effect in (drag, wind))
     ambiguous = make_explanation(verdict=Verdict.AMBIGUOUS, effects=both)
     assert 'local_drag and headwind fit best, but' in headline(ambiguous)
     assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))

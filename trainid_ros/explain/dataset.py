@@ -44,7 +44,6 @@ BRAKING: Final = -1.0
 """Brake force below this is taken as braking [N/kN]."""
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
-_MIN_RUN_S: Final = 15.0  # Minimum length of a run [s]
 _MIN_SPEED: Final = 0.3  # Speed below which the brake may hold the train, so the force balance is not valid [m/s]
 
 
@@ -73,15 +72,12 @@ class Run:
 
 
 class RunCollector:
-    """Collects the samples of one bag into runs, by the mass and the brake model of a train file.
+    """Collects the samples of one bag into ``runs``, by the mass and the brake model of a train file.
 
-    Attributes:
-        runs: Completed runs.
-        origin_ns: Time stamp at which times are zero; 0 = that of the first sample.
+    ``bag`` is its number, ``origin_ns`` the stamp at which times are zero; 0 = that of the first sample.
     """
 
     def __init__(self, train_file: TrainFile, bag: int = 0, origin_ns: int = 0) -> None:
-        """Begin with a released brake; ``bag`` is the number of the bag."""
         self.origin_ns, self.runs = origin_ns, list[Run]()
         self._train_file, self._bag = train_file, bag
         self._rows: list[tuple[float, ...]] = []
@@ -148,7 +144,7 @@ class RunCollector:
         while rows and rows[-1][2] < _MIN_SPEED:
             rows.pop()
         start, self._start_position = self._start_position, math.nan
-        if not rows or rows[-1][0] - rows[0][0] < _MIN_RUN_S:
+        if not rows or rows[-1][0] - rows[0][0] < 15.0:  # s
             return
         columns = np.array(rows).T.copy()
         time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns
@@ -176,10 +172,7 @@ class RunCollector:
 
 
 def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
-    """Return positions with gaps bridged by the distance travelled [m], shape (n,), and True if half were measured.
-
-    Otherwise return the distance travelled, which gives no location on the line.
-    """
+    """Return positions (n,) with gaps bridged by the distance [m], and True; of less than half, the distance alone."""
     known = np.isfinite(position)
     if np.mean(known) < 0.5:
         return distance.copy(), False
@@ -189,15 +182,13 @@ def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
 
 
 _OUTLIER: Final = 5.0  # Deviation from the level beyond which a speed is an outlier [std of the window]
-_EDGE: Final = 20  # Samples from begin or end of a run within which a jump that cuts a burst is looked for
-_NEAR: Final = 5  # Samples before and after the jump whose medians must confirm it
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
     """Samples of all runs, one run after another, and the grid points they are averaged to."""
 
-    runs: tuple[Run, ...]  # The runs
+    runs: tuple[Run, ...]
     inertia: float  # Specific force per acceleration [N/kN per m/s^2]
     run_of: Indices  # Run of each sample, shape (n,)
     starts: Indices  # First sample of each run, shape (R,)
@@ -251,7 +242,11 @@ class Dataset:
 
     def joined(self, name: str) -> Array:
         """Return one field of all runs, concatenated, shape (n,)."""
-        return np.concatenate([getattr(run, name) for run in self.runs])
+        return _joined(self.runs, name)
+
+
+def _joined(runs: Sequence[Run], name: str) -> Array:
+    return np.concatenate([getattr(run, name) for run in runs])
 
 
 def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = None) -> Dataset:
@@ -263,9 +258,8 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
     sizes = np.array([run.time.size for run in runs])
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
     run_of = np.repeat(np.arange(len(runs)), sizes)
-    dt, time = np.concatenate([run.dt for run in runs]), np.concatenate([run.time for run in runs])
-    known = np.concatenate([run.traction + run.brake - run.gradient for run in runs])
-    measured = np.concatenate([run.speed for run in runs])
+    dt, time, measured = (_joined(runs, name) for name in ('dt', 'time', 'speed'))
+    known = _joined(runs, 'traction') + _joined(runs, 'brake') - _joined(runs, 'gradient')
     speed = measured
     # The second pass predicts with the outliers of the first one interpolated.
     for _ in range(2):
@@ -287,7 +281,7 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
 
 
 def find_outliers(gap: Array, starts: Indices) -> Flags:
-    """Return the samples whose speed leaves the level of the surrounding seconds and returns to it, shape (n,).
+    """Return the samples (n,) whose speed leaves the level of the surrounding seconds and returns to it.
 
     A permanent step, as a late brake causes, is not an outlier: the level steps as well. ``gap`` is the measured less
     the predicted speed [m/s], shape (n,), ``starts`` the first sample of each run, shape (R,).
@@ -325,11 +319,13 @@ def _outliers_of(gap: Array) -> Flags:
 
 
 def _cut_bursts(gap: Array, least: float) -> Flags:
-    """Return the samples before a jump that no train can make: a burst that began before the run."""
-    early = gap[: _EDGE + _NEAR]
+    """Return the samples before a jump that no train can make: a burst that began before the run.
+
+    It lies within 20 samples, and the medians of 5 samples before and after it confirm it.
+    """
     outlier = np.zeros(gap.size, dtype=bool)
-    for j in np.flatnonzero(np.abs(np.diff(early[:_EDGE])) > least).tolist():
-        before, after = early[max(j + 1 - _NEAR, 0) : j + 1], early[j + 1 : j + 1 + _NEAR]
+    for j in np.flatnonzero(np.abs(np.diff(gap[:20])) > least).tolist():
+        before, after = gap[max(j - 4, 0) : j + 1], gap[j + 1 : j + 6]
         if abs(float(np.median(after)) - float(np.median(before))) > least:
             outlier[: j + 1] = True
     return outlier
@@ -345,8 +341,6 @@ def _stage_means(speed: Array, starts: Indices) -> Array:
 
 def _bridge(gap: Array, outlier: Flags, run_of: Indices) -> Array:
     """Interpolate over outliers within each run."""
-    if not outlier.any():
-        return gap
     bridged = gap.copy()
     for run in np.unique(run_of[outlier]):
         at = np.flatnonzero(run_of == run)
@@ -357,10 +351,7 @@ def _bridge(gap: Array, outlier: Flags, run_of: Indices) -> Array:
 
 
 def _points(time: Array, outlier: Flags, point_starts: Indices) -> tuple[Array, Array, Array]:
-    """Return mean time, number of samples and share of those that follow each sample, as in :class:`Dataset`.
-
-    If all samples of a point are outliers, its time is the mean of all.
-    """
+    """Return ``point_time``, the mean of all samples if all are outliers, ``point_count`` and ``following``."""
     weight, sizes = (~outlier).astype(float), np.diff(point_starts, append=time.size)
     count = np.add.reduceat(weight, point_starts)
     some = np.maximum(count, 1.0)

@@ -5,25 +5,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.explain.track_points import track_points
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.effects import EFFECTS
+from trainid_ros.train.effects import EFFECTS, TrackPoint
+from trainid_ros.train.forces import Interpolation, davis
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from trainid_ros.explain.dataset import Array, Dataset
-    from trainid_ros.train.effects import EffectKind, TrackPoint
+    from trainid_ros.explain.dataset import Array, Dataset, Run
+    from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
 _CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
-_MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect on a section of the line [m]
+_MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,19 +36,37 @@ class EffectTerm:
     covariance: Array | None = None  # Their covariance in the same order, None before a fit
 
     @property
+    def kind(self) -> EffectKind:
+        """Its definition."""
+        return EFFECTS[self.name]
+
+    @property
+    def amount(self) -> float:
+        """Distance of the amplitude from its neutral value, in its unit."""
+        return self.parameters[self.kind.amplitude] - self.kind.neutral
+
+    @property
     def size(self) -> float:
-        """Distance of the amplitude from its neutral value, in units of its typical value [1]."""
-        kind = EFFECTS[self.name]
-        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.typical_size
+        """The same distance in units of the typical one [1], >= 0."""
+        return abs(self.amount) / self.kind.typical_size
 
     @property
     def significance(self) -> float:
         """The same distance in standard deviations conditional on the shape [1]; infinite before a fit."""
         if self.covariance is None:
             return math.inf
-        kind = EFFECTS[self.name]
-        at = list(self.parameters).index(kind.amplitude)
-        return self.size * kind.typical_size * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+        at = self.index(self.kind.amplitude)
+        typical = self.kind.typical_size
+        return self.size * typical * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+
+    @property
+    def shape(self) -> dict[str, float]:
+        """All parameters except the amplitude."""
+        return {name: self.parameters[name] for name in self.kind.shape}
+
+    def index(self, name: str) -> int:
+        """Return the place of a parameter in the covariance."""
+        return list(self.parameters).index(name)
 
     @property
     def std(self) -> dict[str, float]:
@@ -61,12 +80,11 @@ class EffectTerm:
         """Return the effect with its parameters changed by a step, as far as admissible, and with their covariance."""
         parameters = {}
         for (name, value), step in zip(self.parameters.items(), move.tolist(), strict=True):
-            limits = EFFECTS[self.name].parameters[name]
+            limits = self.kind.parameters[name]
             low, high = limits.low, limits.high
             if limits.search is not None:  # at most a factor of about three outside
                 low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
             parameters[name] = min(max(value + step, low), high)
-        # Averaged under a train, effects shorter than a minimum cannot be resolved.
         start, end = parameters.get('start'), parameters.get('end')
         if start is not None and end is not None and end - start < _MIN_LENGTH_M:
             middle = 0.5 * (start + end)
@@ -80,12 +98,11 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
     The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
     a place or a time that of the data.
     """
-    kind, cost = EFFECTS[term.name], 0.0
+    cost = 0.0
     for name, value in term.parameters.items():
-        width = prior_width(term.name, name, value)
-        limits = kind.parameters[name]
-        if name == kind.amplitude:
-            cost += ((value - kind.neutral) / width) ** 2
+        width, limits = prior_width(term.kind, name, value), term.kind.parameters[name]
+        if name == term.kind.amplitude:
+            cost += (term.amount / width) ** 2
             continue
         if limits.search is None:
             span = float(np.ptp(dataset.joined('position') if limits.is_place else dataset.time))
@@ -97,9 +114,8 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
     return cost
 
 
-def prior_width(effect: str, name: str, value: float) -> float:
+def prior_width(kind: EffectKind, name: str, value: float) -> float:
     """Return the prior std of a parameter about its initial value; 80 m for a position, 60 s for a time."""
-    kind = EFFECTS[effect]
     if name == kind.amplitude:
         return 3.0 * kind.typical_size
     limits = kind.parameters[name]
@@ -182,6 +198,34 @@ class EffectEvaluator:
         return total
 
 
+def track_points(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
+    """Return the inputs of effects at mid-stage of a run, by the mean speed of each stage [m/s], shape (n,).
+
+    The train has a length [m], a specific force per acceleration [N/kN per m/s^2] and the resistance of its train file.
+    """
+    middle = run.time - 0.5 * run.dt
+    place = run.position - 0.5 * run.direction * run.dt * speed
+    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
+    acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
+    travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
+    times: list[float] = middle.tolist()
+    brake, traction = (Interpolation(times, force.tolist()) for force in (run.brake, run.traction))
+    gradient = Interpolation(travelled.tolist(), run.gradient.tolist())
+    columns = (
+        middle, place, speed, run.radius, run.tunnel > 0.5, run.distance_run, run.since_release, run.traction,
+        run.brake, run.heat, acceleration, travelled,
+    )  # fmt: skip
+    return [
+        TrackPoint(
+            t, s, run.direction, v, radius, tunnel, length, distance, release, pull, push, heat, a,
+            partial(brake.before, t), partial(traction.before, t), partial(gradient.ahead, way),
+        )
+        for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
+    ]  # fmt: skip
+
+
 def unit_resistance(
     evaluator: EffectEvaluator, kind: EffectKind, shape: Mapping[str, float], times: float = 1.0
 ) -> Array:
@@ -189,18 +233,6 @@ def unit_resistance(
     size = times * kind.typical_size
     parameters = {**shape, kind.amplitude: kind.neutral + size}
     return evaluator.resistance(kind.name, parameters) / size
-
-
-def shape_names(kind: EffectKind) -> tuple[str, ...]:
-    """Return the names of all parameters except the amplitude."""
-    return tuple(name for name in kind.parameters if name != kind.amplitude)
-
-
-def sign(kind: EffectKind) -> int:
-    """Return the side of its neutral value on which an amplitude can lie: +1, -1, or 0 for both."""
-    limits = kind.parameters[kind.amplitude]
-    low, high = limits.search or (limits.low, limits.high)
-    return int(low >= kind.neutral) - int(high <= kind.neutral)
 
 
 def without_replaced(terms: Sequence[EffectTerm], train_file: TrainFile) -> TrainFile | None:

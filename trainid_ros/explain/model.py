@@ -24,27 +24,28 @@ import numpy as np
 
 from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_width
-from trainid_ros.explain.likelihood import MarginalLikelihood, informations, log_bayes, posterior
-from trainid_ros.explain.noise import (
+from trainid_ros.explain.likelihood import (
     DAVIS,
     Bins,
     Grid,
+    MarginalLikelihood,
     Whitener,
     Whitening,
     common_columns,
     common_std,
+    informations,
+    log_bayes,
+    posterior,
     prior_factor,
     run_columns,
 )
-from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices, Run
-    from trainid_ros.explain.likelihood import Hyperparameters, Information
-    from trainid_ros.explain.noise import Noise, Spread
+    from trainid_ros.explain.likelihood import Hyperparameters, Information, Noise, Spread
     from trainid_ros.train.train_file import TrainFile
 
 _MAX_EXCESS: Final = 0.1  # Deviation of the wheel ratio from one beyond which it is not due to the wheel [1]
@@ -192,20 +193,16 @@ WHEEL: Final = 'wheel_diameter'
 
 
 class Model:
-    """Dataset, nuisances and effect terms; immutable.
+    """Dataset, train file, nuisances and effect terms; immutable.
 
     Attributes:
         evaluator: Resistances of effects on the dataset.
-        dataset: The dataset to explain.
-        train_file: The train file to extend.
-        terms: Effects in the model.
-        davis: a, b, c about which the effects are linearised.
-        residual: Measured less predicted speed at the grid points [m/s], shape (m,).
+        terms: Effects in the model, linearised about their parameters and ``davis``.
+        residual: Measured less predicted speed at the points of ``grid`` [m/s], shape (m,).
         nuisance_columns: Responses [m/s] at the grid points to nuisances that all runs share, first those of
             :func:`common_columns`, then the parameters of effects, then map errors, shape (m, q + k).
         common_std: Prior std of the first q of them, shape (q,).
         factor_columns: Responses [m/s] at the grid points to the factors of single runs, shape (m, 2).
-        grid: Grid of these points.
         weighed: True if the mass of all runs is measured.
         odometry: Wheel ratio from the distances between stops.
     """
@@ -251,7 +248,6 @@ class Model:
         return other
 
     def _set(self, terms: tuple[EffectTerm, ...], davis: Davis) -> None:
-        """Linearise about the parameters of effects, and about a, b, c where an effect depends on them."""
         self.terms, self.davis = terms, davis
         derivatives, std = [], []
         total = np.zeros(self.dataset.dt.size)
@@ -267,7 +263,7 @@ class Model:
                 common = common.copy()
                 common[:, DAVIS] += self.dataset.column(by_davis)
             for name, value in term.parameters.items():
-                width = prior_width(term.name, name, value)
+                width = prior_width(term.kind, name, value)
                 derivatives.append(self._derivative(term, name, 0.05 * width))
                 std.append(width)
         self.residual = self._gap - self.dataset.column(total)
@@ -277,7 +273,7 @@ class Model:
 
     def _derivative(self, term: EffectTerm, name: str, step: float) -> Array:
         """Return the derivative of an effect's resistance by one of its parameters, shape (n,)."""
-        limits, value = EFFECTS[term.name].parameters[name], term.parameters[name]
+        limits, value = term.kind.parameters[name], term.parameters[name]
         other = value + step if value + step <= limits.high else value - step
         changed = self.evaluator.resistance(term.name, {**term.parameters, name: other}, self.davis)
         here = self.evaluator.resistance(term.name, term.parameters, self.davis)
@@ -317,7 +313,7 @@ class Model:
         return prior_factor(self.common_std, self._map_root, spread)
 
     def products_by_run(self, columns: Array, hyper: Hyperparameters) -> Array:
-        """Return products of columns at the grid points, whitened, shape (m, C), by run, shape (R, C, C)."""
+        """Return products of columns (m, C) at the grid points, whitened, by run, shape (R, C, C)."""
         white = self._whitened(hyper)[0].apply(columns)
         return np.stack([white[run].T @ white[run] for run in self.grid.runs])
 
@@ -395,10 +391,7 @@ class Model:
         return Davis(max(a, 0.0), b, max(c, 0.0))
 
     def _step(self, hyper: Hyperparameters, *, hold: bool = False) -> tuple[tuple[EffectTerm, ...], Davis, float]:
-        """Return the effects after one step, with covariances, a, b, c, and the largest change in standard deviations.
-
-        With ``hold`` the parameters stay where they are and only get their covariances.
-        """
+        """Return the effects after one step, or with ``hold`` as they are; a, b, c; and the largest change [std]."""
         mean, covariance = self.posterior(hyper)
         terms = []
         davis = self.found_davis(mean) if self._depends_on_davis else self.davis

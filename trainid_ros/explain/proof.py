@@ -17,17 +17,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from trainid_ros.explain.dataset import BRAKING, PULLING
-from trainid_ros.explain.likelihood import Hyperparameters, posterior
+from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import integrated_covariance, share_of_mean
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
 from trainid_ros.explain.search import GENERIC, LEFT_OVER, with_onsets
-from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,10 +33,6 @@ if TYPE_CHECKING:
     from trainid_ros.explain.dataset import Array, Dataset, Flags, Run
     from trainid_ros.explain.search import Selection
     from trainid_ros.train.train_file import TrainFile
-
-# Maximum plausible gusts, payloads, brakes and map errors [1]; see MarginalLikelihood.excess.
-_MAX_EXCESS: Final = 14.0
-_MAX_EXCESS_NAMED: Final = 30.0  # The same when effects with evidence of their own have been found [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +71,7 @@ def _neutral(model: Model) -> Array:
     """
     change = np.eye(model.columns.shape[1])
     for term, here in model.places():
-        kind = EFFECTS[term.name]
-        at = 1 + here.start + list(term.parameters).index(kind.amplitude)
-        change[at, 0] = term.parameters[kind.amplitude] - kind.neutral
+        change[1 + here.start + term.index(term.kind.amplitude), 0] = term.amount
     return change
 
 
@@ -124,9 +116,9 @@ def _noise(model: Model, hyper: Hyperparameters, at: Flags, covariance: Array) -
 class Outcome:
     """Verdict with the models and held-out gaps behind it."""
 
-    verdict: Verdict  # The verdict
+    verdict: Verdict
     remaining: str  # One sentence on what the rest of the gap depends on
-    hyper: Hyperparameters  # Hyperparameters of noise and nuisances
+    hyper: Hyperparameters
     base: Model  # Model without effects, of all runs compared
     final: Model  # Model with the effects that are reported
     before: HeldOut | None  # Gaps of held-out runs without effects; None with too few runs
@@ -161,8 +153,9 @@ def assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     final, terms = selection.final, selection.final.model.terms
-    # With slip the noise is not checked, since its bursts look like gusts.
-    is_noisy = not slipping and final.excess >= (_MAX_EXCESS_NAMED if terms else _MAX_EXCESS)
+    # Beyond plausible gusts, payloads, brakes and map errors; more is plausible beside effects with evidence of their
+    # own. With slip the noise is not checked, since its bursts look like gusts.
+    is_noisy = not slipping and final.excess >= (30.0 if terms else 14.0)
     if (
         selection.groups[0].evidence > max(GENERIC, LEFT_OVER * sum(selection.evidence))
         or is_noisy
@@ -189,11 +182,7 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     )
 
 
-_PRIOR: Final = 3.0  # Prior std of the missing resistance in one part [N/kN]; a part without data keeps it
-
-
-@dataclass(frozen=True, slots=True)
-class _Axis:
+class _Axis(NamedTuple):
     """One axis: labels and edges of its k parts, and the samples that lie in each, shape (n, k)."""
 
     name: str
@@ -243,7 +232,8 @@ def _missing(
     """Return what each part of an axis lacks beyond the mean of all parts, with its std, for one axis at a time."""
     found = []
     for information, share in zip(model.informations(hyper, columns, terms=False), shares, strict=True):
-        covariance = np.asarray(np.linalg.inv(information.A + np.eye(share.size) / _PRIOR**2))
+        # Prior std of a part: 3 N/kN; a part without data keeps it.
+        covariance = np.asarray(np.linalg.inv(information.A + np.eye(share.size) / 3.0**2))
         deviation = np.eye(share.size) - (share / share.sum())[None, :]
         variance = np.einsum('ij,jk,ik->i', deviation, covariance, deviation)
         found.append((deviation @ (covariance @ information.b), np.sqrt(np.maximum(variance, 0.0))))

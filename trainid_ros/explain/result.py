@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from trainid_ros.explain.likelihood import Noise, Spread
+    from trainid_ros.train.effects import Twin
     from trainid_ros.train.train_file import NamedValues, TrainFile
 
     Array = NDArray[np.float64]
@@ -26,14 +28,6 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Alternative:
-    """An alternative effect that explains the data equally well."""
-
-    name: str  # Its name in train files
-    drive: str  # The test run that would distinguish the two
-
-
-@dataclass(frozen=True, slots=True)
 class FoundEffect:
     """An effect that was added to the model."""
 
@@ -45,7 +39,7 @@ class FoundEffect:
     std: NamedValues  # Their standard deviations
     evidence: float  # 2 ln of its Bayes factor, given the other effects [1]
     where: str  # Where and when it shows, as text
-    twins: tuple[Alternative, ...]  # Alternative effects that explain the data equally well, nearest first
+    twins: tuple[Twin, ...]  # Alternative effects that explain the data equally well, nearest first
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,18 +89,6 @@ class RunTrace:
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseLevels:
-    """Estimated standard deviations of noise and nuisances."""
-
-    speed: float  # Noise of one measured speed [m/s]
-    gust: float  # Standard deviation of gusts [N/kN]
-    gust_time: float  # Correlation time of gusts [s]
-    payload: float  # Relative error of the mass of a run [1]
-    brake: float  # Relative change of the brake force from run to run [1]
-    map: float  # Error of the map's gradient [per mille]
-
-
-@dataclass(frozen=True, slots=True)
 class Explanation:
     """Result of the workflow."""
 
@@ -119,7 +101,8 @@ class Explanation:
     davis_std: tuple[float, float, float]  # Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2]
     locations: tuple[Location, ...]  # Where the gap is
     traces: tuple[RunTrace, ...]  # All runs, for plots
-    noise: NoiseLevels  # Standard deviations of noise and nuisances
+    noise: Noise  # Standard deviations of the noise along a run
+    spread: Spread  # Standard deviations of nuisances from run to run and from place to place
     outliers: float  # Share of speeds excluded as outliers [1]
     weighed: bool  # True if the mass was measured
     # Point of the train at which gradients were taken to be given; None if they are means under it

@@ -26,10 +26,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trainid_ros.explain.dataset import BRAKING, PULLING
-from trainid_ros.explain.effects import EffectTerm, prior_cost, shape_names, sign, unit_resistance
-from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
+from trainid_ros.explain.effects import EffectTerm, prior_cost, unit_resistance
+from trainid_ros.explain.likelihood import Bins, Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
-from trainid_ros.explain.noise import Bins
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ SECTIONS: Final = ('gradient_error', 'local_drag')
 class Family:
     """Columns of one named effect."""
 
-    kind: EffectKind  # The effect
+    kind: EffectKind
     shapes: tuple[Mapping[str, float], ...]  # Shape parameters of each column, in the units of the effect
     resistance: Array  # Resistance per unit of amplitude [N/kN], shape (n, k)
 
@@ -70,7 +69,7 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
 def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> list[tuple[dict[str, float], Array]]:
     """Return shapes with their columns; a shape is repeated where the response is not linear in the amplitude."""
     shapes = _shapes(kind, evaluator.dataset)
-    if shape_names(kind) or sign(kind):
+    if kind.shape or kind.sign:
         return [(shape, unit_resistance(evaluator, kind, shape)) for shape in shapes]
     columns: list[Array] = []
     for times in (1.0, -1.0, 2.0, -2.0):  # typical amplitudes
@@ -81,8 +80,7 @@ def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> list[tuple[dict[st
 
 
 def _shapes(kind: EffectKind, dataset: Dataset) -> list[dict[str, float]]:
-    """Return the grid of all parameters except the amplitude."""
-    names = shape_names(kind)
+    names = kind.shape
     places = sum(kind.parameters[name].is_place for name in names)
     axes = [_axis(kind.parameters[name], dataset, _PLACES[min(places, len(_PLACES)) - 1]) for name in names]
     shapes = (dict(zip(names, values, strict=True)) for values in product(*axes))
@@ -108,7 +106,6 @@ def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
     return [float(value) for value in values]
 
 
-_KNOTS: Final = 5  # Knots of a piecewise-linear dependence
 _MAX_RUNS: Final = 60  # With more runs than this, the dependence on the run is replaced by one on time
 
 
@@ -150,11 +147,11 @@ def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
         Group('time', 'the time', _hats(dataset.time, 6)),
         Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
         Group('speed', 'the speed', _hats(v, 7)),
-        Group('traction-speed', 'the speed in traction', _hats(v, _KNOTS) * pulling[:, None]),
-        Group('coast-speed', 'the speed while coasting', _hats(v, _KNOTS) * coasting[:, None]),
-        Group('traction', 'the tractive force', _hats(np.maximum(traction, 0.0), _KNOTS) * pulling[:, None]),
-        Group('brake-speed', 'the speed while braking', _hats(v, _KNOTS) * brake[:, None] / 30.0),
-        Group('brake', 'the braking force', _hats(brake, _KNOTS) * braking[:, None]),
+        Group('traction-speed', 'the speed in traction', _hats(v, 5) * pulling[:, None]),
+        Group('coast-speed', 'the speed while coasting', _hats(v, 5) * coasting[:, None]),
+        Group('traction', 'the tractive force', _hats(np.maximum(traction, 0.0), 5) * pulling[:, None]),
+        Group('brake-speed', 'the speed while braking', _hats(v, 5) * brake[:, None] / 30.0),
+        Group('brake', 'the braking force', _hats(brake, 5) * braking[:, None]),
         Group('brake-heat', 'the heat of the brake', heats * brake[:, None] / 30.0),
         Group('direction', 'the direction', direction * powers),
         Group('inertia', 'the acceleration', np.stack((acceleration, np.abs(acceleration)), axis=1) / 50.0),
@@ -237,7 +234,7 @@ def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Arra
 def _family(family: Family, A: Array, b: Array) -> EffectScore:
     """Return the evidence of an effect, averaged over its shapes; A is the diagonal of the matrix."""
     kind = family.kind
-    values = [log_bayes(A, b, share * kind.typical_size, sign(kind)) for share in _SHARES]
+    values = [log_bayes(A, b, share * kind.typical_size, kind.sign) for share in _SHARES]
     best = int(np.argmax(values[-1]))
     size = b[best] / (A[best] + kind.typical_size**-2)
     parameters = {**family.shapes[best], kind.amplitude: kind.neutral + float(size)}
@@ -253,7 +250,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)
-    values = np.stack([log_bayes(block, along, share * kind.typical_size, sign(kind)) for share in _SHARES])
+    values = np.stack([log_bayes(block, along, share * kind.typical_size, kind.sign) for share in _SHARES])
     # The prior of the length is uniform on a log scale.
     weight = 1.0 / (j - i)
     best = int(np.argmax(values[-1]))
@@ -270,7 +267,6 @@ def _mean_evidence(values: Array, weight: Array | None = None) -> float:
 
 
 def _by_evidence(scores: Iterable[EffectScore]) -> list[EffectScore]:
-    """Return scores, the best first."""
     return sorted(scores, key=lambda score: -score.evidence)
 
 
@@ -291,8 +287,8 @@ _MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted 
 class State:
     """A model with the hyperparameters estimated with it."""
 
-    model: Model  # The model
-    hyper: Hyperparameters  # Its hyperparameters
+    model: Model
+    hyper: Hyperparameters
     logs: Array  # Their logs, shape (7,)
 
     @property
@@ -314,11 +310,7 @@ class Selection:
 
 
 class Search:
-    """Search for the effects that explain a dataset.
-
-    Attributes:
-        base: The model without effects.
-    """
+    """Search for the effects that explain a dataset; ``base`` is the model without effects."""
 
     def __init__(self, model: Model, advance: Callable[[str], None] = lambda _: None) -> None:
         self._advance = advance
@@ -386,7 +378,6 @@ class Search:
         return list(found.values())
 
     def _named(self, model: Model, hyper: Hyperparameters) -> list[EffectScore]:
-        """Return the evidence of all effects that can be added to a model, best first."""
         present = {term.name for term in model.terms} - set(SECTIONS)
         return [score for score in self._scores(model, hyper)[0] if score.name not in present]
 
@@ -443,7 +434,6 @@ class Search:
         )
 
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
-        """Return the best effect other than ``name`` that can be added to a model."""
         return next((score for score in self._named(model, hyper) if score.name != name), None)
 
 
@@ -456,23 +446,22 @@ def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
 
 def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> EffectTerm:
     """Return an effect fitted to a model ``without`` it, with posterior mean and variance of any onset time it has."""
-    kind = EFFECTS[term.name]
-    names = [n for n in shape_names(kind) if kind.parameters[n].unit == 's' and kind.parameters[n].search is None]
+    kind = term.kind
+    names = [n for n in kind.shape if kind.parameters[n].unit == 's' and kind.parameters[n].search is None]
     if len(names) != 1 or term.covariance is None:
         return term
     name, dataset = names[0], without.dataset
     times = np.linspace(dataset.time.min(), dataset.time.max(), 122)[1:-1]
     times = np.sort(np.append(times, term.parameters[name]))
-    shape = {n: term.parameters[n] for n in shape_names(kind)}
-    columns = [unit_resistance(without.evaluator, kind, {**shape, name: float(t)}) for t in times]
+    columns = [unit_resistance(without.evaluator, kind, {**term.shape, name: float(t)}) for t in times]
     (information,) = without.informations(hyper, [dataset.column(np.stack(columns, axis=1))])
-    value = log_bayes(np.diag(information.A), information.b, kind.typical_size, sign(kind))
+    value = log_bayes(np.diag(information.A), information.b, kind.typical_size, kind.sign)
     weight = np.exp(0.5 * (value - value.max()))
     weight = weight * np.gradient(times)
     weight /= weight.sum()
     mean = float(weight @ times)
     variance = float(weight @ np.square(times - mean)) + float(np.median(np.diff(times))) ** 2 / 12.0
-    at = list(term.parameters).index(name)
+    at = term.index(name)
     covariance = term.covariance.copy()
     covariance[at, at] = max(covariance[at, at], variance)
     return replace(term, parameters={**term.parameters, name: mean}, covariance=covariance)
@@ -480,13 +469,11 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
 
 def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
     """Return False if effect k is detectable in all runs but the most evident one, and does not show there."""
-    term, kind = model.terms[k], EFFECTS[model.terms[k].name]
-    without = model.without(k)
-    shape = {name: term.parameters[name] for name in shape_names(kind)}
-    column = without.dataset.column(unit_resistance(without.evaluator, kind, shape)[:, None])
+    term, without = model.terms[k], model.without(k)
+    column = without.dataset.column(unit_resistance(without.evaluator, term.kind, term.shape)[:, None])
     columns = np.concatenate([without.columns, column], axis=1)
     products = without.products_by_run(columns, hyper)
-    size = term.parameters[kind.amplitude] - kind.neutral
+    size = term.amount
     most = int(np.argmax(size * products[:, 0, -1]))
     root = without.prior_factor(hyper.spread)
     others = eliminate(products.sum(axis=0) - products[most], root)

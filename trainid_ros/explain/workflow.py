@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
+from trainid_ros.explain.likelihood import DAVIS, integrated_covariance
 from trainid_ros.explain.model import Model, find_slip, read_at
-from trainid_ros.explain.noise import DAVIS, integrated_covariance
 from trainid_ros.explain.proof import assess, locate, where
-from trainid_ros.explain.result import Alternative, Explanation, FoundEffect, Location, NoiseLevels, RunTrace, Verdict
+from trainid_ros.explain.result import Explanation, FoundEffect, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.resistance.suggested_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
-from trainid_ros.train.effects import EFFECTS, TrackPoint
+from trainid_ros.train.effects import EFFECTS, TrackPoint, Twin
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Effect
 
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _MAX_SEARCHED_S: Final = 3000.0  # Maximum driving time that is searched for effects [s]
-# Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory.
-_MAX_COMPARED_S: Final = 12000.0
 
 
 def explain(
@@ -63,7 +61,7 @@ def explain(
     if sum(run.time.size for run in runs) < 200:
         raise NoAnswerError(f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare')
     # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
-    compared = _some(runs, _MAX_COMPARED_S)
+    compared = _some(runs, 12000.0)  # s of driving, to bound time and memory
     search = Search(Model.of(_some(compared, _MAX_SEARCHED_S), train_file), advance)
     if point := search.gradient_point():
         compared = read_at(point, compared, train_file.train.length)
@@ -84,7 +82,6 @@ def explain(
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
     davis, davis_std = _davis(outcome.final, outcome.hyper)
-    noise, spread = outcome.hyper.noise, outcome.hyper.spread
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
@@ -95,7 +92,8 @@ def explain(
         davis_std=davis_std,
         locations=locations,
         traces=_traces(outcome),
-        noise=NoiseLevels(noise.speed, noise.gust, noise.gust_time, spread.payload, spread.brake, spread.map),
+        noise=outcome.hyper.noise,
+        spread=outcome.hyper.spread,
         outliers=float(np.mean(outcome.base.dataset.outlier)),
         weighed=outcome.final.weighed,
         gradient_point=point,
@@ -120,37 +118,32 @@ def _found(
     fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
     rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     for term, evidence, twins in rows:
-        alternatives = tuple(Alternative(name, _drive(term, name, fit)) for name in twins)
+        alternatives = []
+        for name in twins:
+            text = {item.name: item.drive for item in term.kind.twins}.get(name, term.kind.needs)
+            drive = distinguishing_drive(term.name, term.parameters, name, fit)
+            alternatives.append(Twin(name, f'{text}; for example {drive}' if drive else text))
         place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset, locations)
-        found.append(_effect(term, evidence, alternatives, place))
+        found.append(_effect(term, evidence, tuple(alternatives), place))
     return found
 
 
-def _drive(term: EffectTerm, twin: str, fit: FitSummary) -> str:
-    """Return the test run that would distinguish an effect from its twin, with a drive that does it if there is one."""
-    kind = EFFECTS[term.name]
-    text = {item.name: item.drive for item in kind.twins}.get(twin, kind.needs)
-    drive = distinguishing_drive(term.name, term.parameters, twin, fit)
-    return f'{text}; for example {drive}' if drive else text
-
-
-def _effect(term: EffectTerm, evidence: float, alternatives: tuple[Alternative, ...], place: str) -> FoundEffect:
-    kind = EFFECTS[term.name]
+def _effect(term: EffectTerm, evidence: float, alternatives: tuple[Twin, ...], place: str) -> FoundEffect:
+    kind = term.kind
     parameters = tuple((name, float(value)) for name, value in term.parameters.items())
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
-    return FoundEffect(
-        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), place, alternatives
-    )
+    of_kind = kind.name, kind.title, kind.equation, kind.origin
+    return FoundEffect(*of_kind, parameters, std, float(evidence), place, alternatives)
 
 
 def _total_std(term: EffectTerm, name: str, std: float) -> float:
     """Return a standard deviation that includes the errors of equations and clocks."""
-    kind = EFFECTS[term.name]
-    off = term.parameters[name] - (kind.neutral if name == kind.amplitude else 0.0)
+    kind, parameter = term.kind, term.kind.parameters[name]
+    off = term.amount if name == kind.amplitude else term.parameters[name]
     # Equations of real effects differ slightly from those of the library; positions and times have no such error.
-    sized = name == kind.amplitude or (kind.parameters[name].unit != 'm' and kind.parameters[name].search is not None)
+    sized = name == kind.amplitude or (parameter.unit != 'm' and parameter.search is not None)
     equation = 0.03 * off if sized else 0.0
-    clock = 0.04 if kind.parameters[name].unit == 's' else 0.0  # s: time stamps are read at 5 Hz
+    clock = 0.04 if parameter.unit == 's' else 0.0  # s: time stamps are read at 5 Hz
     return math.sqrt(std * std + equation * equation + clock * clock)
 
 
@@ -162,25 +155,21 @@ def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, fl
 
 
 def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
-    """Return all runs with their gaps for plots."""
-    model, before, after = outcome.final, outcome.before, outcome.after
-    dataset = model.dataset
-    position, speed = dataset.average(dataset.joined('position')), dataset.average(dataset.speed)
-    nothing = np.full(model.residual.size, np.nan)
-    gaps = [nothing if held is None else held.gap for held in (before, after)]
-    band = nothing if after is None else after.std
+    dataset, before, after = outcome.final.dataset, outcome.before, outcome.after
+    nothing = np.full(dataset.point_time.size, np.nan)
+    columns = (
+        dataset.average(dataset.joined('position')), dataset.average(dataset.speed),
+        nothing if before is None else before.gap, *((nothing, nothing) if after is None else (after.gap, after.std)),
+    )  # fmt: skip
     traces = []
     for k, run in enumerate(dataset.runs):
         at = (dataset.point_run == k) & (dataset.point_count > 0.0)
         time = dataset.point_time[at] - run.time[0]
-        traces.append(
-            RunTrace(run.bag, run.direction, time, position[at], speed[at], gaps[0][at], gaps[1][at], band[at])
-        )
+        traces.append(RunTrace(run.bag, run.direction, time, *(column[at] for column in columns)))
     return tuple(traces)
 
 
 _COUNTS: Final = {1: 'once', 2: 'twice', 3: '3 times'}  # Numbers of times that one run is driven
-_MIN_STD: Final = 1e-6  # Lower bound of a prior std, which keeps its inverse finite [unit of the value]
 _STEPS: Final = 5  # Steps of a plan whose speeds are averaged to one
 
 
@@ -222,9 +211,8 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
 def _typical(kind: EffectKind) -> dict[str, float] | None:
     """Return parameters of typical size and shape; None for an effect at a place or time of its own."""
     values = {kind.amplitude: kind.neutral + kind.typical_size}
-    for name, parameter in kind.parameters.items():
-        if name == kind.amplitude:
-            continue
+    for name in kind.shape:
+        parameter = kind.parameters[name]
         if parameter.search is None:
             return None
         low, high = parameter.search
@@ -241,18 +229,13 @@ def _resistances(run: PlannedRun, kind: EffectKind, parameters: Mapping[str, flo
 
 
 def _point(steps: Sequence[Step], k: int) -> TrackPoint:
-    before = steps[max(k - 1, 0)]
+    before, now = steps[max(k - 1, 0)], steps[k]
     return TrackPoint(
-        time_s=k * STEP_S,
-        position=math.nan,
-        direction=1,
-        speed=steps[k].speed,
+        k * STEP_S, math.nan, 1, now.speed,
         distance_run=1e6,  # the bearings are warm
-        since_release=k * STEP_S,
-        traction=steps[k].traction,
-        acceleration=(steps[k].speed - before.speed) / STEP_S,
+        since_release=k * STEP_S, traction=now.traction, acceleration=(now.speed - before.speed) / STEP_S,
         traction_before=lambda ago: steps[min(max(k - round(ago / STEP_S), 0), len(steps) - 1)].traction,
-    )
+    )  # fmt: skip
 
 
 def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -> Array:
@@ -276,8 +259,8 @@ def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -
 def _std(information: Array, fit: FitSummary) -> float:
     """Return the standard deviation of A after runs with this information, all else as unknown as a priori."""
     # The other effect may have ten times its typical amplitude, and would change a, b, c too.
-    davis_std = (3.0 * max(std, _MIN_STD) for std in fit.davis_std)
-    stds = np.array([10.0, *davis_std, max(fit.hyper.spread.payload, _MIN_STD)])
+    known = np.maximum([*fit.davis_std, fit.hyper.spread.payload], 1e-6)  # keeps the inverse finite
+    stds = np.array([10.0, *(3.0 * known[:3]), known[3]])
     prior = np.concatenate(([0.0], stds**-2.0))
     total = information + np.diag(prior)
     left = total[0, 0] - total[0, 1:] @ np.linalg.solve(total[1:, 1:], total[1:, 0])

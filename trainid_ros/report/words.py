@@ -129,15 +129,15 @@ def strongest(explanation: Explanation) -> list[str]:
 
 def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
     """Return the estimates of noise and nuisances: name, unit, value."""
-    noise = explanation.noise
+    noise, spread = explanation.noise, explanation.spread
     load = 'error of the weighed load' if explanation.weighed else 'load (the train is not weighed)'
     rows = (
         ('noise of the measured speed', 'm/s', noise.speed),
         ('gusts and other transient forces', 'N/kN', noise.gust),
         ('correlation time of these', 's', noise.gust_time),
-        (load, '% of the mass', 100.0 * noise.payload),
-        ('brake from run to run', '% of its force', 100.0 * noise.brake),
-        ('error of the gradient in the map', 'per mille', noise.map),
+        (load, '% of the mass', 100.0 * spread.payload),
+        ('brake from run to run', '% of its force', 100.0 * spread.brake),
+        ('error of the gradient in the map', 'per mille', spread.map),
         ('speeds excluded (slip, outliers)', '%', 100.0 * explanation.outliers),
     )
     return [(name, unit, number(value, 2)) for name, unit, value in rows]
