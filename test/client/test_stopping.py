@@ -116,9 +116,7 @@ def test_an_extra_resistance_acts_as_that_of_the_train() -> None:
 
 
 def test_a_train_that_is_braking_already_stops_sooner() -> None:
-    theta = parameters()
-    released = Braking(shape(), theta, 1.0, 0.0).stop(20.0).distance
-    braking = Braking(shape(), theta, 1.0, 1.0).stop(20.0).distance
+    released, braking = (Braking(shape(), parameters(), 1.0, u0).stop(20.0).distance for u0 in (0.0, 1.0))
     # Half a second to a second of braking is lost otherwise.
     assert 0.8 * 20.0 < released - braking < 1.0 * 20.0
 
@@ -127,9 +125,7 @@ def test_a_brake_weaker_than_the_gradient_does_not_stop_the_train() -> None:
     steep = parameters(gradient=-60.0)
     assert math.isinf(Braking(shape(), steep, 0.3, 0.0).stop(10.0).distance)
     assert math.isinf(Braking(shape(), parameters(gradient=-499.0, delay=120.0), 0.3, 0.0).stop(10.0).distance)
-
-
-def test_a_standing_train_needs_no_distance() -> None:
+    # A standing train needs no distance.
     assert Braking(shape(), parameters(), 1.0, 0.0).stop(0.0).distance == 0.0
 
 
@@ -154,6 +150,11 @@ LEARNED = StopPosterior(
 UNKNOWN = replace(
     LEARNED, variances=(0.2**2, *LEARNED.variances[1:]), davis=(0.94, 0.0, 0.0, 0.0, 5e-4, 0.0, 0.0, 0.0, 6e-7)
 )
+
+
+def on(posterior: StopPosterior, gradient: float, rate: float = 0.9) -> StopPosterior:
+    """Return what is known of a stop on a gradient [per mille], with a brake rate."""
+    return replace(posterior, mean=(rate, *posterior.mean[1:6], gradient, *posterior.mean[7:]))
 
 
 def draw(posterior: StopPosterior, rng: np.random.Generator) -> Array:
@@ -206,7 +207,7 @@ def test_bounds_cover_their_share_of_the_posterior(
 @pytest.mark.parametrize('gradient', [-30.0, 0.0, 25.0])
 @pytest.mark.parametrize('confidence', [0.5, 0.999])
 def test_the_speed_is_the_exact_inverse_of_the_distance(table: Pairs, gradient: float, confidence: float) -> None:
-    posterior = replace(LEARNED, mean=(*LEARNED.mean[:6], gradient, *LEARNED.mean[7:]))
+    posterior = on(LEARNED, gradient)
     bounds = StoppingBounds(shape(table), posterior, 0.9, 0.0, confidence)
     for speed in (0.6, 2.5, 5.0, 9.3, 22.2, 41.0, 140.0):
         assert bounds.speed(bounds.at(speed).distance)[0] == pytest.approx(speed, abs=1e-6)
@@ -218,18 +219,15 @@ def test_the_std_of_a_speed_is_that_of_its_distance() -> None:
     assert std == pytest.approx(bounds.at(speed).std * (bounds.speed(201.0)[0] - speed), rel=0.01)
 
 
-def test_a_distance_too_long_for_any_speed_gives_the_largest_one() -> None:
+def test_the_longest_distance_gives_the_largest_speed_and_none_allows_no_speed_also_downhill() -> None:
     assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(1e5)[0] == MAX_SPEED
-
-
-def test_no_distance_allows_no_speed_also_downhill() -> None:
-    downhill = replace(LEARNED, mean=(*LEARNED.mean[:6], -30.0, *LEARNED.mean[7:]))
+    downhill = on(LEARNED, -30.0)
     assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(0.0) == (0.0, 0.0)
     assert StoppingBounds(shape(), downhill, 0.9, 0.0, 0.95).speed(0.01) == (0.0, 0.0)
 
 
 def test_a_train_that_may_not_stop_has_no_answer() -> None:
-    steep = replace(UNKNOWN, mean=(*UNKNOWN.mean[:6], -60.0, *UNKNOWN.mean[7:]))
+    steep = on(UNKNOWN, -60.0)
     bounds = StoppingBounds(shape(), steep, 0.6, 0.0, 0.95)
     assert math.isinf(bounds.at(10.0).distance)
     with pytest.raises(NoAnswerError, match=r'may not stop: command = -0.6 m/s\^2 is too weak'):
@@ -238,7 +236,7 @@ def test_a_train_that_may_not_stop_has_no_answer() -> None:
 
 def test_a_train_that_only_stops_from_low_speeds_gets_one_of_them() -> None:
     fading = ((5.0, 1.0), (15.0, 0.02))
-    posterior = replace(LEARNED, mean=(*LEARNED.mean[:6], -25.0, *LEARNED.mean[7:]))
+    posterior = on(LEARNED, -25.0)
     bounds = StoppingBounds(shape(fading), posterior, 0.6, 0.0, 0.95)
     assert math.isinf(bounds.at(15.0).distance)
     speed, std = bounds.speed(1e4)
@@ -249,7 +247,7 @@ def test_a_train_that_only_stops_from_low_speeds_gets_one_of_them() -> None:
 @pytest.mark.parametrize('gradient', [-40.0, -35.0, -25.0, -15.0])
 @pytest.mark.parametrize('confidence', [0.9, 0.95, 0.99, 0.999])
 def test_bounds_near_a_runaway_rise_with_speed_and_have_an_inverse(gradient: float, confidence: float) -> None:
-    steep = replace(UNKNOWN, mean=(1.0, *UNKNOWN.mean[1:6], gradient, *UNKNOWN.mean[7:]))
+    steep = on(UNKNOWN, gradient, 1.0)
     answered = 0
     for command in (0.4, 0.55, 0.7, 1.0):
         bounds, before = StoppingBounds(shape(), steep, command, 0.0, confidence), 0.0
@@ -265,7 +263,7 @@ def test_bounds_near_a_runaway_rise_with_speed_and_have_an_inverse(gradient: flo
 
 def test_a_bound_near_a_runaway_is_the_longest_distance_of_its_confidence() -> None:
     """No draw at the edge of the confidence region, nor a small change of the design point, is longer."""
-    steep = replace(UNKNOWN, mean=(1.0, *UNKNOWN.mean[1:6], -35.0, *UNKNOWN.mean[7:]))
+    steep = on(UNKNOWN, -35.0, 1.0)
     bounds = StoppingBounds(shape(), steep, 0.9, 0.0, 0.95)
     bound, z = bounds.at(10.0), NormalDist().inv_cdf(0.95)
     mean = StoppingBounds(shape(), steep, 0.9, 0.0, 0.5).at(10.0).distance
@@ -292,7 +290,7 @@ def unit(rng: np.random.Generator) -> Array:
 def test_no_speed_is_allowed_beyond_one_at_which_the_train_may_not_stop() -> None:
     """At 2.5 m/s the changeover of the brakes may leave too little: that holds for all faster trains."""
     changeover = replace(UNKNOWN, variances=(0.02**2, 0.0, 0.3**2, *UNKNOWN.variances[3:]))
-    steep = replace(changeover, mean=(1.0, *UNKNOWN.mean[1:6], -30.0, *UNKNOWN.mean[7:]))
+    steep = on(changeover, -30.0, 1.0)
     bounds = StoppingBounds(shape(), steep, 0.5, 0.0, 0.95)
     assert math.isfinite(bounds.at(1.0).distance)
     assert [bounds.at(speed).distance for speed in (2.6, 5.0, 20.0, 40.0)] == [math.inf] * 4
@@ -322,7 +320,7 @@ def test_speed_and_bound_agree_however_little_is_known() -> None:
 
 def test_a_brake_rate_that_may_be_zero_gives_no_bound_even_where_the_train_would_roll_out() -> None:
     """On a gradient of 50 per mille resistance alone stops the train."""
-    uphill = replace(LEARNED, mean=(0.5, *LEARNED.mean[1:6], 50.0, *LEARNED.mean[7:]))
+    uphill = on(LEARNED, 50.0, 0.5)
     for std, is_known in ((0.2, True), (0.4, False)):
         posterior = replace(uphill, variances=(std**2, *uphill.variances[1:]))
         bound = StoppingBounds(shape(), posterior, 0.3, 0.0, 0.95).at(10.0)
@@ -330,7 +328,7 @@ def test_a_brake_rate_that_may_be_zero_gives_no_bound_even_where_the_train_would
 
 
 def test_another_iteration_of_the_design_point_does_not_lengthen_a_bound() -> None:
-    steep = replace(UNKNOWN, mean=(1.0, *UNKNOWN.mean[1:6], -28.0, *UNKNOWN.mean[7:]))
+    steep = on(UNKNOWN, -28.0, 1.0)
     bounds = StoppingBounds(shape(), steep, 0.7, 0.0, 0.999)
     bound = bounds.at(10.0)
     assert bounds.design_point_step(10.0, bound.gradient).distance == pytest.approx(bound.distance, rel=1e-8)

@@ -37,10 +37,8 @@ MAX_RATE: Final = 0.25
 
 ABSURD: Final = 1e6
 """Larger magnitudes are treated as invalid."""
-# Keeps divisors above zero.
-_TINY: Final = 1e-9
-# A correlation may be wrong by this much [1].
-_ROUNDING: Final = 1e-6
+_TINY: Final = 1e-9  # keeps divisors above zero
+_ROUNDING: Final = 1e-6  # error that a correlation may have [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +72,14 @@ class Normal:
 
 
 class RateLimitedValue:
-    """Follows the newest distribution, from that of the train file on.
-
-    The duration of a move is that of the slowest of the directions ``probes``.
-    """
+    """Follows the newest distribution, from that of the train file on; the slowest of ``probes`` gives the duration."""
 
     def __init__(self, start: Normal, probes: Sequence[Sequence[float]]) -> None:
-        self._file, self._to = start, start
-        self._probes = probes
+        self._file = self._to = start
+        self._probes, self._power = probes, 2
         self._way: tuple[float, ...] = ()
         self._excess: tuple[float, ...] = ()
-        self._power = 2
-        self._begin_s, self._duration_s = 0.0, 0.0
+        self._begin_s = self._duration_s = 0.0
         self._unit = np.sqrt(np.array(start.covariance[:: len(start.mean) + 1])) + _TINY
 
     def left_s(self, time_s: float) -> float:
@@ -204,10 +198,7 @@ class LiveEstimate:
         return time_s - self._heard_s <= self._max_age_s
 
     def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> None:
-        """Take in an estimate with a stamp [ns].
-
-        One that repeats the previous stamp is ignored, unless it says that the previous one must not be used any more.
-        """
+        """Take in an estimate; one of the previous stamp [ns] only if it says that the previous must not be used."""
         is_repeated, self._stamp_ns = stamp_ns == self._stamp_ns, stamp_ns
         is_no_news = status in USABLE or status is self._status is Status.CONVERGING
         if not (is_repeated and is_no_news):
@@ -241,7 +232,7 @@ class LiveEstimate:
                 self._moving_until_s = self._now_s + left_s - FALL_BACK_S
 
     def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
-        """Take in the last valid estimate, of which a copy is kept for those who join later; return if it counts.
+        """Take in the copy of the last valid estimate that is kept for those who join later; return if it counts.
 
         It does where nothing else is known, and as the last valid one where a CONVERGING one came before it.
         """
@@ -258,10 +249,7 @@ class LiveEstimate:
         return next(filter(None, found), '')
 
     def mark_lost(self, reason: str, time_s: float) -> None:
-        """Say why estimates will not come any more; the train file applies once the next one is overdue.
-
-        The event may be of another publisher, so it does not end what is still heard.
-        """
+        """Say why estimates will not come any more; what is still heard, perhaps of another publisher, goes on."""
         self.go_on(time_s)
         self._lost = reason
         if not self.is_heard(time_s):

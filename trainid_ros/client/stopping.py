@@ -127,11 +127,17 @@ class RateShape:
 
 
 class Stop:
-    """A stop: distance [m], infinite if the train does not stop; derivatives by speed [s] and by the parameters."""
+    """A stop or the bound of one.
 
-    def __init__(self) -> None:
-        self.distance = 0.0
-        self.dD_dv = 0.0
+    Attributes:
+        distance: Distance, or its bound [m]; infinite if the train does not stop.
+        std: Standard deviation of the distance [m].
+        dD_dv: Derivative of the distance by the speed [s].
+        gradient: Its derivatives by the parameters, of a bound at the design point.
+    """
+
+    def __init__(self, distance: float = 0.0, std: float = 0.0, dD_dv: float = 0.0) -> None:
+        self.distance, self.std, self.dD_dv = distance, std, dD_dv
         self.gradient = [0.0] * PARAMETERS
 
 
@@ -327,17 +333,6 @@ class StopPosterior:
         return math.sqrt(max(0.0, math.fsum(map(mul, self.spread(gradient), gradient))))
 
 
-@dataclass(frozen=True, slots=True)
-class Bound:
-    """Bound of a stopping distance."""
-
-    distance: float  # the bound [m]
-    std: float  # standard deviation of the distance [m]
-    dD_dv: float  # derivative of the distance by the speed [s]  # noqa: N815 - as in the equations
-    # Derivatives of the distance by the parameters at the design point; empty where the bound is infinite.
-    gradient: list[float]
-
-
 class StoppingBounds:
     """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1)."""
 
@@ -355,11 +350,11 @@ class StoppingBounds:
             self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in (0.25, 0.5, 0.75, 1.0)])
         self._good = 0
 
-    def at(self, speed: float) -> Bound:
+    def at(self, speed: float) -> Stop:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
         at_mean = self._at_mean.stop(speed)
         if math.isinf(at_mean.distance) or not self._slows_down(speed):
-            return Bound(math.inf, math.inf, math.inf, [])
+            return Stop(math.inf, math.inf, math.inf)
         std = self._posterior.std(at_mean.gradient)
         found = self.design_point_step(speed, at_mean.gradient)
         for _ in range(200):
@@ -367,8 +362,9 @@ class StoppingBounds:
                 break
             before, found = found.distance, self.design_point_step(speed, found.gradient)
             if abs(found.distance - before) <= 1e-9 * before:
-                return Bound(found.distance, std, found.dD_dv, found.gradient)
-        return Bound(math.inf, std, math.inf, [])
+                found.std = std
+                return found
+        return Stop(math.inf, std, math.inf)
 
     def _slows_down(self, speed: float) -> bool:
         """Return whether the built-up brake decelerates the train at all speeds up to one [m/s]."""
@@ -426,7 +422,7 @@ class StoppingBounds:
         return 0.0, 0.0
 
     @staticmethod
-    def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
+    def _next(speed: float, excess: float, found: Stop, low: float, high: float) -> float:
         """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
         following = speed - excess / found.dD_dv if 0.0 < found.dD_dv < math.inf else -math.inf
         if following >= high == MAX_SPEED:
