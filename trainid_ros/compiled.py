@@ -33,7 +33,6 @@ MODULES: Final = (
     'brake_rate/m_algorithm',
     'brake_rate/motion_model',
     'client/stopping',
-    'estimators/consistency',
     'estimators/pipeline',
     'interface/results',
     'interface/scalars',

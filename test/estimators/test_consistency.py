@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyMonitor, ConsistencyVerdict, band
+from trainid_ros.estimators.pipeline import WINDOW, Consistency, ConsistencyMonitor, ConsistencyVerdict, nis_band
 
 SEEDS = 200
 
@@ -35,7 +35,7 @@ def correlated(rng: np.random.Generator, rho: float, count: int) -> NDArray[np.f
 
 @pytest.mark.parametrize('count', [30, 50, 200])
 def test_the_band_is_that_of_chi_squared(count: int) -> None:
-    low, high = band(count)
+    low, high = nis_band(count)
     assert low == pytest.approx(chi2.ppf(0.005, count) / count, rel=0.01)
     assert high == pytest.approx(chi2.ppf(0.995, count) / count, rel=0.01)
 
@@ -109,7 +109,7 @@ def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
     correlation = float(sum(a * b for a, b in pairwise(expected)) / np.sum(expected**2))
     assert current.updates == WINDOW
     assert current.ratio == pytest.approx(float(np.mean(expected**2)), rel=1e-9)
-    assert (current.low, current.high) == pytest.approx(band(WINDOW, correlation), rel=1e-9)
+    assert (current.low, current.high) == pytest.approx(nis_band(WINDOW, correlation), rel=1e-9)
 
 
 @pytest.mark.parametrize(

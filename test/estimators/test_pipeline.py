@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from test.estimators.makers import NAMES, make, run
-from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig, PipelineGroup, SharedRecord
+from trainid_ros.estimators.pipeline import WINDOW, EstimatorPipeline, PipelineConfig, PipelineGroup, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import (
     NS_PER_S,
@@ -112,13 +111,6 @@ def test_settings_out_of_range_are_rejected(metro: TrainFile) -> None:
 
 
 # Statuses
-
-
-@ALL
-def test_before_the_first_sample_the_status_is_uninitialized(name: str, metro: TrainFile) -> None:
-    pipeline = make(name, metro)
-    assert pipeline.status is Status.UNINITIALIZED
-    assert pipeline.current().status is Status.UNINITIALIZED
 
 
 def test_the_status_goes_from_converging_to_valid_and_holding(whole: Whole) -> None:

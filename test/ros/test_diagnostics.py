@@ -23,7 +23,7 @@ from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 
 from benchmarks.sender import Sending, write_rows
 from test.ros.graph import OWN, START_NS, Changed, Diagnosed, Graph, Simulated, coasting, feed
-from trainid_ros.estimators.consistency import WINDOW
+from trainid_ros.estimators.pipeline import WINDOW
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.diagnostics import clock_time

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from trainid_ros.estimators.consistency import Consistency
+    from trainid_ros.estimators.pipeline import Consistency
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile

@@ -3,7 +3,7 @@
 
 Other distributions add algorithms through entry points of the group ``trainid_ros.algorithms``. The name of an entry
 point is the kind of estimator (``resistance``, ``speed_model`` or ``brake_rate``), its object a tuple of
-:class:`Algorithm`. Reading the entry points takes 40 ms, so none is read until a name is not built in.
+:class:`Algorithm`. Reading them takes 40 ms, so none is read until a name is not built in.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Estimator(Protocol[EstimateT_co]):
         """Return to the prior."""
 
     def save(self) -> str:
-        """Return the complete state as JSON text."""
+        """Return the state as JSON text."""
 
     def restore(self, text: str) -> None:
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
@@ -92,26 +92,24 @@ class Algorithm(Generic[EstimateT]):
 
 
 class Algorithms(Generic[EstimateT]):
-    """All algorithms for one kind of estimate: the built-in ones, the first of which is the default, and plug-ins."""
+    """All algorithms for one kind of estimate.
+
+    Attributes:
+        kind: The kind of estimator.
+        built_in: Names of the built-in algorithms, the default first; the others come from plug-ins.
+        default: Name of the default.
+    """
 
     def __init__(self, kind: str, *algorithms: Algorithm[EstimateT]) -> None:
         self.kind = kind
         self._built_in = {item.name: item for item in algorithms}
-
-    @property
-    def built_in(self) -> tuple[str, ...]:
-        """Names of the built-in algorithms, the default first."""
-        return tuple(self._built_in)
+        self.built_in = tuple(self._built_in)
+        self.default = self.built_in[0]
 
     @property
     def names(self) -> tuple[str, ...]:
         """All names, the built-in ones first, without those of plug-ins that cannot be used."""
-        return (*self._built_in, *self._plug_ins[0])
-
-    @property
-    def default(self) -> str:
-        """Name of the default."""
-        return self.built_in[0]
+        return (*self.built_in, *self._plug_ins[0])
 
     @property
     def hint(self) -> str:
@@ -135,7 +133,7 @@ class Algorithms(Generic[EstimateT]):
 
     @cached_property
     def _plug_ins(self) -> tuple[dict[str, Algorithm[EstimateT]], str]:
-        """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in; first problem."""
+        """Usable algorithms of plug-ins by name, and the first problem; read when a name is not built in."""
         found: dict[str, Algorithm[EstimateT]] = {}
         problems, twice = [], set()
         for entry in plugged_in(self.kind):
@@ -177,7 +175,6 @@ def plugged_in(kind: str) -> Iterable[EntryPoint]:
 
 
 def _described(entry: EntryPoint) -> str:
-    """Return an entry point with its distribution, its kind and its object."""
     return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
 
 

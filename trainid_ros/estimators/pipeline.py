@@ -11,20 +11,153 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
+from statistics import NormalDist
 from typing import Any, ClassVar, Final, Generic
 
 from trainid_ros.estimators.algorithm_registry import Estimator
-from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record, Row
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
 from trainid_ros.interface.scalars import is_finite, seconds
-from trainid_ros.interface.state import State, declare, encode, restore, several, stored
+from trainid_ros.interface.state import State, declare, encode, restore, several, stored, unknown
+from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.input_faults import Trust
 from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
+
+WINDOW: Final = 200
+"""Number of updates whose innovations are judged: 40 s of driving at 5 Hz."""
+# Updates from which on there is a verdict: the mean of fewer varies too much.
+_MIN_UPDATES: Final = 30
+# Normal quantile of a two-sided band of 99 % [std].
+_QUANTILE: Final = NormalDist().inv_cdf(0.995)
+# Limit of a single normalised innovation [std]; it also keeps the running sums accurate.
+_MAX_Z: Final = 10.0
+
+
+class ConsistencyVerdict(Enum):
+    """Result of testing the innovations against their stated variances."""
+
+    UNKNOWN = 'unknown'  # too few innovations
+    CONSISTENT = 'consistent'  # variances are as stated
+    OPTIMISTIC = 'optimistic'  # errors are larger than stated
+    PESSIMISTIC = 'pessimistic'  # errors are smaller than stated
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Outcome of the check of the published uncertainty."""
+
+    verdict: ConsistencyVerdict
+    # Mean of squared innovation over stated variance [1]; 1 if that is correct, NaN before the first update
+    ratio: float
+    low: float  # Lower end of the 99 % band of the ratio if the variances are correct [1]
+    high: float  # Upper end of the band [1]
+    updates: int  # Number of updates in the window
+    consecutive: int  # Number of consecutive updates with the verdict optimistic
+
+    @property
+    def is_alarm(self) -> bool:
+        """True if the verdict has been optimistic for a full window, which is not a chance event."""
+        return self.consecutive >= WINDOW
+
+    def __str__(self) -> str:
+        """Return verdict and numbers as text."""
+        if not self.updates:
+            return f'{self.verdict.value} (no innovation with a stated variance)'
+        band = f'99 % band {self.low:.2f} to {self.high:.2f}, {self.updates} updates'
+        text = f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
+        missed = f'predictions miss by {math.sqrt(self.ratio):.2f} times the stated std'
+        if self.verdict is ConsistencyVerdict.OPTIMISTIC:
+            return f'{text}: {missed}, so allow for errors as much larger'
+        if self.verdict is ConsistencyVerdict.PESSIMISTIC:
+            return f'{text}: {missed}, so the stated one is safe, but wider than it need be'
+        return text
+
+
+class ConsistencyMonitor:
+    """Compares squared innovations of the last :data:`WINDOW` updates with the variances stated for them.
+
+    If the stated variance is correct, the normalised innovation squared (NIS) has mean 1. Over N updates N times the
+    mean NIS has a chi-squared distribution with N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+    Autocorrelated innovations carry less information: with the correlation rho between neighbours, and rho^k at lag k,
+    the mean of squares varies like that of N (1 - rho^2) / (1 + rho^2) independent ones.
+    """
+
+    STATE: ClassVar[State] = declare(
+        '_z', '_updates', '_newest', '_squares', '_products', unknown('_innovation'), unknown('_variance'),
+        '_consecutive',
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self._z = vec[float]([0.0] * WINDOW)  # a ring of normalised innovations
+        self._updates = self._newest = self._consecutive = 0
+        self._squares = self._products = 0.0  # sums of squares, and of products of neighbours
+        self._innovation = self._variance = 0.0
+
+    def add(self, innovation: float, variance: float, *, used: bool) -> None:
+        """Take in the innovation that an estimate reports for its last update, see ``Estimator.innovation``.
+
+        Those of a sample that was not ``used`` do not count: outliers beyond a gate are not noise.
+        """
+        # Samples without an update repeat the pair of the last one.
+        if innovation == self._innovation and variance == self._variance:
+            return
+        self._innovation, self._variance = innovation, variance
+        if not (used and 0.0 < variance < math.inf and abs(innovation) < math.inf):
+            return
+        z = min(max(innovation / math.sqrt(variance), -_MAX_Z), _MAX_Z)
+        following = self._newest + 1 if self._newest + 1 < WINDOW else 0
+        if self._updates:
+            self._products += self._z[self._newest] * z
+        oldest, self._z[following], self._newest = self._z[following], z, following
+        self._squares += z * z
+        if self._updates < WINDOW:
+            self._updates += 1
+        else:
+            following = following + 1 if following + 1 < WINDOW else 0
+            self._squares -= oldest * oldest
+            self._products -= oldest * self._z[following]
+        optimistic = self._updates >= _MIN_UPDATES and self._squares / self._updates > self._band()[1]
+        self._consecutive = self._consecutive + 1 if optimistic else 0
+
+    def _band(self) -> tuple[float, float]:
+        return nis_band(self._updates, self._products / self._squares if self._squares > 0.0 else 0.0)
+
+    @property
+    def refuted(self) -> bool:
+        """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
+        return self._consecutive >= WINDOW and self._squares / self._updates > 4.0
+
+    def current(self) -> Consistency:
+        """Return the current outcome."""
+        if not self._updates:
+            return Consistency(ConsistencyVerdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
+        ratio, (low, high) = self._squares / self._updates, self._band()
+        if self._updates < _MIN_UPDATES:
+            verdict = ConsistencyVerdict.UNKNOWN
+        elif self._consecutive:
+            verdict = ConsistencyVerdict.OPTIMISTIC
+        else:
+            verdict = ConsistencyVerdict.PESSIMISTIC if ratio < low else ConsistencyVerdict.CONSISTENT
+        return Consistency(verdict, ratio, low, high, self._updates, self._consecutive)
+
+
+def nis_band(count: int, correlation: float = 0.0) -> tuple[float, float]:
+    """Return the 99 % band of the mean NIS of consistent updates with a correlation of neighbours [1].
+
+    The chi-squared quantiles are approximated by Wilson and Hilferty (1931), within 1 % from ten degrees of freedom.
+    The correlation of noise is below 0.9, and some degrees of freedom must remain.
+    """
+    rho = min(abs(correlation), 0.9)
+    freedom = max(1.0, count * (1.0 - rho * rho) / (1.0 + rho * rho))
+    spread = 2.0 / (9.0 * freedom)
+    reach = _QUANTILE * math.sqrt(spread)
+    return max(0.0, 1.0 - spread - reach) ** 3, max(0.0, 1.0 - spread + reach) ** 3
+
 
 # Time in motion between snapshots [s]; a contradiction of the inputs is found within this time.
 _SNAPSHOT_S: Final = 120.0
@@ -56,11 +189,11 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Snapshots:
-    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong."""
+    """Saved states of an estimator, taken at intervals of motion, to go back to when inputs were wrong."""
 
     before: Snapshot  # The state to go back to; it is older than it takes to find a contradiction
-    newest: Snapshot  # The newest state
-    moved_s: float = 0.0  # Time in motion since then [s]
+    newest: Snapshot
+    moved_s: float = 0.0  # Time in motion since the newest [s]
     # The state before the last step of the stamps forward, None if there was none
     before_step: Snapshot | None = stored(None, kind=Snapshot)  # noqa: RUF009 - makes a field
 
@@ -68,8 +201,7 @@ class Snapshots:
 class EstimatorPipeline(Generic[EstimateT]):
     """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true.
 
-    Pipelines may share a stream, see :class:`PipelineGroup`. A pipeline whose records are to be forgotten continues
-    with a stream of its own, which leaves those of the others alone.
+    Pipelines may share a stream; one whose records are to be forgotten continues with a stream of its own.
 
     Attributes:
         stale_ns: Time for which inputs may be missing [ns]; longer for a slow topic.
@@ -100,8 +232,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._rejected = 0
         self.used = 0
         self.samples = 0
-        # Number of outputs by status.
-        self.statuses = [0] * len(Status)
+        self.statuses = [0] * len(Status)  # number of outputs by status
         self.last_rejection: Rejection | None = None
         self._speed = 0.0
         self._sample_ns = 0
@@ -110,7 +241,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._snapshots = Snapshots(prior, prior)
         self._is_found = False  # Whether inputs of this estimator are known to be wrong
         self._suspected_s = 0.0  # Time in motion for which they have been suspected to be [s]
-        # Whether the next sample follows a gap for the estimator, and the brake commands that it has missed since then.
+        # Whether the next sample follows a gap for the estimator, and the brake commands missed since then.
         self._has_gap = False
         self._skipped = list[BrakeCommandChange]()
         self._status = Status.UNINITIALIZED
@@ -146,7 +277,7 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     @property
     def consistency(self) -> Consistency:
-        """Whether errors are as large as the estimates state; over recent samples used."""
+        """Whether errors are as large as the estimates state, over recent samples."""
         return self._consistency.current()
 
     @property
@@ -220,11 +351,9 @@ class EstimatorPipeline(Generic[EstimateT]):
     def restore(self, text: str, age_s: float = 0.0) -> None:
         """Continue from a saved state, possibly on another drive; InputError if it does not fit.
 
-        All outputs are equal to those without the interruption where no record was lost. For records of another drive
-        see :meth:`SampleStream.successor`.
-
-        The estimate until the next sample covers what may have changed in ``age_s`` [s], the time since the state was
-        saved; from then on the estimators take that time from the stamps.
+        All outputs are equal to those without the interruption where no record was lost. The estimate until the next
+        sample covers what may have changed in ``age_s`` [s], the time since the state was saved; from then on the
+        estimators take that time from the stamps.
         """
         shared, self.stream = self.stream, self.stream.successor()
         try:
@@ -259,7 +388,8 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _step(self, sample: Sample) -> None:
         self._estimate = None
         rejection = sample.brake_rejection if self._is_brake_rate else sample.rejection
-        self._keep_snapshots(sample)
+        trust = self.trust
+        self._keep_snapshots(sample, trust)
         if rejection is None:
             rejection = self.estimator.step(self._resumed(sample) if self._has_gap else sample)
         else:
@@ -272,7 +402,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         else:
             self._count(rejection)
         # The consistency of this sample counts from the next one on.
-        self._status = self._judge(rejection)
+        self._status = self._judge(rejection, trust)
         innovation, variance = self.estimator.innovation
         self._consistency.add(innovation, variance, used=rejection is None)
 
@@ -285,22 +415,19 @@ class EstimatorPipeline(Generic[EstimateT]):
             del self._skipped[0]
 
     def _resumed(self, sample: Sample) -> Sample:
-        """Return a sample that follows a gap, with all changes of the brake command since then.
-
-        The command in force is stated again: an estimator that went back has missed those before.
-        """
+        """Return a sample that follows a gap, with all changes of the brake command since then, and that in force."""
         changes = (*self._skipped, *sample.brake_changes)
         if is_finite(sample.brake_command):
             changes = (*changes, BrakeCommandChange(sample.stamp_ns, sample.brake_command))
         self._has_gap, self._skipped = False, []
         return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
 
-    def _keep_snapshots(self, sample: Sample) -> None:
+    def _keep_snapshots(self, sample: Sample, trust: Trust) -> None:
         """Go back to an earlier state once a fault of the inputs is found, or a suspicion has passed."""
-        trust, snapshots = self.trust, self._snapshots
+        snapshots, confirmed = self._snapshots, trust.is_fault_confirmed
         moved_s = sample.dt if sample.dt > 0.0 and sample.speed > 0.0 else 0.0
         snapshots.moved_s += moved_s
-        if trust.is_fault_confirmed:
+        if confirmed:
             if not self._is_found:
                 snapshots.newest = snapshots.before
                 self._go_back()
@@ -316,7 +443,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             elif trust.is_full and snapshots.moved_s >= _SNAPSHOT_S:
                 snapshots.before, snapshots.newest, snapshots.moved_s = snapshots.newest, self._snapshot(), 0.0
             self._suspected_s = 0.0
-        self._is_found = trust.is_fault_confirmed
+        self._is_found = confirmed
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(self.estimator.save(), encode(self._consistency))
@@ -325,12 +452,12 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.estimator.restore(self._snapshots.newest.estimator)
         restore(self._consistency, self._snapshots.newest.consistency)
 
-    def _judge(self, rejection: Rejection | None) -> Status:
+    def _judge(self, rejection: Rejection | None, trust: Trust) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
         if self.stream.behind_ns > self.stale_ns and self.stream.is_input_missing(self.stale_ns):
             return Status.STALE
-        if not (self.estimator.converged and self.trust.is_full) or self._consistency.refuted:
+        if not (self.estimator.converged and trust.is_full) or self._consistency.refuted:
             return Status.CONVERGING
         return Status.VALID if rejection is None else Status.HOLDING
 
@@ -359,21 +486,19 @@ class SharedRecord:
 
     def __init__(self, row: Row) -> None:
         self._row = row
-        self._streams: list[SampleStream] = []
-        self._events: list[list[StreamEvent] | None] = []
+        self._made: list[tuple[SampleStream, list[StreamEvent] | None]] = []
 
     def events(self, stream: SampleStream) -> list[StreamEvent]:
         """Return what a stream makes of the record; TrainIdError if it has failed for another pipeline."""
-        for k in range(len(self._streams)):
-            if self._streams[k] is stream:
-                events = self._events[k]
-                if events is None:
+        for known, made in self._made:
+            if known is stream:
+                if made is None:
                     raise TrainIdError('the stream that it shares with another estimator has failed')
-                return events
-        self._streams.append(stream)
-        self._events.append(None)  # until it has succeeded
+                return made
+        self._made.append((stream, None))  # until it has succeeded
         topic, stamp_ns, x, y, flag = self._row
-        events = self._events[-1] = stream.push_row(topic, stamp_ns, x, y, flag)
+        events = stream.push_row(topic, stamp_ns, x, y, flag)
+        self._made[-1] = stream, events
         return events
 
 

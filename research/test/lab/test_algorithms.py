@@ -13,7 +13,7 @@ from trainid_lab.brake_rate.brake_rate_algorithms import ALGORITHMS as BRAKE_RAT
 from trainid_lab.resistance.resistance_algorithms import ALGORITHMS as RESISTANCES
 from trainid_lab.speed_model.speed_model_algorithms import ALGORITHMS as SPEED_MODELS
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.estimators.consistency import ConsistencyVerdict
+from trainid_ros.estimators.pipeline import ConsistencyVerdict
 from trainid_ros.interface.errors import InputError, setting_info
 from trainid_ros.interface.records import NS_PER_S, Record, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
