@@ -18,11 +18,17 @@ import numpy as np
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.suggested_drive import ACCELERATION, KM_H, Manoeuvre, SuggestedDrive, suggested_drive
+from trainid_ros.resistance.suggested_drive import (
+    ACCELERATION,
+    KM_H,
+    Manoeuvre,
+    SuggestedDrive,
+    suggested_braking,
+    suggested_drive,
+)
 from trainid_ros.setup.pipelines import RESISTANCE, EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.plant import TICK_S, Decision, Plant, StopEvent
 from trainid_ros.sim.scenario import Simulation, simulate

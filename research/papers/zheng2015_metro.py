@@ -145,7 +145,7 @@ def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], kn
     choice = BRAKE_RATE.choose(name, **settings)
     estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
     if math.isfinite(known_std) and isinstance(estimator, BrakeRateEstimator):
-        estimator.state.disturbance = DisturbanceNoise.reported(known_std)
+        estimator.state.disturbance = DisturbanceNoise(0.0, known_std * known_std)
     rows = []
     for sample in run.samples:
         estimator.step(sample)

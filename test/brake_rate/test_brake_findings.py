@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A train file whose brake is wrong in dead time or over speed: named, and no brake rate is valid."""
+"""A brake that is wrong in dead time or over speed is named, and its rate is not valid; one that blends is right."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.estimators.pipeline import share_streams
-from trainid_ros.interface.records import NS_PER_S, BrakeRecord
+from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, Record, SpeedRecord
 from trainid_ros.interface.results import Status
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_findings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
@@ -22,7 +22,7 @@ USABLE = frozenset({Status.VALID, Status.HOLDING})
 
 
 @pytest.fixture(scope='module')
-def day(metro: TrainFile) -> Simulation:
+def driven(metro: TrainFile) -> Simulation:
     return simulate(Scenario(metro, runs=3), np.random.default_rng(6001))
 
 
@@ -32,7 +32,7 @@ def stated(metro: TrainFile, error: float) -> TrainFile:
 
 
 def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resistance_is(
-    metro: TrainFile, day: Simulation
+    metro: TrainFile, driven: Simulation
 ) -> None:
     """The brake acts 2.4 s later than the train file says."""
     file = replace(metro, brake=replace(metro.brake, delay=0.0))
@@ -40,7 +40,7 @@ def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resista
         replace(record, stamp_ns=record.stamp_ns - round((2.4 - metro.brake.delay) * NS_PER_S))
         if isinstance(record, BrakeRecord)
         else record
-        for record in day.records
+        for record in driven.records
     ]
     brake_rate, resistance = brake_rate_pipeline(file, SETTINGS), resistance_pipeline(file, SETTINGS)
     share_streams((brake_rate, resistance))
@@ -66,18 +66,18 @@ def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resista
 
 
 @pytest.mark.parametrize('error', [-0.4, 0.0, 0.4])
-def test_a_small_error_is_learned(metro: TrainFile, day: Simulation, error: float) -> None:
+def test_a_small_error_is_learned(metro: TrainFile, driven: Simulation, error: float) -> None:
     pipeline = brake_rate_pipeline(stated(metro, error), SETTINGS)
-    outputs = [output for record in day.records for output in pipeline.push(record)]
+    outputs = [output for record in driven.records for output in pipeline.push(record)]
     assert brake_findings(pipeline) == ()
     assert outputs[-1].status in USABLE
     assert pipeline.why_converging == ''
 
 
-def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, day: Simulation) -> None:
+def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, driven: Simulation) -> None:
     pipeline = brake_rate_pipeline(metro, SETTINGS)
     said = set()
-    for record in day.records:
+    for record in driven.records:
         pipeline.push(record)
         said.add((pipeline.status in USABLE, pipeline.estimator.converged, pipeline.why_converging))
     early = {why for usable, converged, why in said if converged and not usable}
@@ -87,12 +87,12 @@ def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, day:
 
 @pytest.mark.parametrize(('rise', 'sense'), [(-0.7, 'rises'), (-0.1, ''), (0.1, ''), (0.7, 'falls')])
 def test_a_rate_that_changes_over_speed_by_much_is_named_and_not_valid(
-    metro: TrainFile, day: Simulation, rise: float, sense: str
+    metro: TrainFile, driven: Simulation, rise: float, sense: str
 ) -> None:
     """The table of the train file rises from standstill to full speed; the true brake rate does not."""
     table = ((0.0, 1.0 - 0.5 * rise), (metro.train.max_speed, 1.0 + 0.5 * rise))
     pipeline = brake_rate_pipeline(replace(metro, brake=replace(metro.brake, rate_table=table)), SETTINGS)
-    for record in day.records:
+    for record in driven.records:
         pipeline.push(record)
     assert (pipeline.status in USABLE) == (not sense)
     named = [finding.split(' brake rate ')[1].split()[0] for finding in brake_findings(pipeline)]
@@ -119,3 +119,41 @@ def test_a_long_dead_time_and_a_steep_table_that_are_right_are_valid(metro: Trai
     assert pipeline.stream.last_finding == ''
     assert outputs[-1].status in USABLE
     assert abs(outputs[-1].estimate.brake_rate - 1.0) < 3.0 * outputs[-1].estimate.brake_rate_std
+
+
+def electric(day: tuple[Record, ...], share: float, below: float) -> list[Record]:
+    """Return the day with a share of the brake effort reported, which fades out below a speed [m/s]."""
+    records: list[Record] = []
+    speed = 0.0
+    for record in day:
+        if isinstance(record, SpeedRecord):
+            speed = record.speed
+        if isinstance(record, ForceRecord) and record.force < 0.0:
+            left = min(1.0, max(0.0, 2.0 * speed / below - 1.0))
+            records.append(replace(record, force=share * left * record.force))
+        else:
+            records.append(record)
+    return records
+
+
+# Where only a part is reported, its share must be learned before a change of it can be told from a fault.
+@pytest.mark.parametrize(
+    ('share', 'kept'),
+    [
+        (1.0, 0.95),
+        pytest.param(0.6, 0.85, marks=pytest.mark.xfail(reason='the one check takes it for a force that is too small')),
+    ],
+)
+def test_a_train_may_report_its_electric_brake_alone(
+    metro: TrainFile, day: tuple[Record, ...], share: float, kept: float
+) -> None:
+    results = []
+    for records in (day, electric(day, share, 3.5)):
+        pipeline = brake_rate_pipeline(metro, SETTINGS)
+        outputs = [output for record in records for output in pipeline.push(record)]
+        assert pipeline.stream.last_finding == ''
+        usable = sum(output.status in USABLE for output in outputs)
+        results.append((usable, outputs[-1].estimate.brake_rate, outputs[-1].estimate.brake_rate_std))
+    (whole, rate, std), (part, rate_by_part, _) = results
+    assert rate_by_part == pytest.approx(rate, abs=std)
+    assert part > kept * whole

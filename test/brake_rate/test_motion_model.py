@@ -13,15 +13,7 @@ import pytest
 from test.estimators.makers import stepped
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.brake_rate.motion_model import (
-    BLEND_SHAPE,
-    BrakeStep,
-    MotionModel,
-    Timing,
-    TimingStep,
-    Transition,
-    brake_step,
-)
+from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, BrakeStep, MotionModel, Timing, Transition, brake_step
 from trainid_ros.estimators.settings import GsmaConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
@@ -68,21 +60,6 @@ def test_the_response_equals_fine_integration(seed: int) -> None:
     assert step.reach * initial + rate * step.gain_v == pytest.approx(v, abs=5e-4)
 
 
-def test_two_intervals_compose_to_one() -> None:
-    commands, brake = history(np.random.default_rng(9)), Brake(1.0, 0.4, 0.6)
-    edges = [START + 1_000_000_000, START + 1_313_131_313, START + 2_000_000_001]
-    first, second, total = (
-        brake_step(commands, brake.delay, brake.time_constant, edges[i], edges[k], 0.0)
-        for i, k in ((0, 1), (1, 2), (0, 2))
-    )
-    a0, f = -0.2, 0.9
-    a1 = first.decay * a0 + f * first.gain_a
-    a2 = second.decay * a1 + f * second.gain_a
-    v = first.reach * a0 + f * first.gain_v + second.reach * a1 + f * second.gain_v
-    assert total.decay * a0 + f * total.gain_a == pytest.approx(a2, rel=1e-12)
-    assert total.reach * a0 + f * total.gain_v == pytest.approx(v, rel=1e-12)
-
-
 def test_the_dead_time_is_exact() -> None:
     commands = CommandHistory((BrakeCommandChange(START, -1.0),))
     brake = Brake(1.0, 0.4, 0.6)
@@ -109,12 +86,13 @@ def integral(delay: float, lag: float, until_s: float) -> float:
     return lag_integral(0.0, -0.8, lag, until_s - 1.0 - delay)
 
 
-def followed(timing: Timing, seconds: float) -> list[TimingStep]:
-    steps = []
+def followed(timing: Timing, seconds: float) -> list[BrakeStep]:
+    steps, target = [], 0.0
     for k in range(round(5.0 * seconds)):
-        end_s = 0.2 * (k + 1)
-        nominal = integral(timing.delay, timing.lag, end_s) - integral(timing.delay, timing.lag, end_s - 0.2)
-        steps.append(timing.step(COMMANDS, k * STEP_NS, (k + 1) * STEP_NS, nominal))
+        step = brake_step(COMMANDS, timing.delay, timing.lag, k * STEP_NS, (k + 1) * STEP_NS, target)
+        timing.follow(COMMANDS, k * STEP_NS, (k + 1) * STEP_NS, step)
+        steps.append(step)
+        target = step.end_target
     return steps
 
 
@@ -149,7 +127,8 @@ def test_a_large_timing_error_adds_variance_while_the_response_changes() -> None
 
 def test_without_commands_the_gains_are_zero() -> None:
     timing = Timing(0.6, 0.4, 0.1, 0.1)
-    step = timing.step(CommandHistory(), 0, STEP_NS, 0.0)
+    step = BrakeStep(1.0, 0.2, 0.0, 0.0, 0.0)
+    timing.follow(CommandHistory(), 0, STEP_NS, step)
     assert (step.delay_gain, step.lag_gain, step.variance) == (0.0, 0.0, 0.0)
     assert not timing.has_acted
     assert timing.is_idle(CommandHistory(), STEP_NS)
@@ -203,14 +182,7 @@ def interval(
     config: GsmaConfig = CONFIG,
 ) -> Transition:
     return MotionModel(train_file, config).interval(
-        sample,
-        motion,
-        TimingStep(0.0, 0.0, 0.0),
-        rate=1.0,
-        before=gains[0],
-        gain=gains[1],
-        variance=0.0,
-        released=False,
+        sample, motion, rate=1.0, before=gains[0], gain=gains[1], variance=0.0
     )
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.resistance.suggested_drive import DECELERATION, KM_H, SuggestedDrive
+from trainid_ros.resistance.suggested_drive import DECELERATION, KM_H, SuggestedDrive, suggested_braking
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile

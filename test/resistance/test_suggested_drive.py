@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planned drives; which one is suggested, and what it promises."""
+"""Planned drives; which one is suggested, what it promises, and how a bank of hypotheses foresees that."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from test.estimators.makers import stepped
 from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import resistance_std
-from trainid_ros.resistance.filter_bank import FilterBank
+from trainid_ros.resistance.filter_bank import FilterBank, bank_plan, foreseen_mixtures, usual_deviations
+from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.suggested_drive import (
     KM_H,
     STEP_S,
@@ -31,7 +32,7 @@ from trainid_ros.resistance.vmils import VMils
 from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.samples import Sample, coasting_sample
-from trainid_ros.train.forces import G
+from trainid_ros.train.forces import G, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004), line=Line(gradient_std=0.05))
@@ -227,3 +228,47 @@ def test_no_drive_is_suggested_after_which_something_known_would_not_be() -> Non
     assert math.sqrt(then.covariance[8]) < 0.9 * math.sqrt(now.covariance[8])
     assert resistance_std(then.covariance, 12.0 * KM_H) > limit > resistance_std(now.covariance, 12.0 * KM_H)
     assert suggested_drive(bank, file, prior, now) is None
+
+
+METRO = TrainFile(Train(194e3, length=118.0, cars=6), Davis(1.0, 0.03, 0.003))
+VARIANCES = 1e-4, 1e-4
+FIRST = 5
+
+
+def bank_of_metro() -> Bank:
+    return Bank(bank_plan(METRO, FilterBankConfig(), specific_inertia(1.0, METRO.train.rotary_mass)))
+
+
+RUN = planned(Manoeuvre(60.0 * KM_H, 40.0 * KM_H), METRO)
+
+
+def after(deviations: np.ndarray) -> list[Mixture]:
+    return list(foreseen_mixtures(bank_of_metro(), RUN, deviations, FIRST, 1.0, VARIANCES))
+
+
+def test_each_run_makes_the_resistance_better_known() -> None:
+    first, second = after(np.zeros((2, len(RUN.steps))))
+    prior = bank_of_metro().mixture().covariance
+    assert prior[0] > first.covariance[0] > second.covariance[0]
+    assert prior[9] > first.covariance[9] > second.covariance[9]
+
+
+def test_an_innovation_far_beyond_its_standard_deviation_makes_a_step_likely() -> None:
+    usual, odd = np.zeros((1, len(RUN.steps))), np.zeros((1, len(RUN.steps)))
+    odd[0, -40:] = 2.0
+    assert after(odd)[0].covariance[0] > 1.2 * after(usual)[0].covariance[0]
+
+
+def test_usual_deviations_are_two_sequences_of_opposite_sign() -> None:
+    one, other = usual_deviations(RUN, 3)
+    assert one.shape == (3, len(RUN.steps))
+    assert np.array_equal(one, -other)
+    assert np.std(one) == pytest.approx(1.0, abs=0.1)
+
+
+def test_covariances_are_averaged() -> None:
+    bank, pair = FilterBank(METRO, FilterBankConfig()), usual_deviations(RUN, 1)
+    (both,), (first,), (second,) = (list(bank.foreseen(RUN, 1, some)) for some in (pair, pair[:1], pair[1:]))
+    mean = [0.5 * (x + y) for x, y in zip(first.covariance, second.covariance, strict=True)]
+    assert first.covariance != second.covariance
+    assert both.covariance == pytest.approx(mean, rel=1e-12)

@@ -5,7 +5,7 @@ Based on Zheng et al. 2015, section 2, with these corrections:
 
 * The command passes an exact dead time (the paper: first-order Pade); a_z is then known and needs no state.
 * b, an unmodelled acceleration that decorrelates over distance (gradient map, wind), is a state: otherwise it would
-  be attributed to the brake rate (the paper: white noise). The known gradient and running resistance are inputs.
+  be attributed to the brake rate (the paper: white noise). Known gradient and running resistance are inputs.
 * Errors of the train file are states too: dead time and lag, running resistance, traction, and a brake rate that
   changes with speed and with the brake level.
 * Standstill and traction never update f. While no brake acts, its variance grows by exactly q per second.
@@ -36,7 +36,6 @@ from trainid_ros.brake_rate.motion_model import (
     Posterior,
     Start,
     Timing,
-    TimingStep,
     Transition,
     brake_step,
 )
@@ -76,38 +75,12 @@ class Candidate:
     vb: float = 0.0  # Covariance of v and b
     bb: float = 0.0  # Variance of b [(m/s^2)^2]
 
-    def start(self, variance: float, speed: float, r: float) -> None:
-        """Start from a measured speed [m/s] of variance r [(m/s)^2]; ``variance`` is that of b [(m/s^2)^2]."""
-        self.v, self.b, self.vv, self.vb, self.bb = speed, 0.0, r, 0.0, variance
-
-    def advance(self, interval: Transition, known: float, variance: float, speed: float, r: float) -> float:
-        """Predict v' = v + dt b + known, b' = rho b, and update with a measured speed; return its log-likelihood.
-
-        Args:
-            interval: Motion model without a brake.
-            known: Gain of speed by all known forces [m/s].
-            variance: Stationary variance of b [(m/s^2)^2].
-            speed: Measured speed [m/s].
-            r: Its variance [(m/s)^2].
-        """
-        dt, rho = interval.dt, interval.rho
-        S = self.vv + dt * (2.0 * self.vb + dt * self.bb) + interval.q_v + r
-        vb = rho * (self.vb + dt * self.bb)
-        bb = rho * rho * self.bb + (1.0 - rho * rho) * variance
-        ahead = self.v + dt * self.b + known
-        most = _MAX_INNOVATION * math.sqrt(S)
-        nu = min(max(speed - ahead, -most), most)
-        k, kept = nu / S, r / S
-        self.v, self.b = ahead + (S - r) * k, rho * self.b + vb * k
-        self.vv, self.vb, self.bb = (S - r) * kept, vb * kept, bb - vb * vb / S
-        return -0.5 * (nu * k + math.log(S))
-
 
 @dataclass
 class DisturbanceNoise:
-    """Posterior of the standard deviation of b."""
+    """Posterior of the standard deviation of b [m/s^2]."""
 
-    declared_std: float  # Configured standard deviation [m/s^2]; 0: no estimation
+    declared_std: float  # Configured standard deviation [m/s^2]; 0: the variance is known
     variance: float  # Mean variance of b [(m/s^2)^2]
     candidates: tuple[Candidate, ...] = stored((), kind=Candidate)  # The possible standard deviations
     running: bool = False  # Whether their filters run; not while the brake acts or the train stands
@@ -115,38 +88,43 @@ class DisturbanceNoise:
     @classmethod
     def declared(cls, std: float) -> DisturbanceNoise:
         """Return the prior for a configured standard deviation [m/s^2]."""
-        noise = DisturbanceNoise(std, 0.0, _candidates())
+        factors = [_LOW * (_HIGH / _LOW) ** (k / (_LEVELS - 1)) for k in range(_LEVELS)]
+        priors = [-0.5 * (math.log(f) / math.log(_PRIOR_FACTOR)) ** 2 for f in factors]
+        noise = DisturbanceNoise(std, 0.0, tuple(map(Candidate, factors, priors)))
         noise.variance = noise.mean_variance()
         return noise
 
-    @classmethod
-    def reported(cls, std: float) -> DisturbanceNoise:
-        """Return a known standard deviation [m/s^2], which is not estimated."""
-        return DisturbanceNoise(0.0, std * std, _candidates())
-
-    @property
-    def std(self) -> float:
-        """Standard deviation of b [m/s^2]."""
-        return math.sqrt(self.variance)
-
-    def pause(self) -> None:
-        """Stop the filters, for a train that brakes or stands."""
-        self.running = False
-
     def add(self, interval: Transition, known: float, speed: float, r: float) -> None:
-        """Update while no brake acts, see :meth:`Candidate.advance`."""
+        """Update while no brake acts.
+
+        Args:
+            interval: Motion model without a brake.
+            known: Gain of speed by all known forces [m/s].
+            speed: Measured speed [m/s].
+            r: Its variance [(m/s)^2].
+        """
         std = self.declared_std
         if std <= 0.0:
             return
         if not self.running:
             for item in self.candidates:
-                item.start((item.factor * std) * (item.factor * std), speed, r)
+                item.v, item.b, item.vv, item.vb = speed, 0.0, r, 0.0
+                item.bb = (item.factor * std) * (item.factor * std)
             self.running = True
             return
-        kept, best = math.exp(-speed * interval.dt / _MEMORY_M), -math.inf
+        dt, rho = interval.dt, interval.rho
+        kept, best = math.exp(-speed * dt / _MEMORY_M), -math.inf
         for item in self.candidates:
-            variance = (item.factor * std) * (item.factor * std)
-            item.evidence = kept * item.evidence + item.advance(interval, known, variance, speed, r)
+            # Prediction v' = v + dt b + known, b' = rho b.
+            S = item.vv + dt * (2.0 * item.vb + dt * item.bb) + interval.q_v + r
+            vb = rho * (item.vb + dt * item.bb)
+            bb = rho * rho * item.bb + (1.0 - rho * rho) * ((item.factor * std) * (item.factor * std))
+            ahead, most = item.v + dt * item.b + known, _MAX_INNOVATION * math.sqrt(S)
+            nu = min(max(speed - ahead, -most), most)
+            k, left = nu / S, r / S
+            item.v, item.b = ahead + (S - r) * k, rho * item.b + vb * k
+            item.vv, item.vb, item.bb = (S - r) * left, vb * left, bb - vb * vb / S
+            item.evidence = kept * item.evidence - 0.5 * (nu * k + math.log(S))
             best = max(best, item.evidence)
         for item in self.candidates:
             item.evidence -= best
@@ -162,11 +140,6 @@ class DisturbanceNoise:
             total += weight
             mean += weight * item.factor * item.factor
         return self.declared_std * self.declared_std * (mean / total)
-
-
-def _candidates() -> tuple[Candidate, ...]:
-    factors = [_LOW * (_HIGH / _LOW) ** (k / (_LEVELS - 1)) for k in range(_LEVELS)]
-    return tuple(Candidate(f, -0.5 * (math.log(f) / math.log(_PRIOR_FACTOR)) ** 2) for f in factors)
 
 
 # After missing commands the state of the brake is known again this many time constants later.
@@ -227,7 +200,7 @@ class BrakeRateEstimator:
         self._brake = brake = self._model.brake
         self._settling_ns = round((brake.delay + _SETTLING * brake.time_constant) * NS_PER_S)
         self._start = Start(0.0, 0.0, (0.0, 0.0, 0.0))
-        # Settings that each sample needs.
+        # What each sample needs of the settings.
         self._min_speed, self._min_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
         self._q, self._scale_std, self._valid_std = config.drift**2, config.scale_std, config.valid_std
         self._white = config.acceleration_noise**2
@@ -248,7 +221,7 @@ class BrakeRateEstimator:
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
     def save(self) -> str:
-        """Return the complete state as JSON text, including that of a random generator."""
+        """Return the state as JSON text, including that of a random generator."""
         return encode(self)
 
     def restore(self, text: str) -> None:
@@ -264,11 +237,11 @@ class BrakeRateEstimator:
         """Process one sample; f is updated only while the brake acts on a moving train."""
         state = self.state
         before_ns = state.stamp_ns
-        motion, timing = self._follow_command(sample)
+        motion = self._follow_command(sample)
         elapsed = seconds(sample.stamp_ns - before_ns) if before_ns else 0.0
-        result = self._process(sample, max(0.0, elapsed), motion, timing)
+        result = self._process(sample, max(0.0, elapsed), motion)
         if result is None or result.reason is not Reason.NOT_BRAKING:
-            state.disturbance.pause()
+            state.disturbance.running = False
         self._check_validity()
         return result
 
@@ -283,16 +256,16 @@ class BrakeRateEstimator:
         self.state.unbraked_s += seconds
         self._check_validity()
 
-    def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
+    def _process(self, sample: Sample, elapsed: float, motion: BrakeStep) -> Rejection | None:
         state, posterior = self.state, self.posterior
         if (rejection := self._unknown(sample)) is not None:
             self._reinit_motion(sample, elapsed)
             return rejection
         if (rejection := self._model.known.reject(sample)) is not None:
-            posterior.predict(self._interval(sample, motion, timing))
+            posterior.predict(self._interval(sample, motion))
             return rejection
         self._follow_position(sample)
-        interval = self._interval(sample, motion, timing)
+        interval = self._interval(sample, motion)
         posterior.predict(interval)
         if (rejection := self._gate(sample)) is not None:
             if state.rejected_in_a_row >= self.config.readmit_after:  # then accept the speed
@@ -301,7 +274,7 @@ class BrakeRateEstimator:
         braking = max(abs(state.filtered_target), abs(motion.start_target))
         # Traction may begin before the brake is off, as at a departure.
         is_pulling = sample.brake_command >= 0.0 and sample.force_mean > 0.0
-        if braking < self._min_braking or self._released(sample) or is_pulling:
+        if braking < self._min_braking or motion.is_released or is_pulling:
             posterior.follow(sample.speed, state.noise.variance)
             self._learn_disturbance(sample, interval, braking)
             return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._min_braking)
@@ -330,7 +303,7 @@ class BrakeRateEstimator:
             return Rejection(sample.stamp_ns, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0)
         return None
 
-    def _follow_command(self, sample: Sample) -> tuple[BrakeStep, TimingStep]:
+    def _follow_command(self, sample: Sample) -> BrakeStep:
         """Advance the brake command to the stamp; return the response of the brake since the last sample."""
         state, timing, commands, now_ns = self.state, self.state.timing, self.state.commands, sample.stamp_ns
         if now_ns <= state.stamp_ns:  # another time base, in which the old commands are invalid
@@ -341,8 +314,8 @@ class BrakeRateEstimator:
         commands.follow(sample.brake_changes)
         self._move_timing(start_ns)
         motion = brake_step(commands, timing.delay, timing.lag, start_ns, now_ns, state.filtered_target)
-        nominal = motion.reach * state.filtered_target + motion.gain_v
-        sensitivity = timing.step(commands, start_ns, now_ns, nominal)
+        timing.follow(commands, start_ns, now_ns, motion)
+        motion.is_released = commands.value(now_ns - round(timing.delay * NS_PER_S)) >= 0.0
         commands.prune(now_ns - round((timing.delay + _HISTORY_S) * NS_PER_S))
         state.filtered_target = motion.end_target
         state.stamp_ns = now_ns
@@ -352,7 +325,7 @@ class BrakeRateEstimator:
         # At standstill the measured speed is zero without noise.
         state.noise.add(sample.speed, sample.dt if sample.speed >= self._min_speed else math.nan)
         state.observable = False
-        return motion, sensitivity
+        return motion
 
     def _move_timing(self, now_ns: int) -> None:
         """Apply the estimated errors of dead time and lag while the brake is released."""
@@ -366,31 +339,23 @@ class BrakeRateEstimator:
         applied = (f * (timing.delay - delay), f * (timing.lag - lag))
         self.posterior.recentre((applied[0], applied[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
-    def _interval(self, sample: Sample, motion: BrakeStep, timing: TimingStep) -> Transition:
-        """Return the motion model since the last sample."""
+    def _interval(self, sample: Sample, motion: BrakeStep) -> Transition:
         state = self.state
         before, state.gain = state.gain, self._model.gain(sample)
         return self._model.interval(
             sample,
             motion,
-            timing,
             rate=self.posterior.rate,
             before=before,
             gain=state.gain,
             variance=state.disturbance.variance,
-            released=self._released(sample),
         )
-
-    def _released(self, sample: Sample) -> bool:
-        """Whether the brake is released: traction may begin that the reported force does not show."""
-        state = self.state
-        return state.commands.value(sample.stamp_ns - round(state.timing.delay * NS_PER_S)) >= 0.0
 
     def _learn_disturbance(self, sample: Sample, interval: Transition, braking: float) -> None:
         """Update the size of b if no other uncertain force acts; ``braking`` is the brake acceleration [m/s^2]."""
         state = self.state
         if braking > _MAX_RESIDUAL_BRAKING or interval.q_v / interval.dt - self._white > self._max_traction_variance:
-            state.disturbance.pause()
+            state.disturbance.running = False
             return
         e, gain_e = self.posterior.errors, interval.gain_e
         known = interval.known + (gain_e[ROLLING] * e[ROLLING] + gain_e[AIR] * e[AIR] + gain_e[TRACTION] * e[TRACTION])

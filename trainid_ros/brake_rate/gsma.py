@@ -30,11 +30,11 @@ variances s_m^2 of f; one covariance P of x given f for all particles.
 The same in plain numpy is ``test/brake_rate/reference_gsma.py``. The differences from the paper are explained in
 :mod:`m_algorithm`. Two more:
 
-* f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f. One
-  Riccati equation suffices; (14), (16), (20) and (21) of the paper have one for each particle.
-* A jump since the last braking can be detected only when the response of the brake to its command is steady. Before
-  that, an error of dead time or lag has the same effect. Time in the chain T is therefore scaled by the steadiness, and
-  the probability of a jump while no brake acted is kept until then.
+* f affects only the mean of x, so all particles share one covariance; (14), (16), (20) and (21) of the paper have one
+  for each particle.
+* A jump can be detected only while the response of the brake to its command is steady. Before that, an error of dead
+  time or lag has the same effect. Time in the chain T is therefore scaled by the steadiness, and the probability of a
+  jump while no brake acted is kept until then.
 
 Without jumps this is the exact filter, except for sampling noise.
 """
@@ -52,24 +52,28 @@ from trainid_ros.brake_rate.brake_rate_estimator import MAX_RATE_FACTOR, BrakeRa
 from trainid_ros.brake_rate.m_algorithm import GroupCloud, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
 from trainid_ros.interface.errors import check_settings
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import vec
+from trainid_ros.resistance.suggested_drive import STEP_S
+from trainid_ros.stream.samples import SAMPLE_PERIOD, coasting_sample
+from trainid_ros.train.forces import BrakeCommandChange, acceleration, davis, lag_integral, lag_response
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from trainid_ros.estimators.settings import GsmaConfig, JumpConfig
+    from trainid_ros.interface.results import BrakeRateEstimate
+    from trainid_ros.resistance.suggested_drive import Run
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 _E: Final = 3
 
 
 class Covariance:
-    """Covariance of x.
-
-    Attributes:
-        P: Its rows, one after another, shape (n, n).
-        K: Gain of the last measured speed, eq. (20), shape (n,).
-    """
+    """Covariance P of x, shape (n, n), row by row, and gain K of the last measured speed, eq. (20), shape (n,)."""
 
     STATE: ClassVar[State] = declare(definite('P'))
 
@@ -165,18 +169,16 @@ def drifts(config: JumpConfig) -> tuple[float, float]:
 
 
 class GsmaPosterior:
-    """Particles in a quiet and a jumping stratum, with one covariance for all."""
+    """Particles in a quiet and a jumping stratum, with one covariance for all; see :class:`Posterior`."""
 
     STATE: ClassVar[State] = declare('cloud', '_covariance', '_effective', '_rng')
 
     def __init__(self, config: GsmaConfig, expected: float, rng: np.random.Generator) -> None:
-        self._drift, self._jump_rate, self._jump_time = config.drift, config.jump_rate, config.jump_time
-        self._max_rate = MAX_RATE_FACTOR * expected
+        self._drift, self._max_rate = config.drift, MAX_RATE_FACTOR * expected
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
         jumping = max(3, round(config.particles / 3)) if config.jump_rate > 0.0 else 0
         self._sizes = [config.particles - jumping, jumping] if jumping else [config.particles]
-        # Variance of f in each stratum [1/s].
         self._q = drifts(config)
         self._walk, self._chain = zeros(len(self._sizes)), vec[float]([1.0] * len(self._sizes) ** 2)
         self.cloud, self._covariance = GroupCloud(self._sizes), Covariance()
@@ -231,7 +233,6 @@ class GsmaPosterior:
         )  # fmt: skip
 
     def _variance_of(self, j: int) -> float:
-        """Return the variance of the j-th state."""
         return self._covariance.P[j * (STATES + 1)] + self.cloud.spread(j)
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
@@ -294,9 +295,55 @@ class GsmaPosterior:
         return True
 
 
+# In a planned braking: time for which the train rolls before it, and the longest one [s].
+_BEFORE_S: Final = 2.0
+_MAX_BRAKING_S: Final = 300.0
+
+
 class Gsma(BrakeRateEstimator):
     """Group stochastic M-algorithm."""
 
     def __init__(self, train_file: TrainFile, config: GsmaConfig, rng: np.random.Generator) -> None:
         check_settings(config)
         super().__init__(train_file, config, GsmaPosterior(config, true_brake(train_file).rate, rng))
+        self._train_file, self._gsma_config = train_file, config
+
+    def foreseen(self, run: Run, times: int) -> Iterator[BrakeRateEstimate]:
+        """Yield the estimates after one, two, ... of a number of runs with a braking; none before the first sample.
+
+        They depend on the noise that was learned, on the particles, and on what is known of dead time, lag and the
+        other errors of the train file. So a copy goes through the braking, with its own predicted speed plus noise.
+        """
+        if not self.state.stamp_ns:
+            return
+        copy = Gsma(self._train_file, self._gsma_config, np.random.default_rng())
+        copy.restore(self.save())
+        for _ in range(times):
+            start_ns = copy.state.stamp_ns + round(len(run.steps) * STEP_S * NS_PER_S)
+            for sample in copy._planned(run, start_ns):
+                copy.step(sample)
+            yield copy.estimate(0.0)
+
+    def _planned(self, run: Run, start_ns: int) -> Iterator[Sample]:
+        """Yield samples of a braking to the stop, on level track, by a brake as it is estimated."""
+        state, train, resistance = self.state, self._train_file.train, self._train_file.resistance
+        factor, lag, std = self.posterior.rate, state.timing.lag, math.sqrt(state.noise.variance)
+        begin, acts_s, command = round(_BEFORE_S / SAMPLE_PERIOD), _BEFORE_S + state.timing.delay, run.manoeuvre.braking
+        rng, v, target = np.random.default_rng(0), run.manoeuvre.start, 0.0
+        for k in range(round(_MAX_BRAKING_S / SAMPLE_PERIOD)):
+            if v < self.config.min_speed:
+                return
+            stamp_ns = start_ns + round(k * SAMPLE_PERIOD * NS_PER_S)
+            # The holding brake is released at the start.
+            given = {0: 0.0, begin: command}.get(k)
+            measured = v + std * float(rng.standard_normal())
+            sample = coasting_sample(stamp_ns, math.nan if k == 0 else SAMPLE_PERIOD, measured)
+            sample.brake_command = command if k >= begin else 0.0
+            sample.brake_changes = () if given is None else (BrakeCommandChange(stamp_ns, given),)
+            sample.curvature_mean = 0.0
+            yield sample
+            acting_s = min(SAMPLE_PERIOD, max(0.0, (k + 1) * SAMPLE_PERIOD - acts_s))
+            braked = factor * self._train_file.brake.shape_at(v) * lag_integral(target, command, lag, acting_s)
+            target = lag_response(target, command, lag, acting_s)
+            coasting = acceleration(0.0, train.mass, train.rotary_mass, davis(resistance, v))
+            v += braked + SAMPLE_PERIOD * coasting

@@ -5,19 +5,17 @@ The steps [n] are those at the head of :mod:`gsma`. Based on Zheng et al. 2015, 
 these corrections:
 
 * The group of a particle is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
-  h = sqrt(3 q dt): every value has its group (the paper omits one), values are not bound to a grid, and the
-  transition has the variance of a random walk per second instead of a grid step per sample.
+  h = sqrt(3 q dt), the variance of a random walk: every value has its group (the paper omits one), without a grid.
 * Weights are retained: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling in the order of f.
 * Particles belong to strata with different q (quiet, jumping); a Markov chain transfers weight between the strata.
-  Each stratum keeps its number of particles however small its weight, so an improbable hypothesis is not pruned
-  before the measurements can decide.
+  Each keeps its number of particles however small its weight, so no improbable hypothesis is pruned too soon.
 * Before branching, a stratum shrinks by sqrt(1 - kappa^2) towards its mean and h grows to
   sqrt(3 (q dt + kappa^2 s^2)), which preserves its mean and its variance s^2 + q dt and keeps its values distinct. x
   moves with f according to its regression on f. After pruning, the particles are shifted and scaled to the mean and
   variance before pruning. In a stratum with a Gaussian posterior no sampling noise is left in either.
 
 Between two prunings all particles move by the same linear map, x = A [1, f, x0], with the states x0 at the last
-pruning. So a step without pruning changes only A and the speeds, whose spread is needed.
+pruning. So a step without pruning changes only A and the speeds.
 """
 
 from __future__ import annotations
@@ -58,7 +56,7 @@ def zeros(count: int) -> vec[float]:
 class GroupCloud:
     """Particles with rates f and states x = [v, a, b, e]; the weights within a stratum are equal.
 
-    Matrices are stored row by row. Particles of one stratum follow one another, in the order of f.
+    Matrices are stored row by row. Particles of a stratum follow one another, in the order of f.
 
     Attributes:
         N: Number of particles.
@@ -109,10 +107,10 @@ class GroupCloud:
         self._sum_w, self._sum_wf, self._sum_wff, self._sum_woff, self._sum_wfoff = (zeros(M) for _ in range(5))
         self._sum_wx, self._sum_wxf, self._share = zeros(M), zeros(M), zeros(M)
         self._next_weight, self._next_mean, self._next_variance = zeros(M), zeros(M), zeros(M)
-        self.reset_transform()
+        self._reset_transform()
 
     def start(self, f: list[float], weight: list[float]) -> None:
-        """Start at rest from rates f [1], shape (N,), with the weights of the strata, shape (M,)."""
+        """Start at rest from rates f [1] and the weights of the strata."""
         for i in range(self.N):
             self.f[i] = f[int(i)]
         for k in range(STATES * self.N):
@@ -130,17 +128,17 @@ class GroupCloud:
             self.weight[m], self.mean[m], self.variance[m] = weight[int(m)], total, square
             for j in range(STATES):
                 self.slope[j * self.M + m] = 0.0
-        self.reset_transform()
-        self.average()
+        self._reset_transform()
+        self._average()
 
-    def reset_transform(self) -> None:
+    def _reset_transform(self) -> None:
         """Set A to the identity, x = x0."""
         for k in range(STATES * WIDTH):
             self.A[k] = 0.0
         for j in range(STATES):
             self.A[j * WIDTH + 2 + j] = 1.0
 
-    def average(self) -> None:
+    def _average(self) -> None:
         """Set mean and variance of f from those of the strata."""
         rate = spread = 0.0
         # [18] Eq. (19).
@@ -150,8 +148,6 @@ class GroupCloud:
             off = self.mean[m] - rate
             spread += self.weight[m] * (self.variance[m] + off * off)
         self.rate, self.rate_variance = rate, spread
-
-    # Motion of all particles alike.
 
     def reinit_motion(self, start: Start) -> None:
         """Restart v, a = f target and b; the errors decay by ``decay_e``."""
@@ -186,7 +182,7 @@ class GroupCloud:
         self._eval_row(A, 0, self.v, 0)
 
     def follow(self, speed: float, K: vec[float]) -> None:
-        """Update x with a measured speed that carries no information on f, by the gain K, shape (n,), eq. (21)."""
+        """Update x with a measured speed [m/s] that carries no information on f, by the gain K, shape (n,)."""
         A = self.A
         for k in range(WIDTH):
             # [7] Eq. (21).
@@ -206,8 +202,8 @@ class GroupCloud:
                 for i in range(N):
                     out[to + i] += share * x[j * N + i]
 
-    def flush_if_coupled(self) -> None:
-        """Let each state except v depend on its own x0 only: settle if A mixes them, as a measured speed does."""
+    def _flush_if_coupled(self) -> None:
+        """Apply A if it mixes the x0 of states, as after a measured speed; v has been predicted anyway."""
         for j in range(1, STATES):
             for k in range(STATES):
                 if k != j and self.A[j * WIDTH + 2 + k] != 0.0:
@@ -222,18 +218,16 @@ class GroupCloud:
             self._eval_row(self.A, j * WIDTH, self._next, j * self.N)
             means[j] = self.expected(j)
             for m in range(M):
-                slopes[j * M + m] = self.slope_of(j, m)
+                slopes[j * M + m] = self._slope_of(j, m)
         self.x, self._next, self.x_mean, self.slope = self._next, self.x, means, slopes
-        self.reset_transform()
+        self._reset_transform()
 
-    def slope_of(self, j: i64, m: i64) -> float:
+    def _slope_of(self, j: i64, m: i64) -> float:
         """Return the regression of the j-th state on f in a stratum."""
         slope = self.A[j * WIDTH + 1]
         for k in range(STATES):
             slope += self.A[j * WIDTH + 2 + k] * self.slope[k * self.M + m]
         return slope
-
-    # Moments of the states.
 
     def expected(self, j: i64) -> float:
         """Return the mean of the j-th state."""
@@ -279,8 +273,6 @@ class GroupCloud:
             spread += self.weight[m] / float(high - low) * squares
         return spread
 
-    # Drift.
-
     def inflate_variance(self, step: Transition, variance: float) -> None:
         """Add to the variance of f [1] the drift before the predicted step, by spreading the values."""
         total, rate, N, M = self.rate_variance, self.rate, self.N, self.M
@@ -303,8 +295,6 @@ class GroupCloud:
             for j in range(STATES):
                 self.slope[j * M + m] /= ratio
 
-    # The M-algorithm.
-
     def update(
         self,
         step: Transition,
@@ -324,11 +314,11 @@ class GroupCloud:
             speed: Measured speed [m/s].
             K: Gain, eq. (20), shape (n,).
             S: Variance of the innovation, eq. (16) [(m/s)^2].
-            largest: Largest rate [1]; children outside 0 <= f <= largest get the weight zero.
+            largest: Largest rate f_max [1].
             chain: Transition probabilities from stratum (row) to stratum (column), shape (M, M).
             uniforms: A draw in [0, 1) for each stratum, shape (M,).
         """
-        self.flush_if_coupled()
+        self._flush_if_coupled()
         self._branch(step, walk, speed)
         effective = self._weigh(1.0 / math.sqrt(S), largest)
         self._sum_rates(chain)
@@ -340,7 +330,7 @@ class GroupCloud:
             self._correct(j, K[j])
             self._copy_to_survivors(j, chain)
         self.x, self._next, self.f, self._next_f = self._next, self.x, self._next_f, self.f
-        self.reset_transform()
+        self._reset_transform()
         self._take_moments()
         return effective
 
@@ -355,7 +345,7 @@ class GroupCloud:
             # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
             for j in range(STATES):
                 gain = step.gain_v if j == _V else step.gain_a if j == _A else 0.0
-                slope = self.slope_of(j, m)
+                slope = self._slope_of(j, m)
                 self._slopes[j * M + m] = slope
                 self._c[j * M + m] = gain + kernel / both * (slope - gain)
             self._c_v[m] = self._c[_V * M + m]
@@ -553,7 +543,6 @@ class GroupCloud:
         self.x_mean[j] = average
 
     def _take_moments(self) -> None:
-        """Take over the moments of the strata, and the means of the states."""
         total = 0.0
         for m in range(self.M):
             total += self._next_weight[m]
@@ -564,4 +553,4 @@ class GroupCloud:
         # [19] Eq. (22).
         for j in range(STATES):
             self.x_mean[j] /= total
-        self.average()
+        self._average()

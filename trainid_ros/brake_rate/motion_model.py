@@ -20,15 +20,13 @@ The command u is piecewise constant, so over any interval the response is exact:
 
     a_end = decay * a_start + f * gain_a,      v gains  a_start * reach + f * gain_v.
 
-Dead time T and lag tau may be wrong in a train file. The integral s(T, tau) is computed for T +- h and tau +- h. Its
-differences give the gains of speed by their errors, for f = 1, by statistical linearisation:
+Dead time T and lag tau may be wrong in a train file. The integral s(T, tau) is computed for T +- h and tau +- h. By
+statistical linearisation its differences give the gains of speed by their errors, for f = 1:
 
     gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
 
 and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
 Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
-
-:class:`Posterior` is what an estimator needs of the posterior of f and x: Gaussian, mixture or particles.
 """
 
 from __future__ import annotations
@@ -67,20 +65,15 @@ STATES: Final = 11  # number of states x = [v, a, b, e]
 
 
 class Transition:
-    """Motion of the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
+    """Motion of the train over one sample of dt [s], linear in x = [v, a, b, e] and the brake rate f.
 
     v' = v + reach a + dt b + gain_e e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = decay_e e.
 
     v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2], e the errors
     of the train file, shape (8,). The gains reach [s] and gain_e [m/s per unit] are those of speed, gain_v [m/s] and
-    gain_a [m/s^2] those by the command at f = 1; decay, rho and decay_e are the shares left at the end [1].
-
-    Attributes:
-        dt: Duration [s].
-        known: Gain of speed by all known forces [m/s].
-        q_v: Variance that white acceleration adds to v [(m/s)^2]; q_b [(m/s^2)^2] and q_e are those added to b and e.
-        steadiness: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a
-            jump of f cannot be detected.
+    gain_a [m/s^2] those by the command at f = 1, known [m/s] that by all known forces; decay, rho and decay_e are the
+    shares left at the end [1]. q_v [(m/s)^2], q_b [(m/s^2)^2] and q_e are the variances added to v, b and e. The
+    steadiness is 1 while the response of the brake is constant, towards 0 while it changes [1].
     """
 
     def __init__(
@@ -105,14 +98,10 @@ class Transition:
 
 
 class Start:
-    """Restart of speed v, brake acceleration a = f target and disturbance b; propagation of the errors e.
+    """Restart of speed v [m/s], brake acceleration a = f target [m/s^2] and disturbance b = 0.
 
-    Attributes:
-        speed: Speed [m/s].
-        target: Brake acceleration at f = 1 [m/s^2].
-        variances: Variances of v [(m/s)^2], a given f [(m/s^2)^2] and b [(m/s^2)^2].
-        decay_e: Share of each error that is left [1].
-        q_e: Variance added to each error.
+    The variances are those of v [(m/s)^2], of a given f and of b [(m/s^2)^2]. For decay_e and q_e of the errors see
+    :class:`Transition`.
     """
 
     def __init__(
@@ -128,7 +117,7 @@ class Start:
 
 
 class Posterior(Protocol):
-    """The joint distribution of f and of the train's motion x = [v, a, b, e]."""
+    """The joint distribution of f and of the motion x = [v, a, b, e]: Gaussian, mixture or particles."""
 
     @property
     def rate(self) -> float:
@@ -155,11 +144,11 @@ class Posterior(Protocol):
 
     @property
     def errors(self) -> Errors:
-        """Means of the errors of the train file; units as in :class:`Transition`."""
+        """Means of the errors e."""
 
     @property
     def error_variances(self) -> Errors:
-        """Variances of the errors of the train file."""
+        """Variances of the errors e."""
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Reset to the prior: mean and std of f [1], and standard deviations of the errors, whose mean is zero."""
@@ -193,11 +182,35 @@ _MIN_SPREAD: Final = 0.02
 _MIN_LAG: Final = 0.25
 
 
-class TimingStep:
-    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the remaining variance [(m/s)^2]."""
+class BrakeStep:
+    """Exact response over an interval for f = 1, see the module; decay, reach and the gains as in :class:`Transition`.
 
-    def __init__(self, delay_gain: float, lag_gain: float, variance: float) -> None:
-        self.delay_gain, self.lag_gain, self.variance = delay_gain, lag_gain, variance
+    Attributes:
+        start_target: Brake acceleration at the start [m/s^2].
+        end_target: Brake acceleration at the end [m/s^2].
+        integral: Gain of speed by the brake, s [m/s].
+        delay_gain: Gain of speed by an error of the dead time [m/s per s].
+        lag_gain: Gain of speed by an error of the lag [m/s per s].
+        variance: Remaining variance of speed by these errors [(m/s)^2].
+        is_released: Whether the brake is released, so that traction may begin that the reported force does not show.
+    """
+
+    def __init__(self, decay: float, reach: float, gain_a: float, gain_v: float, start_target: float) -> None:
+        self.decay, self.reach, self.gain_a, self.gain_v = decay, reach, gain_a, gain_v
+        self.start_target, self.end_target = start_target, decay * start_target + gain_a
+        self.integral = reach * start_target + gain_v
+        self.delay_gain = self.lag_gain = self.variance = 0.0
+        self.is_released = False
+
+
+def brake_step(
+    commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
+) -> BrakeStep:
+    """Return the response over (start, end] [ns] to commands after a dead time, with a time constant [s], eq. (1)."""
+    delay_ns = round(delay * NS_PER_S)
+    a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
+    elapsed = seconds(end_ns - start_ns)
+    return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
 
 
 @dataclass
@@ -234,22 +247,22 @@ class Timing:
         self.release()
         self.has_acted = False
 
-    def step(self, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float) -> TimingStep:
-        """Propagate the targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
+    def follow(self, commands: CommandHistory, start_ns: int, end_ns: int, motion: BrakeStep) -> None:
+        """Propagate the targets over (start, end] [ns]; give the nominal response its gains by timing errors."""
         if self.is_idle(commands, end_ns):
             self.release()
-            return TimingStep(0.0, 0.0, 0.0)
+            return
         T, tau, h_T, h_tau = self.delay, self.lag, self.delay_std, self.lag_std
         shorter, less = max(0.0, T - h_T), max(_MIN_LAG * tau, tau - h_tau)
         self.later, later = _response(commands, start_ns, end_ns, self.later, T + h_T, tau)
         self.sooner, sooner = _response(commands, start_ns, end_ns, self.sooner, shorter, tau)
         self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + h_tau)
         self.faster, faster = _response(commands, start_ns, end_ns, self.faster, T, less)
-        delay_gain = (later - sooner) / max(T + h_T - shorter, _MIN_SPREAD)
-        lag_gain = (slower - faster) / max(tau + h_tau - less, _MIN_SPREAD)
-        by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
+        motion.delay_gain = (later - sooner) / max(T + h_T - shorter, _MIN_SPREAD)
+        motion.lag_gain = (slower - faster) / max(tau + h_tau - less, _MIN_SPREAD)
+        by_delay, by_lag = later + sooner - 2.0 * motion.integral, slower + faster - 2.0 * motion.integral
+        motion.variance = 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag)
         self.has_acted = True
-        return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
 
 
 def _response(
@@ -261,36 +274,6 @@ def _response(
 
 def _spread(std: float, before: float) -> float:
     return min(max(std, _MIN_SPREAD), before) if before > 0.0 else 0.0
-
-
-class BrakeStep:
-    """Coefficients of the exact response over an interval; see the module.
-
-    Attributes:
-        decay: Share of the initial brake acceleration left at the end [1].
-        reach: Gain of speed per initial brake acceleration [s].
-        gain_a: Gain of brake acceleration by the command for f = 1 [m/s^2].
-        gain_v: Gain of speed by the command for f = 1 [m/s].
-        start_target: Brake acceleration at the start for f = 1 [m/s^2].
-        end_target: Brake acceleration at the end for f = 1 [m/s^2].
-    """
-
-    def __init__(self, decay: float, reach: float, gain_a: float, gain_v: float, start_target: float) -> None:
-        self.decay, self.reach, self.gain_a, self.gain_v = decay, reach, gain_a, gain_v
-        self.start_target, self.end_target = start_target, decay * start_target + gain_a
-
-
-def brake_step(
-    commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
-) -> BrakeStep:
-    """Return the response over (start, end] [ns] to the commands after a dead time and with a time constant, eq. (1).
-
-    ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].
-    """
-    delay_ns = round(delay * NS_PER_S)
-    a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
-    elapsed = seconds(end_ns - start_ns)
-    return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
 
 
 MIN_RATE: Final = 0.05  # lower limit of a brake rate that is used as a divisor [1]
@@ -312,7 +295,13 @@ _MIN_LEVEL: Final = 0.08
 
 
 class MotionModel:
-    """Train and line according to the train file, with the standard deviations of their errors."""
+    """Train and line according to the train file.
+
+    Attributes:
+        stds: Standard deviations of the errors e.
+        timing_stds: Standard deviations of dead time and lag [s].
+        disturbance_std: Std of the unmodelled acceleration, including the map error [m/s^2].
+    """
 
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig) -> None:
         self.brake = true_brake(train_file)
@@ -320,16 +309,17 @@ class MotionModel:
         effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
         self.known = KnownForce(replace(train_file, brake=self.brake, effects=effects))
         self.inertia = self.known.inertia
-        self._train_file, self._config, self._resistance = train_file, config, train_file.resistance
-        train = train_file.train
-        self.max_speed, self._timing_std = train.max_speed, train_file.brake.timing_std
+        self._resistance, train = train_file.resistance, train_file.train
+        self._max_speed, self._timing_std = train.max_speed, train_file.brake.timing_std
+        self.disturbance_std = math.hypot(config.disturbance_std, train_file.line.gradient_std / self.inertia)
+        # Relative to the delay stated in the file, because the effect brake_delay was measured.
+        self.timing_stds = train_file.brake.timing_stds
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
         self._force_error, self._min_braking = config.force_error, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
-        # Standard deviations of the errors.
         delay, lag = self.timing_stds
         force, resistance = math.hypot(train.mass_std, train.force_std), config.resistance_std
         self.stds: Errors = (
@@ -339,59 +329,29 @@ class MotionModel:
         self._stds, self._share = vec[float](self.stds), vec[float]([0.0] * ERRORS)
         self._interval = Transition(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    @property
-    def disturbance_std(self) -> float:
-        """Standard deviation of the unmodelled acceleration, including the map error [m/s^2]."""
-        return math.hypot(self._config.disturbance_std, self._train_file.line.gradient_std / self.inertia)
-
-    @property
-    def timing_stds(self) -> tuple[float, float]:
-        """Standard deviations of the errors of dead time and lag [s]."""
-        # Relative to the delay stated in the file, because the effect brake_delay was measured.
-        return self._train_file.brake.timing_stds
-
     def gain(self, sample: Sample) -> float:
         """Return the brake rate by the table and the effects of the train file for f = 1 [1]."""
         return max(self.known.brake_share(sample) * self.brake.shape_at(sample.speed), MIN_RATE)
 
-    def traction(self, sample: Sample, nominal: float, *, released: bool) -> float:
-        """Return the acceleration by traction [m/s^2].
-
-        The reported force is that of traction minus the force of a nominal brake, whose target has the integral
-        ``nominal`` over the sample [m/s]. After the dead time of a released brake traction may have begun unseen.
-        """
-        force = self.known.traction(sample.force_mean, sample) / self.inertia
-        if sample.brake_command >= 0.0 and (released or force > 0.0):
-            force -= nominal / sample.dt
-        return force if force > 0.0 else 0.0
-
     def interval(
-        self,
-        sample: Sample,
-        motion: BrakeStep,
-        timing: TimingStep,
-        *,
-        rate: float,
-        before: float,
-        gain: float,
-        variance: float,
-        released: bool,
+        self, sample: Sample, motion: BrakeStep, *, rate: float, before: float, gain: float, variance: float
     ) -> Transition:
         """Return the motion model since the last sample, valid until the next call; missing forces count as zero.
 
         Args:
             sample: The sample.
             motion: Response of the brake.
-            timing: Its sensitivity to dead time and lag.
             rate: Estimated brake rate [1].
             before: :meth:`gain` at the last sample [1].
             gain: The same at this one [1].
             variance: Variance of the disturbance [(m/s^2)^2].
-            released: Whether the brake is released.
         """
         step, dt, v, w = self._interval, sample.dt, sample.speed, self._resistance
-        nominal = motion.reach * motion.start_target + motion.gain_v
-        traction = self.traction(sample, nominal, released=released)
+        # The reported force is traction minus a nominal brake, behind which traction may begin unseen.
+        traction = self.known.traction(sample.force_mean, sample) / self.inertia
+        if sample.brake_command >= 0.0 and (motion.is_released or traction > 0.0):
+            traction -= motion.integral / dt
+        traction = traction if traction > 0.0 else 0.0
         rolling, air = (w.a + w.b * v) / self.inertia, w.c * v * v / self.inertia
         known = (traction - self.known.track(sample) / self.inertia - rolling - air) * dt
         rho = math.exp(-v * dt / self._length)
@@ -402,10 +362,10 @@ class MotionModel:
         step.reach, step.decay = motion.reach * gain / before, motion.decay * gain / before
         step.gain_v, step.gain_a = gain * motion.gain_v, gain * motion.gain_a
         step.rho, step.known = rho, known if is_finite(known) else 0.0
-        step.q_v = slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v)
+        step.q_v = slack * dt + rate * rate * self._timing_variance(motion, dt, v)
         step.q_b = variance * (1.0 - rho * rho)
-        gain_e, braked = step.gain_e, gain * nominal
-        gain_e[DELAY], gain_e[LAG] = gain * timing.delay_gain, gain * timing.lag_gain
+        gain_e, braked = step.gain_e, gain * motion.integral
+        gain_e[DELAY], gain_e[LAG] = gain * motion.delay_gain, gain * motion.lag_gain
         gain_e[ROLLING], gain_e[AIR], gain_e[TRACTION] = -rolling * dt, -air * dt, traction * dt
         gain_e[SLOPE], gain_e[CHANGEOVER] = braked * self._slope(v), braked * self._changeover(v)
         gain_e[LEVEL] = -dt if motion.end_target <= -_MIN_LEVEL else 0.0
@@ -413,12 +373,12 @@ class MotionModel:
         step.steadiness = self._steadiness(motion, dt)
         return step
 
-    def _timing_variance(self, motion: BrakeStep, timing: TimingStep, dt: float, v: float) -> float:
-        """Return the variance of speed due to timing and variation between changeovers, for f = 1 [(m/s)^2]."""
+    def _timing_variance(self, motion: BrakeStep, dt: float, v: float) -> float:
+        """Return the variance of speed by timing and variation between changeovers, for f = 1 [(m/s)^2]."""
         level = motion.end_target
         early = _JITTER_S * self._timing_std * (level - motion.start_target)
         blend = _BLEND_VARIES * self._blend_std * self._changeover(v) * level
-        return timing.variance + early * early + 2.0 * _BLEND_S * dt * blend * blend
+        return motion.variance + early * early + 2.0 * _BLEND_S * dt * blend * blend
 
     def _steadiness(self, motion: BrakeStep, dt: float) -> float:
         """Return the steadiness of the response: 1 while it is constant, towards 0 while it changes."""
@@ -430,7 +390,7 @@ class MotionModel:
 
     def _slope(self, speed: float) -> float:
         """Return p, see the module; above the maximum speed it stays constant."""
-        return min(speed / self.max_speed, 1.0) - 0.5
+        return min(speed / self._max_speed, 1.0) - 0.5
 
     def _changeover(self, speed: float) -> float:
         """Return m, see the module."""
@@ -439,7 +399,7 @@ class MotionModel:
     def share(self, sample: Sample, level: float) -> vec[float]:
         """Return the shares of the errors in the brake rate at a level [m/s^2, >= 0], shape (8,), until the next call.
 
-        At the end of a braking they are zero, which gives the brake rate at medium speed, for the next braking.
+        At the end of a braking they are zero: that gives the rate at medium speed, for the next braking.
         """
         share = self._share
         share[SLOPE] = share[CHANGEOVER] = share[LEVEL] = 0.0

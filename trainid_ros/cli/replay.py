@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import TABLE_SUFFIXES, Pipelines, estimate_table, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
-from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli import output
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import load_mapping
@@ -28,7 +27,7 @@ from trainid_ros.interface.results import Reason, SpeedModelEstimate, deviations
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.davis_posterior import observe, resistance_std
-from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.resistance.suggested_drive import suggested_braking, suggested_drive
 from trainid_ros.setup.params_file import mapping_in, node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth

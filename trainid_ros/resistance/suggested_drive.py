@@ -6,7 +6,7 @@ resistance is learned. Speeds follow ``m dv/dt = kappa T - a - b v - c v^2`` wit
 [N/kN], its scale kappa [1] and m = 1000 (1 + gamma) / g0.
 
 The shortest drive is suggested that makes known what is not. The estimator promises the standard deviations: it
-continues its own recursion over the planned drive, with the noise that it has learned.
+continues its recursion over the planned drive, with the noise that it has learned.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from trainid_ros.train.train_file import Davis
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
-    from trainid_ros.interface.results import ResistanceEstimate
+    from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
     from trainid_ros.train.train_file import TrainFile
 
 KM_H: Final = 1.0 / 3.6
@@ -125,17 +124,8 @@ def planned_runs(train_file: TrainFile, davis: Davis, force_scale: float = 1.0) 
             yield run
 
 
-def planned_brakings(train_file: TrainFile) -> Iterator[Run]:
-    """Yield runs that fit on the line, for the braking to the stop; resistance as in the train file."""
-    for share in _STARTS:
-        start = _round(share * top_speed(train_file))
-        run = plan_run(Manoeuvre(start, start, braking=-DECELERATION), train_file, train_file.resistance)
-        if run is not None and _fits(run, train_file):
-            yield run
-
-
 def _fits(run: Run, train_file: TrainFile) -> bool:
-    """Return whether there is room for a run between two stops, where the speed limits allow it."""
+    """Return whether there is room for a run between two stops, within the speed limits."""
     line, length = train_file.line, run.length_m
     if not line.stops:
         return length <= 10e3
@@ -179,10 +169,7 @@ def _round(speed: float) -> float:
 
 
 def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_scale: float = 1.0) -> Run | None:
-    """Return a run of a train with a resistance; None if the train does not do it within a practicable time.
-
-    ``force_scale`` is the actual over the reported traction [1].
-    """
+    """Return a run with a scale of the traction, actual over reported [1]; None if it takes too long."""
     train, scale = train_file.train, force_scale
     m = specific_inertia(1.0, train.rotary_mass)
     v = traction = held_s = 0.0
@@ -236,7 +223,7 @@ class Wanted:
     """A quantity that should be known."""
 
     name: str  # as in tables
-    unit: str  # of the quantity
+    unit: str
     std: Callable[[Any], float]  # returns its standard deviation in an estimate [unit]
     limit: float  # standard deviation up to which it is known [unit]
 
@@ -269,7 +256,7 @@ class Promise:
 class SuggestedDrive:
     """A drive and what it promises."""
 
-    run: Run  # One run of it, from stop to stop
+    run: Run  # One run of it
     times: int  # Number of runs
     least_known: Promise  # The quantity for which it is driven
     promises: tuple[Promise, ...]  # All quantities
@@ -304,36 +291,35 @@ class SuggestedDrive:
             'length_m': self.times * self.run.length_m,
             'least_known': promise.wanted.name,
             'std': {
-                item.wanted.name: {
-                    'unit': item.wanted.unit,
-                    'now': item.now,
-                    'then': item.then,
-                    'wanted': item.wanted.limit,
-                }
-                for item in self.promises
+                wanted.name: {'unit': wanted.unit, 'now': item.now, 'then': item.then, 'wanted': wanted.limit}
+                for item, wanted in ((item, item.wanted) for item in self.promises)
             },
         }
 
 
 @runtime_checkable
 class ForeseeingEstimator(Protocol):
-    """Estimator of the resistance that can foresee its covariance: the filter bank and V-MILS."""
+    """Estimator that can foresee its uncertainty: the filter bank, V-MILS and GSMA."""
 
     @property
-    def config(self) -> FilterBankConfig | VMilsConfig:
+    def config(self) -> Any:
         """Settings."""
 
-    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate]:
+    @property
+    def converged(self) -> bool:
+        """True while the estimate is fit for use."""
+
+    def foreseen(self, run: Run, times: int) -> Iterator[Any]:
         """Yield the mean estimates after one, two, ... of a number of runs, each from a stop."""
 
 
 def suggested_drive(
     estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
 ) -> SuggestedDrive | None:
-    """Return the shortest drive that makes known what is not, as far as any drive does.
+    """Return the shortest drive that makes known what is not of the resistance, as far as any drive does.
 
     ``prior`` is the estimate before the first sample, ``now`` the present one. None if all is known, if nothing was
-    learned yet, if no drive would help, or if the estimator of the resistance cannot foresee it.
+    learned yet, if no drive would help, or if the estimator cannot foresee it.
     """
     if not isinstance(estimator, ForeseeingEstimator) or not now.speed_max > 0.0:
         return None
@@ -341,17 +327,32 @@ def suggested_drive(
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
     scale = now.force_scale if now.force_scale > 0.1 else 1.0  # it may be NaN or implausible
     runs = planned_runs(train_file, Davis(now.a, now.b, now.c), scale)
-    return best_drive(quantities, now, runs, estimator.foreseen)
+    return _best_drive(quantities, now, runs, estimator.foreseen)
 
 
-def best_drive(
+def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> SuggestedDrive | None:
+    """Return the shortest drive with brakings that make the brake rate valid, as far as any does.
+
+    None if it is valid at present, if nothing was measured yet, if the train file is wrong, if no braking would help,
+    or if the estimator cannot foresee it.
+    """
+    if not isinstance(estimator, ForeseeingEstimator) or estimator.converged:
+        return None
+    wanted = Wanted('brake rate', '', attrgetter('brake_rate_std'), estimator.config.valid_std)
+    starts = (_round(share * top_speed(train_file)) for share in _STARTS)
+    brakings = (Manoeuvre(start, start, braking=-DECELERATION) for start in starts)
+    runs = (plan_run(braking, train_file, train_file.resistance) for braking in brakings)
+    fitting = (run for run in runs if run is not None and _fits(run, train_file))
+    return _best_drive((wanted,), now, fitting, estimator.foreseen)
+
+
+def _best_drive(
     quantities: Sequence[Wanted], now: object, runs: Iterable[Run], foreseen: Callable[[Run, int], Iterable[object]]
 ) -> SuggestedDrive | None:
     """Return the shortest drive of these runs that makes known what is not, None if all is known or none would help.
 
-    ``foreseen`` returns the estimates after one, two, ... of a number of runs. A longer drive must be better. What
-    counts is the quantity that is least known after the drive, of those that at least one drive makes known; or of
-    those for which the drives are made if none does.
+    A longer drive must be better. What counts is the quantity that is least known after the drive, of those that at
+    least one drive makes known; or of those that are not known if none does.
     """
     before = [Promise(wanted, wanted.std(now), wanted.std(now)) for wanted in quantities]
     unknown = {k for k, item in enumerate(before) if item.now > item.wanted.limit}
@@ -397,9 +398,7 @@ def _quantities(
         yield Wanted('force scale', '', attrgetter('force_scale_std'), max(0.01, left * prior.force_scale_std))
 
 
-# The standard deviations of an estimate: functions of the module, so that a drive can be sent to another process.
-
-
+# Functions of the module, so that a drive can be sent to another process.
 def _parameter(k: int, estimate: ResistanceEstimate) -> float:
     return math.sqrt(max(0.0, estimate.covariance[4 * k]))
 
