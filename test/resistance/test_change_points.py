@@ -24,11 +24,8 @@ from trainid_ros.resistance.change_points import (
     gate,
     independent,
     inflated,
-    information_in,
-    information_of,
     mixed,
     normal,
-    normal_of,
     robust_fit,
     soft_update,
     weigh,
@@ -73,15 +70,6 @@ def test_without_outliers_an_update_is_that_of_recursive_least_squares(n: int) -
     assert score == pytest.approx(-0.5 * (nu * nu / S + math.log(2.0 * math.pi * S)), rel=1e-12)
     assert found.theta == pytest.approx(before.theta + K * nu, rel=1e-9)
     assert pytest.approx(before.P - np.outer(K, phi @ before.P), rel=1e-9, abs=1e-15) == found.P
-
-
-@pytest.mark.parametrize('n', [3, 6])
-def test_adding_information_gives_the_same_update(n: int) -> None:
-    before, phi, y, R = some(n), regressor(n), 5.0, 0.3
-    parts = information_of(before), information_in(numbers(phi), y, R)
-    found = normal_of(numbers(np.array(list(parts[0])) + np.array(list(parts[1]))), n)
-    expected = soft_update(before, numbers(phi), y, R, 1.0, 0.0)[0]
-    assert_equal(found, expected.theta, expected.P, 1e-9)
 
 
 @pytest.mark.parametrize('y', [1e3, -1e9, 1e150])

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -76,13 +75,8 @@ def test_it_estimates_the_resistance_over_the_observed_speeds(train_file: TrainF
         assert here.resistance_std < 0.1
 
 
-def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey: Journey) -> None:
-    estimator = after(train_file, journey(120.0, traction=saw_tooth))
-    e = estimator.estimate(13.0)
-    P = np.array(e.covariance).reshape(3, 3)
-    phi = np.array([1.0, 13.0, 169.0])
-    assert e.resistance == pytest.approx(e.a + 13.0 * e.b + 169.0 * e.c, rel=1e-12)
-    assert e.resistance_std == pytest.approx(math.sqrt(phi @ P @ phi), rel=1e-9)
+def test_the_test_ratio_is_relative_to_the_gate(train_file: TrainFile, journey: Journey) -> None:
+    e = after(train_file, journey(120.0, traction=saw_tooth)).estimate(13.0)
     assert e.test_ratio == pytest.approx(
         e.innovation**2 / (gate(CONFIG.outlier_share) ** 2 * e.innovation_variance), rel=1e-12
     )
@@ -139,15 +133,6 @@ def test_accepted_samples_give_an_observation_every_hop(train_file: TrainFile, j
     # The first sample has no dt; the first window has 25, then one every 6.
     assert accepted == 499
     assert estimator.learner.driven.count == 1 + (499 - 25) // 6
-
-
-@pytest.mark.parametrize('key', ['tracker', '_speed_noise', '_windows', '_slow', 'inflation'])
-def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str) -> None:
-    estimator = after(train_file, journey(60.0, traction=saw_tooth))
-    data = json.loads(estimator.save())
-    data['state']['learner'][key] = 7
-    with pytest.raises(InputError):
-        estimator.restore(json.dumps(data))
 
 
 def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None:

@@ -8,22 +8,21 @@ the head of :mod:`vmils`:
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
 A forgetting factor responds to a step faster at the price of more noise at all other times. Here a few run-length
-hypotheses run beside the long memory. Each assumes that the parameters stepped when it was created: it starts from the
-long memory with the variance of a step added, and accumulates the log Bayes factor of its predictions against those of
-the long memory. The estimate is the mixture of all, weighted by their probability; the stated covariance weights the
-hypotheses more, since it must cover both outcomes while a step is suspected. Once the long memory has negligible
-probability, the most likely hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007)
-with few run lengths.
+hypotheses run beside the long memory, Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
+Each assumes that the parameters stepped when it was created: it starts from the long memory with the variance of a step
+added, and accumulates the log Bayes factor of its predictions against those of the long memory. The estimate is the
+mixture of all, weighted by their probability; the stated covariance weights the hypotheses more, since it must cover
+both outcomes while a step is suspected. Once the long memory has negligible probability, the most likely hypothesis
+replaces it.
 
 An observation is good with probability 1 - eps; otherwise it is uniformly distributed over a width of
-``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate cannot
-recover from a wrong estimate; this one scores how well an estimate predicts, outliers included. Each hypothesis weights
-outliers by its own prediction, and counts only after ``min_age`` observations, longer than a burst of them.
+``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate could not
+recover from a wrong estimate. Each hypothesis weights outliers by its own prediction, and counts only after ``min_age``
+observations, longer than a burst of them.
 
 A step so large that no hypothesis follows it shows in weights that stay low. The long memory then restarts from a
 robust fit of the latest observations: least trimmed squares finds the 55 % that agree best, by concentration steps from
-many small subsets (Rousseeuw and Van Driessen 2006); least squares over all observations near that fit gives the
-estimate.
+many small subsets (Rousseeuw and Van Driessen 2006), and least squares is fitted to all observations near it.
 """
 
 from __future__ import annotations
@@ -128,9 +127,9 @@ def _times(P: vec[float], x: vec[float]) -> vec[float]:
 
 
 def inflated(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
-    """Return the distribution after independent random steps of these variances, shape (n,).
+    """Return the distribution after random steps of these variances, up to limits, both of shape (n,).
 
-    ``limits`` are upper limits of the variances afterwards, shape (n,); limiting keeps the correlations.
+    Limiting keeps the correlations.
     """
     P = item.P + np.diag(variances)
     if limits is not None:
@@ -225,10 +224,8 @@ def information_in(phi: vec[float], y: float, variance: float, weight: float = 1
 
 
 def _inverse(S: vec[float], n: i64) -> vec[float]:
-    """Return the inverse of a positive definite matrix of n rows by Gauss-Jordan elimination, without pivoting.
-
-    The matrix is scaled to a unit diagonal first, since the parameters differ by orders of magnitude.
-    """
+    """Return the inverse of a positive definite matrix of n rows by Gauss-Jordan elimination, without pivoting."""
+    # Scaled to a unit diagonal, since the parameters differ by orders of magnitude.
     scale, A = vec[float](), S[:]
     for i in range(n):
         scale = append(scale, 1.0 / math.sqrt(S[i * n + i]))

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
-A :class:`Trajectory` is motion without braking: pieces of a drive, each with its own initial speed. The model is that
-of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
+The model is that of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
 ``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
 stage of constant acceleration, and the mean known force u. The fit minimises, over a, b, c *and all speeds*,
 
@@ -19,9 +18,9 @@ Each Gauss-Newton step linearises all stages at the current speeds and solves on
 from the measured speeds and theta = 0, is integrated linear least squares. No speed is integrated from an uncertain
 initial value, so the model can neither stall nor diverge. The initial speeds are free like all others.
 
-The paper steps in distance; its formulation, for comparison, is in ``research/``. Steps in time suit bags at 5 Hz and
-records every 100 m. They need no position and have no 1/v at a stop, and the exact balance over an interval holds for
-the time-mean force, which the aligned samples contain. Distance steps would bring the noise of speeds into the model.
+The paper steps in distance; its formulation, for comparison, is in ``research/``. Steps in time need no position and
+have no 1/v at a stop, and the exact balance over an interval holds for the time-mean force, which the aligned samples
+contain. Distance steps would bring the noise of speeds into the model.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ _MAD: Final = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Concatenated pieces; a stage leads from each node to the next one of its piece."""
+    """Pieces of a drive without braking, one after another; a stage leads from each node to the next of its piece."""
 
     speed: Array  # Measured speed at the nodes [m/s], shape (n,)
     dt: Array  # Time since the previous node [s], 0 at the start of a piece, shape (n,)
@@ -77,10 +76,9 @@ class Trajectory:
 
 
 class PieceCollector:
-    """Collector of the samples without braking for a trajectory."""
+    """Collector of the samples without braking, from a slowest speed [m/s] and in pieces of a shortest duration [s]."""
 
     def __init__(self, train_file: TrainFile, min_speed: float, shortest: float) -> None:
-        """Prepare for the slowest speed to learn from [m/s], and the shortest piece [s]: each has an initial speed."""
         self.train_file, self._shortest = train_file, shortest
         self.known = KnownForce(train_file)
         self._nodes: list[tuple[float, float, float, float]] = []
@@ -116,9 +114,9 @@ class PieceCollector:
 
 
 def half_variance(y: Array, piece: NDArray[np.intp], lag: int) -> float:
-    """Return half the variance of increments of y over a lag within pieces; for white noise this is its variance.
+    """Return half the variance of increments of y over a lag; for white noise this is its variance.
 
-    ``piece`` is the index of the piece of each value, shape (n,) like y; at least one must be longer than the lag.
+    Only increments within a piece count. ``piece`` is the index of the piece of each value, shape (n,) like y.
     """
     change = np.abs(y[lag:] - y[:-lag])[piece[lag:] == piece[:-lag]]
     middle = change.size // 2
@@ -128,8 +126,7 @@ def half_variance(y: Array, piece: NDArray[np.intp], lag: int) -> float:
 def rounding_variance(given: Trajectory) -> float:
     """Return the :func:`half_variance` of rounding alone, for lags over which speed changes many quanta [(m/s)^2].
 
-    The quantum is the smallest step of the measured speed, except for 5 % of the steps: errors of single messages. With
-    fine rounding the result is less than the noise.
+    The quantum is the smallest step of the measured speed, except for 5 % of the steps: errors of single messages.
     """
     steps = np.abs(np.diff(given.speed))[given.dt[1:] > 0.0]
     steps = steps[steps > 0.0]
@@ -139,7 +136,7 @@ def rounding_variance(given: Trajectory) -> float:
 
 
 def recur(k: Array, rows: Array) -> Array:
-    """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides: one LAPACK call, no loop over stages.
+    """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides.
 
     k has the shape (I,), its first entry is not used; rows r and the result x_1 to x_I have the shape (m, I).
     """
@@ -239,8 +236,8 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
 def check_plausible(fit: DavisFit, config: DavisFitConfig) -> None:
     """Raise NoAnswerError, naming the cause, if a fit is implausible for a train measured in the specified units.
 
-    With force in kN, speed in km/h or gradient in percent the model cannot follow the motion. The fit then classifies
-    speeds as outliers, attributes the motion to gusts, or gives a negative resistance.
+    In other units the model cannot follow the motion: the fit classifies speeds as outliers, attributes the motion to
+    gusts, or gives a negative resistance.
     """
     if odd := next(_oddities(fit, config), ''):
         raise NoAnswerError(
@@ -276,7 +273,7 @@ class _Linear:
 
 
 class _Iteration:
-    """State of the iteration: speeds, parameters, weights and noise."""
+    """Speeds, parameters, weights and noise in an iteration."""
 
     def __init__(self, trajectory: Trajectory, config: DavisFitConfig) -> None:
         self._given, self._config = trajectory, config
@@ -353,11 +350,10 @@ class _Iteration:
         return max(moved, abs(math.log(self._density / before[0])))
 
     def _learn_noise(self) -> None:
-        """Estimate noise and density from medians of increments of the speed error over one step and a long lag.
+        """Estimate noise and density from medians of increments of the speed error.
 
         Increments over one step show the noise, those over a long lag noise plus drift. A few lags contain little
-        information on the density, so it is the mean of n lags and of the declared density with the weight n0:
-        D = (n0 D0 + n found) / (n0 + n).
+        information on the density, so it is the mean of n lags and of the declared density with the weight n0.
         """
         y, lag, dt = self._errors(self._linear()), self._lag, self._dt
         # Rounding hides the noise of one step, but is visible after many.
@@ -371,7 +367,7 @@ class _Iteration:
     def allow_for_parameters(self) -> None:
         """Correct the density for the p fitted parameters, which use up p of n lags: divide by n0 + n - p.
 
-        Done only after the weights are fixed: with the larger density, slip in a short piece would count as gusts.
+        After the weights are fixed: with the larger density, slip in a short piece would count as gusts.
         """
         if self._config.learn_noise:
             n0, n = _DECLARED_LAGS, self._lags
@@ -389,7 +385,7 @@ class _Iteration:
 
     def finish(self, iterations: int, converged: bool) -> DavisFit:
         """Return the result."""
-        given, lin = self._given, self._linear()
+        lin = self._linear()
         inflation = self._inflation(lin)
         factor = _SCALE[:, None] * np.linalg.inv(np.linalg.cholesky(self._schur)).T
         kept = self._weights > 1e-3
@@ -408,7 +404,7 @@ class _Iteration:
             outliers=float(1.0 - np.mean(kept)),
             speed_range=(float(speed.min()), float(speed.max())),
             pieces=self._starts.size,
-            nodes=given.speed.size,
+            nodes=self._given.speed.size,
         )
 
     def _mse(self, lin: _Linear) -> float:
@@ -423,10 +419,7 @@ class _Iteration:
         return float((w * left) @ left / max(1.0, w.sum()))
 
     def _inflation(self, lin: _Linear) -> float:
-        """Return the spread of the cluster scores relative to the noise model, averaged over a, b and c; at least 1.
-
-        A few clusters contain little information on their spread, so it is averaged with the expected spread.
-        """
+        """Return the spread of the cluster scores relative to the noise model, averaged with the expected one; >= 1."""
         clusters = np.add.reduceat(lin.F * (self._precision() * lin.defect), self._cluster_starts(), axis=1)
         count = clusters.shape[1]
         spread = float(np.trace(_solve(self._schur, clusters @ clusters.T))) / self._parameters()
@@ -459,11 +452,7 @@ def _solve(S: Array, h: Array) -> Array:
 
 
 def _solve_tridiagonal(diagonal: Array, below: Array, rows: Array) -> Array:
-    """Solve a symmetric positive definite tridiagonal system for several right-hand sides, shape (m, n).
-
-    Raises:
-        NoAnswerError: The system is not positive definite.
-    """
+    """Solve a symmetric tridiagonal system for rows of shape (m, n); raise NoAnswerError if it is not definite."""
     _, _, x, info = dptsv(diagonal, below, rows.T)
     if info != 0:
         raise NoAnswerError('speeds and forces do not determine a trajectory')

@@ -7,14 +7,6 @@ With T the reported specific traction [N/kN] and R the curve radius, the true fo
 
 Force gain and mass share one scale kappa: only their ratio is observable in the motion.
 
-The noise of neighbouring observations is correlated (gusts, map errors, overlapping windows). If the predicted
-variances are correct, the expected squared sum of the innovations of a batch longer than the correlation time equals
-the sum of the variances. Any excess is unmodelled error: :class:`Inflation` is the factor on the published covariance.
-
-A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
-covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
-since arrays of three cost more than the arithmetic.
-
 An estimate is valid while w is accurate over the driven speeds, with hysteresis.
 
 Parameters alone can mislead: driven at one speed, w is known there while a, b and c are not. So observability judges
@@ -63,12 +55,11 @@ def curve_std(train_file: TrainFile) -> float:
 
 
 def length_under_train(length: float, train_length: float) -> float:
-    """Return the correlation length of the map error as a train feels it: its mean over the length of the train [m].
+    """Return the correlation length of the map error as a train feels it, as its mean over the train [m].
 
-    With the autocorrelation exp(-d / l) along the line, the mean over L has the variance share
+    With the autocorrelation exp(-d / l) along the line, the mean over the train's length L has the variance share
     2 l / L (1 - l / L (1 - exp(-L / l))). Averaging keeps the integral of the autocovariance, so the correlation
     length, integral over variance, becomes l over that share: l for short trains, (l + L) / 2 for long ones.
-    l is ``length`` [m], L the length of the train [m].
     """
     x = train_length / length
     # Its limit for short trains: the formula would lose digits.
@@ -92,6 +83,10 @@ def scale_step(train: Train, *, weighed: bool) -> float:
 
 
 DavisPosterior = tuple[float, ...]
+"""Gaussian estimate: a, b, c, then the upper triangle of their covariance, row by row, in N/kN with v in m/s.
+
+Floats, since arrays of three cost more than the arithmetic.
+"""
 
 
 def drift_growth(share: float) -> float:
@@ -109,10 +104,7 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
 def drifted(
     estimate: DavisPosterior, rates: tuple[float, float, float], elapsed_s: float, limits: tuple[float, float, float]
 ) -> DavisPosterior:
-    """Return an estimate after a random walk of the parameters for some time [s].
-
-    The three variances grow by these rates per second, up to limits; limiting keeps the correlations.
-    """
+    """Return an estimate after a random walk: variances grow by rates per second, up to limits, correlations stay."""
     a, b, c, A, B, C, D, E, F = estimate
     A, D, F = A + rates[0] * elapsed_s, D + rates[1] * elapsed_s, F + rates[2] * elapsed_s
     if limits[0] >= A and limits[1] >= D and limits[2] >= F:
@@ -130,7 +122,12 @@ _MAX_INFLATION: Final = 9.0
 
 @dataclass(slots=True)
 class Inflation:
-    """Mean ratio of squared innovation sums to predicted variances, and the current batch."""
+    """Factor on the published covariance for unmodelled errors, and the current batch of innovations.
+
+    The noise of neighbouring observations is correlated (gusts, map errors, overlapping windows). If the predicted
+    variances are correct, the expected squared sum of the innovations of a batch longer than the correlation time
+    equals the sum of the variances. Any excess is unmodelled error.
+    """
 
     ratio: float = 1.0  # Mean ratio, 1 if the model is consistent
     total: float = 0.0  # Sum of the innovations of the batch, in any unit or normalised by their standard deviations
@@ -172,7 +169,7 @@ def predict(estimate: DavisPosterior, v: float, s: float) -> tuple[float, float]
 
 
 def largest_std(covariance: tuple[float, ...], driven: tuple[float, float], present: float) -> float:
-    """Return the largest standard deviation of w [N/kN]: at nine of the speeds learned from, and the present one.
+    """Return the largest standard deviation of w [N/kN]: ``present``, or that at one of nine driven speeds.
 
     The covariance of (a, b, c) is 3x3, row-major; ``driven`` are the slowest and fastest speed learned from [m/s].
     """
@@ -198,7 +195,7 @@ def resistance_estimate(
         speed: Present speed [m/s].
         innovation: Innovation of the last update [N/kN], its variance, and its test ratio [1].
         driven: Slowest and fastest speed learned from [m/s].
-        force: Scale of the force [1], its standard deviation, delay of the force [s], its standard deviation.
+        force: Scale of the force [1] and its std, delay of the force [s] and its std.
     """
     a, b, c, A, B, C, D, E, F = posterior
     resistance, variance = predict(posterior, speed, speed * speed)
@@ -232,10 +229,10 @@ def representative_speeds(slowest: float, fastest: float) -> tuple[float, float,
 
 
 def is_accurate(variances: tuple[float, float, float], valid_std: float, *, was_accurate: bool) -> bool:
-    """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
+    """Return whether w is accurate: its std in root mean square over :func:`representative_speeds` is below a limit.
 
-    The variances are those at the :func:`representative_speeds` [(N/kN)^2], the limit is in N/kN. An estimate that was
-    accurate stays so up to 1.5 times the limit, so that the status does not flicker.
+    The variances there are in (N/kN)^2, the limit in N/kN. An estimate that was accurate stays so up to 1.5 times the
+    limit, so that the status does not flicker.
     """
     at_slowest, between, at_fastest = variances
     rms = math.sqrt((at_slowest + between + at_fastest) / 3.0)
@@ -274,10 +271,10 @@ class DrivenSpeeds:
 def is_accurate_over_driven_speeds(
     posterior: DavisPosterior, driven: DrivenSpeeds, valid_std: float, valid_share: float, *, was_accurate: bool
 ) -> bool:
-    """Return whether the standard deviation of w, in root mean square over the driven speeds, is small enough.
+    """Return whether w is accurate: its std in root mean square over the driven speeds is below a limit.
 
     Each speed counts as often as it was driven. The limit is in N/kN and as a share of the resistance [1], added in
-    squares; an estimate that was accurate stays so up to twice the limit, so that the status does not flicker.
+    squares; an estimate that was accurate stays so up to twice the limit.
     """
     if not driven.count:
         return False
@@ -291,12 +288,10 @@ def is_accurate_over_driven_speeds(
 
 
 def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
-    """Return whether the standard deviation of w at one speed [m/s] is small enough; limits as for driven speeds."""
+    """Return whether w is accurate at one speed [m/s]; limits as for driven speeds."""
     w, variance = predict(posterior, speed, speed * speed)
     return variance < valid_std * valid_std + valid_share * valid_share * w * w
 
-
-# Observability
 
 SEEN_SHARE: Final = 0.5
 """Relative reduction of the prior variance from which a parameter counts as seen [1]."""
@@ -313,8 +308,8 @@ class Observability:
 
     # Relative reductions of the prior variances of a, b, c [1], from 0 (nothing learned) to 1
     shares: tuple[float, float, float]
-    std_observed: float  # Largest standard deviation of w over the speeds seen [N/kN]; NaN if there are none
-    std_outside: float  # Largest standard deviation of w over all other speeds up to the reach [N/kN]
+    std_observed: float  # Largest std of w over the speeds seen [N/kN]; NaN if there are none
+    std_outside: float  # Largest std of w over all other speeds up to the reach [N/kN]
     # Range of speeds around those seen where w is known nearly as well [m/s]; NaN if there are none
     known: tuple[float, float]
     text: str  # Summary as text
@@ -355,17 +350,15 @@ def observe(
     outside = [v for v in (*speeds, top) if not speed_min <= v <= speed_max]
     std_outside = max((resistance_std(covariance, v) for v in outside), default=0.0)
     limit = _NOTICEABLE * std_observed
-    slower = _last_known(covariance, [v for v in reversed(speeds) if v < speed_min], limit)
-    faster = _last_known(covariance, [v for v in speeds if v > speed_max], limit)
-    known = (speed_min if slower is None else slower, speed_max if faster is None else faster)
+    slower, faster = [v for v in reversed(speeds) if v < speed_min], [v for v in speeds if v > speed_max]
+    known = _last_known(covariance, [speed_min, *slower], limit), _last_known(covariance, [speed_max, *faster], limit)
     text = _summary((a, b, c), covariance, std_observed, (speed_min, speed_max, top))
     return Observability((a, b, c), std_observed, std_outside, known, text)
 
 
-def _last_known(covariance: Sequence[float], speeds: Sequence[float], limit: float) -> float | None:
-    """Return the last of the speeds up to which the standard deviation of w stays within a limit, None if none is."""
-    known = list(takewhile(lambda v: resistance_std(covariance, v) <= limit, speeds))
-    return known[-1] if known else None
+def _last_known(covariance: Sequence[float], speeds: Sequence[float], limit: float) -> float:
+    """Return the last of the speeds up to which the standard deviation of w stays within a limit; the first always."""
+    return [speeds[0], *takewhile(lambda v: resistance_std(covariance, v) <= limit, speeds[1:])][-1]
 
 
 def _summary(

@@ -27,10 +27,9 @@ delta, kappa_R], a weight W_i, an age, and sizes of gusts g and map errors e.
     [14]     covariance = that of the mixture, in which young hypotheses count more: a step may just have happened
     [15]     covariance = inflation covariance + error of the wheel diameter
 
-The same in plain numpy is ``test/resistance/reference_filter_bank.py``. For real trains the force errors are states: a
-scale kappa on the specific force, since mass and force gain are known only to a few per cent, and a delay delta, since
-forces are reported late. Both are observable in normal operation: kappa by driving with different tractive efforts,
-delta while the traction ramps.
+The same in plain numpy is ``test/resistance/reference_filter_bank.py``. Mass and force gain are known only to a few per
+cent, and forces are reported late; kappa is observable by driving with different tractive efforts, delta while the
+traction ramps.
 """
 
 from __future__ import annotations
@@ -293,7 +292,7 @@ class FilterBank:
 
     def _inflated(self, now: Mixture, factor: float) -> Mixture:
         """Return a mixture whose covariance is inflated for unmodelled errors and wheel diameter errors."""
-        a, c, kappa = now.mean[0], now.mean[2], now.mean[3]
+        a, c, kappa = now.mean[0], now.mean[2], now.mean[_SCALE]
         # [15] A relative wheel diameter error r adds r a to a, -r c to c and a share r to the force scale 1 + kappa.
         wheel = vec[float]([_WHEEL_STD * x for x in (a, 0.0, -c, 1.0 + kappa, 0.0)])
         covariance = now.covariance[:]
@@ -356,7 +355,7 @@ class FilterBank:
 
 
 def usual_deviations(run: Run, times: int) -> Array:
-    """Return innovations over their standard deviations, shape (2, times, steps): two sequences, one the other negated.
+    """Return innovations over their stds, shape (2, times, steps): one sequence, and the same negated.
 
     How soon a step can be excluded that may just have happened depends on them.
     """

@@ -121,6 +121,8 @@ class SpeedTransition:
         decay: Factors on the states without (1), shape (9,): 1 but for gust and map error.
         drift: Increase of the variances of the states before the motion, shape (9,).
         speed_noise: Variance that the force adds to v [(m/s)^2].
+        spacing: As in the interval.
+        k0: The traction T(t + u spacing) is k0 + k1 u + k2 u^2 + k3 u^3 [N/kN].
     """
 
     def __init__(self, interval: Interval, noise: ProcessNoise, rates: vec[float]) -> None:
@@ -133,26 +135,18 @@ class SpeedTransition:
         self.drift = vec[float]([0.0] * STATES)
         for i in range(STATES):
             self.drift[i] = rates[i] * dt
-        self._spacing = interval.spacing
+        self.spacing = interval.spacing
         before, now, next_, last = interval.traction
-        # Lagrange's polynomial through (-1, before), (0, now), (1, next), (2, last)
-        self._k0 = now
-        self._k3 = (last - before) / 6.0 + 0.5 * (now - next_)
-        self._k2 = 0.5 * (before + next_) - now
-        self._k1 = next_ - now - self._k2 - self._k3
+        # Lagrange's polynomial through (-1, before), (0, now), (1, next), (2, last): traction ramps within a few tenths
+        # of a second, so a first-order approximation is not accurate.
+        self.k0 = now
+        self.k3 = (last - before) / 6.0 + 0.5 * (now - next_)
+        self.k2 = 0.5 * (before + next_) - now
+        self.k1 = next_ - now - self.k2 - self.k3
         # [3]
         change = now - before
         jitter = (noise.skew * noise.skew + _force_timing_variance(interval)) * change * change
         self.speed_noise = (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
-
-    def traction(self, delay: float) -> tuple[float, float]:
-        """Return T(t + delta) [N/kN] and its derivative by the delay [N/kN per s], by the cubic through four values.
-
-        Traction ramps within a few tenths of a second: a first-order approximation is not accurate.
-        """
-        u = min(max(delay / self._spacing, -1.0), 2.0)
-        T = self._k0 + u * (self._k1 + u * (self._k2 + u * self._k3))
-        return T, (self._k1 + u * (2.0 * self._k2 + u * 3.0 * self._k3)) / self._spacing
 
 
 def _force_timing_variance(interval: Interval) -> float:
@@ -191,7 +185,10 @@ class SpeedFilter:
         """Predict to the end of an interval."""
         x, P, f, fP, h, decay = self.x, self.P, self._f, self._row, over.h, over.decay
         v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]
-        T, slope = over.traction(x[DELTA])
+        # [3] T(t + delta), and its derivative by the delay.
+        u = min(max(x[DELTA] / over.spacing, -1.0), 2.0)
+        T = over.k0 + u * (over.k1 + u * (over.k2 + u * over.k3))
+        slope = (over.k1 + u * (2.0 * over.k2 + u * 3.0 * over.k3)) / over.spacing
         # [4] (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
         pull = scale * T - over.track - over.curve * x[KAPPA_R] - x[A] - x[GUST] - x[MAP]
         vm = v + 0.5 * h * (pull - v * (b + c * v))

@@ -79,9 +79,9 @@ if TYPE_CHECKING:
 
 # Interval at which drift is added, and the estimate is tested again without new observations [s].
 _DRIFT_LUMP_S: Final = 60.0
-# Speed below which the train is at a stop, where the passenger load changes [m/s].
+# Speed below which the train is at a stop [m/s].
 _STANDING: Final = 0.3
-# Index of kappa and delta in theta.
+# Indices of kappa and delta in theta.
 _KAPPA, _DELTA = 3, 4
 
 
@@ -163,15 +163,14 @@ class VMils:
         return rejection
 
     def _inflate_at_stops(self, sample: Sample) -> None:
-        """Add the variance of a step of kappa at each standstill, where the passenger load changes."""
+        """Add the variance of a step of kappa at each standstill, where the load changes."""
         if self._standing:
             self._standing = sample.speed < self.config.min_speed
         elif sample.speed < _STANDING:
             self._standing = True
             # [16]
-            variances = np.zeros_like(self._limits)
-            variances[_KAPPA] = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
-            self.learner.tracker.inflate_variance(variances, self._limits)
+            step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
+            self.learner.tracker.inflate_variance(np.array([0.0, 0.0, 0.0, step, 0.0, 0.0]), self._limits)
 
     def idle(self, seconds: float) -> None:
         """Let the drift of a, b, c go on over a time without samples [s]."""
@@ -186,31 +185,25 @@ class VMils:
             self._drifted_ns = self._stamp_ns
         elif elapsed_s >= _DRIFT_LUMP_S:
             # [16]
-            variances = np.zeros_like(self._limits)
-            variances[:3] = np.array(self._rates) * elapsed_s
-            self.learner.tracker.inflate_variance(variances, self._limits)
+            grown = np.array([*self._rates, 0.0, 0.0, 0.0]) * elapsed_s
+            self.learner.tracker.inflate_variance(grown, self._limits)
             self._drifted_ns = self._stamp_ns
 
     def _published(self, P: Array) -> DavisPosterior:
-        """Return a, b, c and the upper triangle of their covariance as published, of a covariance of theta.
-
-        This includes the drift since it was last added. P is multiplied by the inflation factor of the innovations,
-        and (e w)^2 with e the model error is added to the variance of w at every speed:
-
-            P_published = factor P + e^2 theta theta'.
-        """
+        """Return the posterior as published, of a covariance of theta: with the drift since it was last added."""
         now = self._davis(P)
         if 0 < self._drifted_ns < self._stamp_ns:
             now = drifted(now, self._rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
         return self._inflated(now, self.learner.inflation.factor)
 
     def _davis(self, P: Array) -> DavisPosterior:
-        """Return a, b, c and their covariance, of a covariance of theta of shape (n, n)."""
+        """Return the posterior of a, b, c, of a covariance of theta of shape (n, n)."""
         (A, B, C), (_, D, E), (_, _, F) = P[:3, :3].tolist()
         a, b, c = self.learner.tracker.estimate.theta[:3].tolist()
         return a, b, c, A, B, C, D, E, F
 
     def _inflated(self, now: DavisPosterior, factor: float) -> DavisPosterior:
+        """Return a posterior with inflated covariance, and (e w)^2 added to the variance of w, e the model error."""
         a, b, c, *P = now
         # [17]
         e2 = self.config.model_error**2
@@ -244,7 +237,7 @@ class VMils:
 
     def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate]:
         """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
-        P = np.array(self.learner.tracker.stated.P)
+        P = self.learner.tracker.stated.P
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
         # At an arrival no load has been weighed yet.
         step = scale_step(self._known.train_file.train, weighed=False) ** 2
@@ -270,6 +263,7 @@ class VMils:
         ]
 
     def _estimate(self, published: DavisPosterior, variances: Array, speed: float) -> ResistanceEstimate:
+        """Return the estimate of a posterior, and of variances of theta."""
         learner = self.learner
         scale, delay = learner.tracker.estimate.theta[_KAPPA : _DELTA + 1].tolist()
         scale_std, delay_std = (math.sqrt(x) for x in variances[_KAPPA : _DELTA + 1].tolist())

@@ -6,15 +6,13 @@ curvature, each averaged with the weights of the slope of the window:
 
     y = a + b v + c s - kappa Tw - delta Dw + kappa_curve (600/R)w + noise.
 
-The tracker is updated with it. Window and tracker need noise levels: that of the speed, and the variance that
-disturbances (gusts, map errors) add to one observation and to the mean of many, whose noise is correlated. All are
-learned online, within bounds around the declared values.
+Differenced 5 Hz speed is too noisy (Liu et al. 2018, Fig. 1), so y is the slope of a least-squares line. The paper's
+line assumes constant forces within the window; here the speed v_u that the known force alone would give is subtracted
+first. The remainder, ``v - v_u = v0 - (1/m) * integral of w(v)``, depends on the resistance only; its slope is exact
+even if traction or gradient change within the window.
 
-An observation is the least-squares slope of the speed minus the effect of the known force. Differenced 5 Hz speed is
-too noisy (Liu et al. 2018, Fig. 1), so a line is fitted through a window. The paper's acceleration of that line assumes
-constant forces within the window; here the speed v_u that the known force alone would give is subtracted first. The
-remainder, ``v - v_u = v0 - (1/m) * integral of w(v)``, depends on the resistance only, and its slope is exact even if
-traction or gradient change within the window.
+The noise of the speed, and the variance that disturbances (gusts, map errors) add to one observation and to the mean of
+many, whose noise is correlated, are learned online, within bounds around the declared values.
 """
 
 from __future__ import annotations
@@ -79,9 +77,9 @@ class WindowResult:
 
 @dataclass(slots=True)
 class Cut:
-    """Samples of a window, and the time to the next one."""
+    """Samples of a window."""
 
-    samples: list[WindowSample]  # of the window
+    samples: list[WindowSample]
     hop: float  # time from one window to the next [s]
 
     @property
@@ -94,7 +92,7 @@ class Cut:
 class SlidingWindow:
     """Window of the latest ``length`` seconds every ``hop`` seconds, both to half a sample period.
 
-    At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
+    A window with fewer than 8 samples grows to 8, and the hop in proportion.
     """
 
     STATE: ClassVar[State] = declare(several('samples', WindowSample), 'fresh_s')
@@ -109,7 +107,7 @@ class SlidingWindow:
         self.fresh_s = 0.0
 
     def push(self, sample: WindowSample) -> Cut | None:
-        """Add one sample; return a window if the sample completes one that is due."""
+        """Add one sample; return a window if one is due."""
         samples = self.samples
         samples.append(sample)
         self.fresh_s += sample.dt
@@ -141,35 +139,27 @@ def observe_resistance(samples: list[WindowSample], inertia: float, speed_std: f
     Returns:
         The observation, or a rejection if the speed is inconsistent with the forces beyond its noise.
     """
-    times, rest = _unforced(samples, inertia)
+    time = pushed = 0.0
+    times, rest, speeds = vec[float](), vec[float](), vec[float]()
+    for k in range(len(samples)):
+        sample = samples[k]
+        if k > 0:
+            time += sample.dt
+            pushed += sample.known_force * sample.dt
+        times, speeds = append(times, time), append(speeds, sample.speed)
+        # [3] v - v_u, whose slope replaces eq. (6).
+        rest = append(rest, sample.speed - pushed / inertia)
     tolerance, weights = _OUTLIER_SIGMAS * speed_std, _plain_weights(times)
-    speeds = vec[float]()
-    for sample in samples:
-        speeds = append(speeds, sample.speed)
     if _largest_residual(times, rest, weights) > tolerance:
-        time, y, v = np.array(list(times)), np.array(list(rest)), np.array(list(speeds))
-        robust = y - _robust_line(time, y)
-        kept = _inliers(time, y, robust, tolerance)
+        t, y, v = np.array(list(times)), np.array(list(rest)), np.array(list(speeds))
+        robust = y - _robust_line(t, y)
+        kept = _inliers(t, y, robust, tolerance)
         if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
             worst = float(np.max(np.abs(robust)))
             return Rejection(samples[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
-        weights = vec[float](_slope_weights(time, kept).tolist())
-        speeds = vec[float](np.interp(time, time[kept], v[kept]).tolist())
+        weights = vec[float](_slope_weights(t, kept).tolist())
+        speeds = vec[float](np.interp(t, t[kept], v[kept]).tolist())
     return _result(samples, rest, weights, speeds, inertia, speed_std)
-
-
-def _unforced(samples: list[WindowSample], inertia: float) -> tuple[vec[float], vec[float]]:
-    """Return the times since the first sample, and the speeds minus the change due to the known forces."""
-    time = pushed = 0.0
-    times, rest = vec[float](), vec[float]()
-    for k in range(len(samples)):
-        if k > 0:
-            time += samples[k].dt
-            pushed += samples[k].known_force * samples[k].dt
-        times = append(times, time)
-        # [3] v - v_u, whose slope replaces eq. (6).
-        rest = append(rest, samples[k].speed - pushed / inertia)
-    return times, rest
 
 
 def _mean(x: vec[float]) -> float:
@@ -180,7 +170,7 @@ def _mean(x: vec[float]) -> float:
 
 
 def _plain_weights(times: vec[float]) -> vec[float]:
-    """Return the weights of the speeds in the least-squares slope through all of them."""
+    """Return the weights of the speeds in the least-squares slope."""
     middle, weights = _mean(times), vec[float]()
     for k in range(len(times)):
         weights = append(weights, times[k] - middle)
@@ -206,9 +196,8 @@ def _result(
     inertia: float,
     speed_std: float,
 ) -> WindowResult:
-    """Return the observation of a line with these weights."""
-    phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
-    slowest = fastest = speeds[0]
+    phi0 = phi1 = phi2 = traction = size = rate = curve = later = 0.0
+    slowest, fastest, T = speeds[0], speeds[0], samples[-1].traction
     for k in range(len(samples) - 1, 0, -1):
         sample, v1, v0 = samples[k], speeds[k], speeds[k - 1]
         # Share of the interval in the slope: a change of speed there shifts all later speeds.
@@ -220,6 +209,9 @@ def _result(
         traction += share * sample.traction
         curve += share * sample.curve
         size += abs(sample.traction)
+        # A force that acts delta later changes the slope by delta sum w_k T(t_k); T at a stamp is the mean beside it.
+        rate += weights[k] * T
+        T = 0.5 * (samples[k - 1].traction + sample.traction)
         slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
         # [4] Eqs. (3)-(5).
@@ -228,30 +220,18 @@ def _result(
         noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),
         traction=traction,
         traction_size=size / (len(samples) - 1),
-        traction_rate=_traction_rate(samples, weights),
+        traction_rate=rate + weights[0] * T,
         curve=curve,
         speed_min=slowest,
         speed_max=fastest,
     )
 
 
-def _traction_rate(samples: list[WindowSample], weights: vec[float]) -> float:
-    """Return sum w_k T(t_k), by whose product with delta a force that acts delta later changes the slope of the speed.
-
-    T at a stamp is the mean of the two adjacent intervals.
-    """
-    rate, T = 0.0, samples[-1].traction
-    for k in range(len(samples) - 1, 0, -1):
-        rate += weights[k] * T
-        T = 0.5 * (samples[k - 1].traction + samples[k].traction)
-    return rate + weights[0] * T
-
-
 @lru_cache(maxsize=64)
 def overlap_factor(window: int, hop: int) -> float:
     """Return the ratio of long-run to marginal variance of slopes of overlapping windows in white speed noise.
 
-    Neighbouring slopes share speeds with opposite signs, so their errors partly cancel in the mean.
+    Neighbouring slopes share speeds with opposite signs, so their errors partly cancel.
     """
     c = np.arange(window) - 0.5 * (window - 1)
     covariances = [float(c[:-lag] @ c[lag:]) for lag in range(hop, window, hop)]
@@ -304,8 +284,7 @@ _MAX_SLOW_RATIO: Final = 6.0
 class SlowNoise:
     """Learned factor on the noise variance in the mean of many observations, and the current batch.
 
-    If the predicted variances are correct, the expected squared sum of the innovations of a batch longer than their
-    correlation time equals the sum of the variances.
+    As for :class:`Inflation`, the squared sum of the innovations of a batch is compared with the sum of variances.
     """
 
     factor: float = 1.0  # factor on the noise variance [1]
@@ -316,13 +295,9 @@ class SlowNoise:
     memory: float = _FIRST_SLOW_MEMORY  # batches that the factor remembers
 
     def add(self, nu: float, prediction: float, variance: float, bounds: tuple[float, float]) -> None:
-        """Add one innovation.
+        """Add an innovation times its outlier weight [N/kN], within bounds of the factor [1].
 
-        Args:
-            nu: Innovation times its outlier weight [N/kN].
-            prediction: Variance of its prediction due to the parameter uncertainty [(N/kN)^2].
-            variance: Variance of its noise in the mean of many, including the factor [(N/kN)^2].
-            bounds: Limits of the factor [1].
+        The variances are those of its prediction, and of its noise in the mean of many including the factor [(N/kN)^2].
         """
         self.total += nu
         self.variance += prediction + variance
@@ -353,7 +328,7 @@ _UNCERTAIN: Final = 0.1
 
 
 class WindowLearner:
-    """Estimator updated by samples; the caller uses :meth:`interrupt` instead for a sample that cannot be used.
+    """Tracker updated by samples in windows; :meth:`interrupt` is for a sample that cannot be used.
 
     Attributes:
         tracker: Estimate of a, b, c, kappa, delta, kappa_curve.
@@ -370,7 +345,7 @@ class WindowLearner:
     )  # fmt: skip
 
     def __init__(self, tracker: Tracker, config: VMilsConfig, inertia: float, gradient_std: float) -> None:
-        """Prepare; inertia as in :func:`observe_resistance`, std of the gradients of the map in per mille."""
+        """Prepare; inertia as in :func:`observe_resistance`, std of the gradients of the map [per mille]."""
         self.tracker = tracker
         self._config, self._inertia = config, inertia
         # A gradient of 1 per mille is 1 N/kN.
@@ -406,9 +381,7 @@ class WindowLearner:
         if cut is None:
             return None
         observed = observe_resistance(cut.samples, self._inertia, self._speed_noise.std)
-        if isinstance(observed, Rejection):
-            return observed
-        return self._learn(observed, cut)
+        return observed if isinstance(observed, Rejection) else self._learn(observed, cut)
 
     def foreseen_information(self, samples: Sequence[WindowSample], sampled_s: float) -> Array:
         """Return the information that planned motion, without noise at equal intervals, would give on theta.

@@ -25,7 +25,6 @@ from test.resistance.filter_bank.drives import (
     drive,
     fields_except_speed,
     restored,
-    run,
     shifted,
     w,
 )
@@ -94,17 +93,6 @@ def test_after_impossible_forces_the_estimate_is_finite_and_recovers(learned: st
     check_recovers(bank)
 
 
-def test_a_force_above_the_weight_of_the_train_changes_no_estimate(learned: str, minutes: list[Sample]) -> None:
-    bank = restored(learned)
-    before, item = bank.estimate(12.0), minutes[-1]
-    for _ in range(10):
-        item = after([item], force=1e8, force_mean=1e8)
-        answer = step_and_estimate(bank, item)
-        assert isinstance(answer, Rejection)
-        assert answer.reason is Reason.OUT_OF_RANGE
-    assert bank.estimate(12.0) == before
-
-
 def test_states_saved_during_a_lasting_impossible_force_can_be_restored(learned: str, minutes: list[Sample]) -> None:
     bank = restored(learned)
     item, force = minutes[-1], 0.99 * G * FILE.train.mass
@@ -157,19 +145,3 @@ def test_after_many_random_inputs_it_recovers(sample: Make, seed: int) -> None:
         bank.step(sample(i, **fields))
     # Plausible ones among the random values have changed the estimate.
     check_recovers(bank, sigmas=5.0)
-
-
-def test_a_stamp_jitter_of_a_microsecond_changes_the_resistance_by_less_than_a_thousandth(
-    minutes: list[Sample],
-) -> None:
-    """Stamps alternate by one microsecond; the intervals of a step change by 1e-5 at most."""
-    jittered = [
-        replace(s, stamp_ns=s.stamp_ns + (-1) ** i * 1000, dt=s.dt + (-1) ** i * 2e-6) for i, s in enumerate(minutes)
-    ]
-    plain, moved = run(minutes[:500]).estimate(12.0), run(jittered[:500]).estimate(12.0)
-    assert abs(moved.resistance - plain.resistance) < 1e-3
-    # Hypotheses may branch and become old enough one sample earlier or later.
-    assert moved.resistance_std == pytest.approx(plain.resistance_std, rel=5e-2)
-    assert abs(moved.force_scale - plain.force_scale) < 1e-4
-    assert abs(moved.force_delay - plain.force_delay) < 1e-4
-    assert moved.resistance != plain.resistance

@@ -338,16 +338,6 @@ def test_a_stop_widens_the_force_scale_by_the_step_of_a_weighed_or_unweighed_loa
     assert found**2 - before**2 == pytest.approx(step**2, rel=1e-9)
 
 
-def test_a_load_changes_by_at_most_half_of_the_mass_std(sample: Make) -> None:
-    bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.002)), STATED)
-    bank.step(sample(0))
-    before = bank.estimate(0.0).force_scale_std
-    bank.step(sample(1, speed=0.0))
-    for i in range(2, 5):
-        bank.step(sample(i))
-    assert bank.estimate(0.0).force_scale_std ** 2 - before**2 == pytest.approx(0.001**2, rel=1e-6)
-
-
 def test_the_force_scale_adapts_to_an_unweighed_load_after_a_stop(learned: str, minutes: list[Sample]) -> None:
     found = {}
     for weighed in (False, True):

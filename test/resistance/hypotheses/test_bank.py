@@ -42,16 +42,6 @@ def test_a_step_of_a_is_detected() -> None:
     assert BankRows.of(bank).age[best] == pytest.approx(120.0, abs=30.0)
 
 
-@pytest.mark.slow
-def test_without_branching_a_filter_does_not_follow_the_step() -> None:
-    """The bank follows the step, not the drift of one filter."""
-    before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
-    bank = Bank(ONE)
-    follow(bank, drive(lambda t: after if t > 150.0 else before, 270.0, 2))
-    phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
-    assert abs(mixed(bank).mean @ phi - after[:3] @ phi[:3]) > 0.4
-
-
 def test_the_most_likely_hypothesis_has_the_size_of_the_gusts() -> None:
     plan = replace(PLAN, gust_stds=(0.1, 0.4), map_stds=(0.05,))
     truth = plan.mean[[A, B, C, KAPPA]]

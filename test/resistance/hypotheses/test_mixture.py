@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from test.resistance.bank_rows import BankRows
-from test.resistance.hypotheses.banks import ONE, PLAN, branched, drive, held, mixed, still
+from test.resistance.hypotheses.banks import ONE, PLAN, branched, held, mixed, still
 from trainid_ros.resistance.hypotheses import DELTA, GUST, KAPPA, MAP, STATES, A, B, Bank, C, V
 
 # States of a mixture.
@@ -34,17 +34,6 @@ def bank_of(weights: list[float], ages: list[float], seed: int = 0, **changes: A
         size=np.zeros(n),
     ).put(bank)
     return bank
-
-
-def test_the_mixture_of_two_has_the_moments_computed_by_hand() -> None:
-    bank = bank_of([0.75, 0.25], [1e9, 1e9])
-    x, P = BankRows.of(bank).x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in BankRows.of(bank).P]
-    found = mixed(bank)
-    apart = x[0] - x[1]
-    assert found.mean == pytest.approx(0.75 * x[0] + 0.25 * x[1], rel=1e-12)
-    assert found.covariance == pytest.approx(
-        0.75 * P[0] + 0.25 * P[1] + 0.75 * 0.25 * np.outer(apart, apart), rel=1e-12
-    )
 
 
 def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean() -> None:
@@ -148,54 +137,6 @@ def test_the_innovation_is_that_of_the_mixture_before_the_correction() -> None:
     assert found.variance == pytest.approx(variance + SPEED_STD**2, rel=1e-6)
 
 
-def test_hypotheses_are_weighted_by_the_density_of_the_speed() -> None:
-    bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(PLAN.noise, outliers=1e-6)))
-    with BankRows.changed(bank) as state:
-        state.x[:, V] = [12.0, 12.03]
-        state.log_weight[:] = [0.0, -0.5]
-    bank.advance(replace(still(12.0), speed=12.01))
-    # Both have the initial variance 4e-4 and the same measurement variance; the other terms are small.
-    densities = [-0.5 * nu**2 / (8e-4 + PLAN.noise.force_density * DT / PLAN.noise.inertia**2) for nu in (0.01, -0.02)]
-    expected = densities[1] - 0.5 - densities[0]
-    assert BankRows.of(bank).log_weight == pytest.approx([0.0, expected], abs=2e-3)
-
-
-def test_the_parameters_drift_as_planned() -> None:
-    drift = np.zeros(STATES)
-    drift[[A, C]] = 1e-3, 1e-12
-    bank, steady = held(replace(ONE, drift=drift)), held(ONE)
-    unmeasured = replace(still(12.0, dt=0.5), speed_variance=1e12)
-    for _ in range(20):
-        bank.advance(unmeasured)
-        steady.advance(unmeasured)
-    grown = np.diag(BankRows.of(bank).P[0] - BankRows.of(steady).P[0])
-    assert grown[[A, C]] == pytest.approx([1e-2, 1e-11], rel=1e-6)
-    assert abs(grown[[B, KAPPA, DELTA]]).max() < 1e-9
-
-
-def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
-    now = BankRows.of(branched(held(replace(ONE, branch_interval=10.0))))
-    assert len(now.age) == 3
-    assert now.age[1:].tolist() == [0.0, 0.0]
-    # Each has half of the probability of a step within ten seconds.
-    assert now.log_weight == pytest.approx([0.0, math.log(0.5 / 360.0), math.log(0.5 / 360.0)], rel=1e-12)
-    for child, state, variance in ((1, A, 0.25), (2, C, 1e-6)):
-        assert (now.x[child] == now.x[0]).all()
-        wider = now.P[child] - now.P[0]
-        assert wider[state, state] == pytest.approx(variance, rel=1e-9)
-        wider[state, state] = 0.0
-        assert not wider.any()
-
-
-def test_the_bank_branches_once_per_spacing_of_driving_time() -> None:
-    bank = held()
-    for _ in range(round(35.0 / DT)):
-        bank.advance(still(12.0))
-    assert bank.branchings == 3
-    # Rounding may put a branching one sample later.
-    assert bank.since_s == pytest.approx(5.0, abs=4.0 * DT)
-
-
 def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones() -> None:
     bank = held()
     # Sizes by gust, then map error: 0.1/0.05 0.1/0.25 0.2/0.05 0.2/0.25 0.4/0.05 0.4/0.25
@@ -232,17 +173,6 @@ def test_no_size_is_added_while_the_adjacent_ones_are_likely() -> None:
     bank.advance(still(12.0))
     assert len(BankRows.of(bank).size) == 8
     assert BankRows.of(bank).size[-2:].tolist() == [BankRows.of(bank).size[np.argmax(BankRows.of(bank).log_weight)]] * 2
-
-
-def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept() -> None:
-    bank = held(replace(PLAN, hypotheses=9))
-    for interval in drive(lambda _: PLAN.mean[[A, B, C, KAPPA]], 120.0, 3)[1:]:
-        before = bank.branchings
-        bank.advance(interval)
-        if bank.branchings > before:
-            assert len(BankRows.of(bank).log_weight) <= 9
-        assert BankRows.of(bank).log_weight.max() == 0.0
-    assert len(BankRows.of(bank).log_weight) == 9
 
 
 @pytest.mark.parametrize('hypotheses', [4, 7])
