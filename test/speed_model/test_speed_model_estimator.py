@@ -40,22 +40,22 @@ def recent(rows: list[tuple[float, float]]) -> RecentSamples:
 def test_a_past_value_is_interpolated_and_limited_to_the_oldest() -> None:
     samples = recent([(math.nan, 1.0), (0.2, 2.0), (0.2, 4.0)])
     expected = [4.0, 4.0, 3.0, 2.0, 1.5, 1.0]
-    assert [samples.speed(t) for t in (-1.0, 0.0, 0.1, 0.2, 0.3, 9.0)] == pytest.approx(expected)
-    assert (samples.track(0.3), samples.curve(0.3)) == pytest.approx((-1.5, 3.0))
+    assert [samples.at(t)[0] for t in (-1.0, 0.0, 0.1, 0.2, 0.3, 9.0)] == pytest.approx(expected)
+    assert samples.at(0.3) == pytest.approx((1.5, -1.5, 3.0))
     samples.add(math.nan, 7.0, 0.0, 0.0)
-    assert samples.speed(0.3) == 7.0
+    assert samples.at(0.3)[0] == 7.0
 
 
 def test_the_last_second_of_samples_is_kept_and_restored() -> None:
     samples, copy = recent([(0.2, float(k)) for k in range(20)]), RecentSamples()
     assert sorted(samples._speeds) == [14.0, 15.0, 16.0, 17.0, 18.0, 19.0]
-    assert samples.speed(9.0) == 14.0
+    assert samples.at(9.0)[0] == 14.0
     restore(copy, encode(samples))
-    assert [copy.speed(t) for t in (0.1, 0.5, 9.0)] == [samples.speed(t) for t in (0.1, 0.5, 9.0)]
+    assert [copy.at(t) for t in (0.1, 0.5, 9.0)] == [samples.at(t) for t in (0.1, 0.5, 9.0)]
 
 
 def test_changes_of_the_force_reveal_its_delay() -> None:
-    rng, late = np.random.default_rng(1), ForceDelay.unknown(0.15)
+    rng, late = np.random.default_rng(1), ForceDelay(0.0, 0.15**2)
     for _ in range(50):
         late.sensitivity = 0.0
         assert late.predict(0.9) == pytest.approx(0.81 * late.variance)
@@ -67,14 +67,14 @@ def test_changes_of_the_force_reveal_its_delay() -> None:
 
 @pytest.mark.parametrize('density', [1e-5, 4e-4])
 def test_the_strength_of_a_disturbance_is_estimated(density: float) -> None:
-    rng, disturbance = np.random.default_rng(2), Disturbance.declared(0.006)
+    rng, disturbance = np.random.default_rng(2), Disturbance(0.006**2)
     for _ in range(9000):
         disturbance.add(float(rng.normal(0.0, math.sqrt(0.2 * density))), NONE, UNIT, 0.2, 0.0)
     assert disturbance.density == pytest.approx(density, rel=0.6)
 
 
 def test_window_errors_of_one_sign_indicate_a_change() -> None:
-    disturbance = Disturbance.declared(0.01)
+    disturbance = Disturbance(0.01**2)
     for _ in range(450):
         disturbance.add(0.0015, NONE, UNIT, 0.2, 0.0)
     assert disturbance.chi2 > 9.0

@@ -27,21 +27,17 @@ errors. A sample has the measured speed y of variance R, the specific force u, a
 The same in plain numpy is ``test/speed_model/reference_am_vff_rls.py``. The differences from (7) as printed:
 
 * (7) uses eps with theta(n), which is not known yet; [6] uses theta(n-1).
-* The gain uses the true gradient of the auxiliary output, and the measurement corrects that output together with
-  theta. As printed, (7) uses phi(n) as the gradient of x_a(n) with respect to theta. This neglects that x_a(n-1)
-  depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4; propagating
-  the joint covariance of x_a and theta propagates this gradient, weighted by the measurements since then. Without it
-  the loop of x_a error and d0 error is almost undamped, so (7) must forget fast or it drifts.
-* lambda is computed by (6) from the running mean of the errors instead of each error. A single squared error shows
-  noise, not a change: under white noise (6) forgets all the time (lambda = 1 - 1/sigma on average) and does not detect
-  a change that moves the speed by half a standard deviation. The errors of a correct model are uncorrelated, so their
-  running mean stays small; after a change they have the same sign.
+* (7) uses phi(n) as the gradient of x_a(n) by theta, which neglects that x_a(n-1) depends on theta too. The true
+  gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4; propagating the joint covariance of x_a and
+  theta propagates it, and a measurement corrects both. Without it the loop of x_a error and d0 error is almost
+  undamped, so (7) must forget fast or it drifts.
+* lambda is computed by (6) from the running mean of the errors instead of each error. Under white noise (6) forgets all
+  the time (lambda = 1 - 1/sigma on average) and does not detect a change that moves the speed by half a standard
+  deviation. The errors of a correct model are uncorrelated; after a change they have the same sign.
 * Only the resistance is forgotten, not the mass, and forgetting ends at the prior in every direction.
-* P has the units of the parameters and is a consistent covariance: the speed noise, the strength of gusts and map
-  errors and the delay of the reported force are estimated, see :mod:`speed_model_estimator`, and slow changes of the
-  weather are modelled as a drift of d0.
-* Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient,
-  and the error of mass and force affects traction only.
+* P has the units of the parameters and is a consistent covariance: speed noise, gusts, map errors and the delay of the
+  reported force are estimated, see :mod:`speed_model_estimator`; slow changes of the weather are a drift of d0.
+* Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient.
 * A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts.
 
 With lambda = 1 and a drift of d0 this is the extended Kalman filter.
@@ -73,7 +69,7 @@ if TYPE_CHECKING:
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
+"""Upper triangle of a symmetric 4x4 matrix, row by row."""
 
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
@@ -133,16 +129,12 @@ class Learned:
     """
 
     def __init__(self, predicted: float, error: float, limit: float, forgetting: float, variance: float = 0.0) -> None:
-        self.predicted = predicted
-        self.error = error
-        self.limit = limit
-        self.forgetting = forgetting
-        self.variance = variance
-        self.rejected = abs(error) > limit
+        self.predicted, self.error, self.limit = predicted, error, limit
+        self.forgetting, self.variance, self.rejected = forgetting, variance, abs(error) > limit
 
 
 class Method(Protocol):
-    """An algorithm on (y, u), independent of samples; its methods change its state."""
+    """An algorithm on (y, u), independent of samples."""
 
     def start(self, variance: float) -> None:
         """Go to the state before the first measurement; ``variance`` is that of measured speed [(m/s)^2]."""
@@ -217,8 +209,7 @@ class AuxiliaryModel:
         self.tuning, self._theta0, self._P0, self._prior = tuning, theta0, P0, prior_variances_given_b1(P0)
         self.z = vec[float]([0.0] * _SIZE)
         self.P = vec[float]([0.0] * (_SIZE * _SIZE))
-        # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
-        self._gradient = vec[float]([0.0] * _SIZE)
+        self._gradient = vec[float]([0.0] * _SIZE)  # derivatives of x_a(n) with respect to x_a(n-1) and theta
         # P and a vector while it is multiplied by the inverse.
         self._remainder, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
         self.mean_error = 0.0
@@ -243,7 +234,7 @@ class AuxiliaryModel:
         return self.z[_X]
 
     def theta(self) -> Theta:
-        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
+        """Return theta."""
         z = self.z
         return z[_A1], z[_A2], z[_B1], z[_D0]
 
@@ -403,10 +394,9 @@ class AuxiliaryModel:
         """Reduce the information on the resistance by ``factor``, never below that of the prior.
 
         The mass changes at stops only, so b1 is kept: with c the column of b1, P - c c' / var(b1) is the covariance
-        given b1. There the information matrix of a1, a2, d0 becomes lambda = ``factor`` times itself plus (1 - lambda)
-        times that of the prior: their covariance is divided by lambda, then the prior is applied as three observations
-        of weight 1 - lambda with zero innovation. A direction without excitation returns to its prior variance, so the
-        covariance does not wind up.
+        given b1. There the covariance of a1, a2, d0 is divided by lambda = ``factor``, then the prior is applied as
+        three observations of weight 1 - lambda with zero innovation. A direction without excitation returns to its
+        prior variance, so the covariance does not wind up.
         """
         n: i64 = _SIZE
         # [11]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator of the speed model: admits samples, computes the known forces, runs an algorithm, returns the estimate.
 
-In addition to theta it estimates the force delay, the error of the curve resistance and the strength of disturbances.
+In addition to theta it estimates nuisances: force delay, error of the curve resistance, strength of disturbances.
 """
 
 from __future__ import annotations
@@ -90,31 +90,22 @@ class RecentSamples:
         if self._count < _KEPT:
             self._count += 1
 
-    def speed(self, delay: float) -> float:
-        """Return the speed ``delay`` [s] ago, interpolated; beyond the ends the newest or the oldest one [m/s]."""
-        return self._before(self._speeds, delay)
-
-    def track(self, delay: float) -> float:
-        """Return the resistance of the track ``delay`` [s] ago [N/kN]."""
-        return self._before(self._tracks, delay)
-
-    def curve(self, delay: float) -> float:
-        """Return 600 m over the curve radius ``delay`` [s] ago [1]."""
-        return self._before(self._curves, delay)
-
-    def _before(self, values: vec[float], delay: float) -> float:
-        remaining = delay
-        newer: i64 = self._newest
+    def at(self, delay: float) -> tuple[float, float, float]:
+        """Return the three values ``delay`` [s] ago, interpolated; beyond the ends the newest or the oldest ones."""
+        v, w, c, remaining = self._speeds, self._tracks, self._curves, delay
+        new: i64 = self._newest
         for _ in range(self._count - 1):
-            older: i64 = newer - 1 if newer > 0 else _KEPT - 1
-            dt = self._dt[newer]
+            old: i64 = new - 1 if new > 0 else _KEPT - 1
+            dt = self._dt[new]
             if remaining <= dt:
                 if dt <= 0.0:
-                    return values[newer]
-                return values[newer] + (values[older] - values[newer]) * max(remaining, 0.0) / dt
+                    break
+                since = max(remaining, 0.0)
+                speed, track = v[new] + (v[old] - v[new]) * since / dt, w[new] + (w[old] - w[new]) * since / dt
+                return speed, track, c[new] + (c[old] - c[new]) * since / dt
             remaining -= dt
-            newer = older
-        return values[newer]
+            new = old
+        return v[new], w[new], c[new]
 
 
 @dataclass
@@ -123,20 +114,14 @@ class ForceDelay:
 
     If the stamps of the force f are late by delta, the model output equals the train's speed delta ago, so it is
     compared with the speed measured then. An error in delta puts the model off by k delta (f - f0), where f0 is the
-    force at the last restart of the model from a measurement and k the acceleration coefficient. Measurement updates
-    correct the model, so the sensitivity of x to delta shrinks with each. delta has a scalar recursion of its own,
-    apart from that of theta: both use the same innovations, and the uncertainty of one adds to the variance of x for
-    the other.
+    force at the last restart of the model and k the acceleration coefficient; each measurement update reduces that.
+    delta has a scalar recursion apart from that of theta, with the same innovations; the uncertainty of one adds to the
+    variance of x for the other.
     """
 
     delay: float  # delta [s]
     variance: float  # Its variance [s^2]
     sensitivity: float = 0.0  # Derivative of x with respect to delta [m/s^2]
-
-    @classmethod
-    def unknown(cls, std: float) -> ForceDelay:
-        """Return the prior: zero delay with a standard deviation [s]."""
-        return cls(0.0, std * std)
 
     def predict(self, change: float) -> float:
         """Predict after the force changed the acceleration [m/s^2]; return the variance this adds to x [(m/s)^2]."""
@@ -157,8 +142,7 @@ class ForceDelay:
 class CurveError:
     """Error of the train file's curve resistance, on a line with many curves the largest error.
 
-    It changes the speed by a known amount per step, so it is estimated jointly with x and theta: the auxiliary model
-    holds their covariance, this class the variance of the curve error and its covariances with x and theta.
+    It is estimated jointly with x and theta: the auxiliary model holds their covariance, this class the rest.
     """
 
     error: float  # Error at 600 m [N/kN]
@@ -217,10 +201,9 @@ class CurveError:
 class Disturbance:
     """Strength of unmodelled disturbances (gusts, map errors), from the speed error over windows of half a minute.
 
-    A gust lasts for seconds, a map error for hundreds of metres. For parameters that are estimated over many minutes
-    their power at low frequency matters, which shows in the deviation of the speed from the model over a long window:
-    the sum of the corrections of x, without the effect of the updates of theta meanwhile. Consecutive windows with
-    errors of the same sign indicate a change of the resistance, not a disturbance.
+    For parameters that are estimated over many minutes their power at low frequency matters, which shows in the
+    deviation of the speed from the model over a long window: the sum of the corrections of x, without the effect of the
+    updates of theta meanwhile. Window errors of the same sign indicate a change of the resistance instead.
     """
 
     density: float  # Variance that the speed gains in a second [(m/s)^2/s]
@@ -236,16 +219,10 @@ class Disturbance:
     # Variance of the speed at its end due to the uncertainty of theta, over the square of its duration [(m/s^2)^2]
     theta_variance: float = 0.0
 
-    @classmethod
-    def declared(cls, std: float) -> Disturbance:
-        """Return the initial state with the configured strength [m/s per sqrt(s)]."""
-        return cls(std * std)
-
     def add(self, correction: float, theta: Theta, phi: Theta, dt: float, variance: float) -> None:
-        """Add a measurement after ``dt`` [s] to the current window: its correction of x [m/s].
+        """Add a measurement after ``dt`` [s]: its correction of x [m/s], which was predicted by theta and phi.
 
-        x was predicted by theta and phi; the variance is that of the acceleration due to theta [(m/s^2)^2], which is
-        used at the start of a window.
+        The variance is that of the acceleration due to theta [(m/s^2)^2], used at the start of a window.
         """
         a1, a2, b1, d0 = theta
         if self.elapsed == 0.0:
@@ -363,15 +340,14 @@ class ModelStep:
 
 
 def load_std(train_file: TrainFile, config: SpeedModelConfig) -> float:
-    """Return the standard deviation of the relative change of mass at a stop without weighing [1]."""
+    """Return the std of the relative change of mass at a stop without weighing [1]."""
     return min(config.load_std, train_file.train.mass_std)
 
 
 class SpeedModelEstimator:
     """Run a method on samples; ``method`` makes it from theta(0) and its covariance.
 
-    The auxiliary model has the covariance of x too: with it, the strength of the disturbances, the delay of the
-    reported force and the error of the curve resistance are estimated as well.
+    With an auxiliary model, which has the covariance of x, the nuisances are estimated too.
     """
 
     STATE: ClassVar[State] = declare('state', 'method', '_recent', '_admission')
@@ -398,18 +374,15 @@ class SpeedModelEstimator:
 
     def reset(self) -> None:
         """Reset to the prior."""
-        config = self._config
-        noise, disturbance = SpeedNoise.declared(config.speed_std), Disturbance.declared(config.acceleration_noise)
-        force_delay, curve = ForceDelay.unknown(config.force_skew), CurveError(0.0, self._curve_std**2)
-        self.state = SpeedModelState(noise, disturbance, force_delay, curve)
+        config, noise = self._config, SpeedNoise.declared(self._config.speed_std)
+        disturbance = Disturbance(config.acceleration_noise * config.acceleration_noise)
+        force_delay = ForceDelay(0.0, config.force_skew * config.force_skew)
+        self.state = SpeedModelState(noise, disturbance, force_delay, CurveError(0.0, self._curve_std**2))
         self._recent = RecentSamples()
         self._admission.braked_ns = 0
-        self._use(self._make_method())
-        self.method.start(noise.variance)
-
-    def _use(self, method: Method) -> None:
-        self.method = method
+        self.method = method = self._make_method()
         self._auxiliary = method if isinstance(method, AuxiliaryModel) else None
+        method.start(noise.variance)
 
     def save(self) -> str:
         """Return the complete state as JSON text."""
@@ -418,7 +391,7 @@ class SpeedModelEstimator:
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
         restore(self, text)
-        self._update_validity(self.state, self._covariance())
+        self._update_validity()
 
     def idle(self, seconds: float) -> None:
         """Add the drift over a time without samples [s], and in more than 15 s a change of load as at a stop."""
@@ -426,7 +399,7 @@ class SpeedModelEstimator:
             self._auxiliary.idle(seconds / SAMPLE_PERIOD)
         if seconds > 15.0:
             self.method.inflate_load_variance(self._load_share())
-        self._update_validity(self.state, self._covariance())
+        self._update_validity()
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; return the reason if it is rejected."""
@@ -436,7 +409,7 @@ class SpeedModelEstimator:
         if rejection is not None:
             self._hold(sample.speed, step, rejection.reason)
             return rejection
-        state, y = self.state, self._recent.speed(self._delay())
+        state, y = self.state, self._recent.at(self._delay())[0]
         noise, sensitivity, curve_x = state.noise.variance, state.force_delay.sensitivity, state.curve.x
         self._predict(step)
         learned = self.method.update(y, step.u, step.scale, noise)
@@ -461,7 +434,6 @@ class SpeedModelEstimator:
         return self.state.force_delay.delay if self._auxiliary is not None else 0.0
 
     def _store(self, sample: Sample) -> None:
-        """Store speed, track resistance and curvature of a sample."""
         speed, dt = sample.speed, sample.dt
         track, curve = self._known.track(sample), CURVE_RADIUS * sample.curvature
         if not (is_finite(track) and is_finite(curve)):
@@ -484,8 +456,9 @@ class SpeedModelEstimator:
 
     def _predict(self, step: ModelStep) -> None:
         """Apply known resistance, disturbance, force delay and curve error of a step."""
-        state, delay, model = self.state, self._delay(), self._auxiliary
-        change = -self._k * self._recent.track(delay) * step.dt
+        state, model = self.state, self._auxiliary
+        _, track, curve = self._recent.at(self._delay())
+        change = -self._k * track * step.dt
         if model is None:
             self.method.shift(change)
             return
@@ -495,8 +468,7 @@ class SpeedModelEstimator:
         by_delay = state.force_delay.predict(acceleration)
         model.inflate_speed_variance(state.disturbance.long_term_density * step.dt + by_delay)
         if self._curve_std > 0.0:
-            curved = -self._k * self._recent.curve(delay) * step.dt
-            state.curve.predict(model, curved, step.u, step.scale)
+            state.curve.predict(model, -self._k * curve * step.dt, step.u, step.scale)
 
     def _learn(self, sample: Sample, step: ModelStep, learned: Learned) -> None:
         """Store the result of a measurement update and update the estimates other than theta."""
@@ -508,10 +480,9 @@ class SpeedModelEstimator:
         state.drive(sample.speed)
         state.rejected_in_a_row = state.slow_in_a_row = 0
         state.traction, state.weighed = step.traction, sample.weighed
-        self._update_validity(state, self._covariance())
+        self._update_validity()
 
     def _learn_nuisances(self, model: AuxiliaryModel, step: ModelStep, learned: Learned) -> None:
-        """Update force delay, curve error and disturbance."""
         state, noise = self.state, self.state.noise.variance
         correction = model.speed() - learned.predicted
         self._learn_delay(model, learned)
@@ -541,14 +512,15 @@ class SpeedModelEstimator:
         recent, late = self._recent, self.state.force_delay
         before = late.delay
         late.update(learned.error, learned.variance, self.state.noise.variance)
-        moved = recent.speed(late.delay) - recent.speed(before) + late.sensitivity * (late.delay - before)
+        moved = recent.at(late.delay)[0] - recent.at(before)[0] + late.sensitivity * (late.delay - before)
         model.shift(moved)
 
-    def _update_validity(self, state: SpeedModelState, S: Symmetric) -> None:
-        """Update whether the resistance is valid at the speeds driven, with the covariance S of theta."""
+    def _update_validity(self) -> None:
+        """Update whether the resistance is valid at the speeds driven."""
+        state = self.state
         if state.fastest < state.slowest:
             return
-        (v1, v2, v3), k = representative_speeds(*state.speeds_driven()), self._k
+        (v1, v2, v3), S, k = representative_speeds(*state.speeds_driven()), self._covariance(), self._k
         variances = resistance_variance(S, v1, k), resistance_variance(S, v2, k), resistance_variance(S, v3, k)
         state.fit = is_accurate(variances, self._valid_std, was_accurate=state.fit)
 
@@ -568,7 +540,7 @@ class SpeedModelEstimator:
             if not self.method.is_usable():
                 method.reinit_speed(y, noise)
         else:
-            method.reinit_speed(self._recent.speed(self._delay()), noise)
+            method.reinit_speed(self._recent.at(self._delay())[0], noise)
         if state.slow_in_a_row == _STANDING:
             method.inflate_load_variance(self._load_share())
         self._end_window()
