@@ -18,7 +18,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeAlias
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, LoggedRecord, require_topics
-from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineGroup
+from trainid_ros.estimators.pipeline import Consistency, EstimatorPipeline, PipelineGroup
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from trainid_ros.estimators.pipeline import Consistency
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
