@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import os
 import sqlite3
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn, TypeAlias
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -21,9 +22,6 @@ from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.fields import read_text
 from trainid_ros.train.strict_yaml import load
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _MESSAGES_AT_ONCE: Final = 5000  # from a sqlite3 file
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}

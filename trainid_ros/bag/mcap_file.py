@@ -18,9 +18,11 @@ import struct
 import zlib
 from array import array
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
 from io import BytesIO
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
+from pathlib import Path
+from typing import Final, NamedTuple, NoReturn
 
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped] # comes with mcap
@@ -30,16 +32,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
+from numpy.typing import NDArray
 from zstandard import ZstdDecompressor, ZstdError
 
 from trainid_ros.bag.types import MessageBlock, Segment, values_at
 from trainid_ros.interface.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 MAGIC: Final = b'\x89MCAP0\r\n'  # first and last bytes of an MCAP file
 MAX_CHUNK: Final = 64 << 20

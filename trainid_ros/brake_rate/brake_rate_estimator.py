@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 from trainid_ros.brake_rate.motion_model import (
     AIR,
@@ -39,18 +39,16 @@ from trainid_ros.brake_rate.motion_model import (
     Transition,
     brake_step,
 )
+from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import BrakeRateEstimate, Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, stored
 from trainid_ros.stream.known_force import SpeedNoise
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import CommandHistory
-
-if TYPE_CHECKING:
-    from trainid_ros.estimators.settings import BrakeRateConfig
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 # Smallest and largest candidate for the std of b, as multiples of the configured one, and their number.
 _LOW, _HIGH, _LEVELS = 0.3, 10.0, 11

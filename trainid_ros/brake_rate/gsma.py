@@ -43,31 +43,26 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from statistics import NormalDist
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_estimator import MAX_RATE_FACTOR, BrakeRateEstimator
 from trainid_ros.brake_rate.m_algorithm import GroupCloud, zeros
 from trainid_ros.brake_rate.motion_model import ERRORS, NO_ERRORS, STATES, Errors, Start, Transition, true_brake
+from trainid_ros.estimators.settings import GsmaConfig, JumpConfig
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import BrakeRateEstimate
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import vec
-from trainid_ros.resistance.suggested_drive import STEP_S
-from trainid_ros.stream.samples import SAMPLE_PERIOD, coasting_sample
+from trainid_ros.resistance.suggested_drive import STEP_S, Run
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample, coasting_sample
 from trainid_ros.train.forces import BrakeCommandChange, acceleration, davis, lag_integral, lag_response
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from trainid_ros.estimators.settings import GsmaConfig, JumpConfig
-    from trainid_ros.interface.results import BrakeRateEstimate
-    from trainid_ros.resistance.suggested_drive import Run
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 _E: Final = 3
 

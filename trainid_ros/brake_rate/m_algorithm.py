@@ -21,14 +21,11 @@ pruning. So a step without pruning changes only A and the speeds.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
-from trainid_ros.brake_rate.motion_model import ERRORS, STATES
+from trainid_ros.brake_rate.motion_model import ERRORS, STATES, Start, Transition
 from trainid_ros.interface.state import State, declare
 from trainid_ros.interface.vectors import i64, vec
-
-if TYPE_CHECKING:
-    from trainid_ros.brake_rate.motion_model import Start, Transition
 
 WIDTH: Final = 2 + STATES  # number of columns of A, those of 1, f and x0
 # Rows of v, a and e in x.

@@ -33,20 +33,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
+from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
-from trainid_ros.train.forces import actuator_response, lag_integral, lag_response
-
-if TYPE_CHECKING:
-    from trainid_ros.estimators.settings import BrakeRateConfig
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.forces import CommandHistory
-    from trainid_ros.train.train_file import Brake, TrainFile
+from trainid_ros.train.forces import CommandHistory, actuator_response, lag_integral, lag_response
+from trainid_ros.train.train_file import Brake, TrainFile
 
 Errors = tuple[float, float, float, float, float, float, float, float]
 NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # gains, variances or means of e that are zero

@@ -6,12 +6,10 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
 LIVE_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
 DEMO_BAGS: Final = {'altrios': 'altrios_manifest', 'yizhuang': 'yizhuang_day'}

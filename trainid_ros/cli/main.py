@@ -15,17 +15,15 @@ import argparse
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import Final, NoReturn
 
 from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
 from trainid_ros.cli.arguments import VERBS, add_options
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, report_error
 from trainid_ros.interface.errors import InputError, NoAnswerError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 EXIT_INTERRUPTED: Final = 130
 EXIT_BROKEN_PIPE: Final = 141

@@ -11,13 +11,11 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, Self
+from pathlib import Path
+from typing import Final, Self
 
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import shared_path
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _MAX_END_S: Final = 6.0  # in which children end after SIGTERM, before they are killed [s]
 

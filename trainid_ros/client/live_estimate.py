@@ -21,16 +21,14 @@ from P0 to P then, so that no bound is beyond both.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import mul, sub
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from trainid_ros.interface.results import Status
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""

@@ -13,28 +13,24 @@ the *response* ``-sum dt r / inertia``, which is linear in r. w(v) uses the meas
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 from trainid_ros.train.forces import BrakeActuator, davis, specific_force, specific_inertia
+from trainid_ros.train.train_file import TrainFile
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
-
-    Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    Indices = NDArray[np.intp]
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 MAX_RUN_S: Final = 240.0
 """Maximum length of a run [s]: a longer drive is split, so that errors by gusts do not accumulate over all of it."""

@@ -15,20 +15,25 @@ measurements come before it:
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, assemble
+from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, Array, Dataset, Flags, Indices, Run, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_width
 from trainid_ros.explain.likelihood import (
     DAVIS,
     Bins,
     Grid,
+    Hyperparameters,
+    Information,
     MarginalLikelihood,
+    Noise,
+    Spread,
     Whitener,
     Whitening,
     common_columns,
@@ -39,14 +44,7 @@ from trainid_ros.explain.likelihood import (
     prior_factor,
     run_columns,
 )
-from trainid_ros.train.train_file import Davis
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices, Run
-    from trainid_ros.explain.likelihood import Hyperparameters, Information, Noise, Spread
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 _MAX_EXCESS: Final = 0.1  # Deviation of the wheel ratio from one beyond which it is not due to the wheel [1]
 

@@ -16,23 +16,18 @@ runs out is a subtraction.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from trainid_ros.explain.dataset import BRAKING, PULLING
+from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
-from trainid_ros.explain.search import GENERIC, LEFT_OVER, with_onsets
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from trainid_ros.explain.dataset import Array, Dataset, Flags, Run
-    from trainid_ros.explain.search import Selection
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.explain.search import GENERIC, LEFT_OVER, Selection, with_onsets
+from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,25 +17,20 @@ abruptly elsewhere.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import logsumexp
 
-from trainid_ros.explain.dataset import BRAKING, PULLING
-from trainid_ros.explain.effects import EffectTerm, prior_cost, unit_resistance
+from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Indices
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_cost, unit_resistance
 from trainid_ros.explain.likelihood import Bins, Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from trainid_ros.explain.dataset import Array, Dataset, Indices
-    from trainid_ros.explain.effects import EffectEvaluator
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
 _PLACES: Final = (40, 16, 6)  # Grid points of each position in shapes with one, two, and more positions

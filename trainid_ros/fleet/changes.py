@@ -25,18 +25,14 @@ a fault. Parts between two changes that lie to the same side of the usual level 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
-from trainid_ros.fleet.mixed_model import log_t
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from trainid_ros.fleet.mixed_model import Array
+from trainid_ros.fleet.mixed_model import Array, log_t
 
 OTHER: Final = 'other'
 """Name of an unknown cause."""

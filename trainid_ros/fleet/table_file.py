@@ -11,13 +11,14 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, date, datetime
 from glob import glob, has_magic
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import trainid_ros
 from trainid_ros.bag.bag_files import METADATA, SUFFIXES, bags_below, locate
@@ -28,6 +29,7 @@ from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
+    Estimate,
     Reason,
     ResistanceEstimate,
     SpeedModelEstimate,
@@ -35,11 +37,6 @@ from trainid_ros.interface.results import (
     parameters,
     quantities,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from trainid_ros.interface.results import Estimate
 
 Row = dict[str, Any]
 """Values by name of the column; None where a value is not known. Times are in seconds since 1970 (UTC)."""

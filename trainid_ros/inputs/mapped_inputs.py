@@ -6,8 +6,10 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, insort
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from trainid_ros.inputs.mapping import (
     UNKNOWN_EFFORT,
@@ -34,11 +36,6 @@ from trainid_ros.interface.records import (
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Line, TrainFile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
 
 # Over a longer time without a speed the distance is unknown, and numbers farther apart are not interpolated [ns].
 _MAX_GAP_NS: Final = NS_PER_S

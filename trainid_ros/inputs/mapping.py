@@ -6,25 +6,21 @@ from __future__ import annotations
 import codecs
 import math
 import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from traceback import extract_tb
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.train.fields import Section, as_section, did_you_mean, finite_number, parse_yaml, read_text, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.stream.alignment import AlignmentConfig
 
 # Factor from each unit to that of the interface; angles to radian.
 _FACTORS: Final[dict[str, dict[str, float]]] = {

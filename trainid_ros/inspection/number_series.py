@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +28,6 @@ from trainid_ros.inputs.mapping import RAW, Mapping, Signal, Source
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.stream.alignment import AlignmentConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from pathlib import Path
-
 
 Array: TypeAlias = NDArray[np.float64]
 MAX_S: Final = 3600.0  # part of a bag that is read [s]

@@ -10,10 +10,12 @@ import json
 import math
 import re
 from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_factors
 from trainid_ros.inspection.number_series import (
@@ -38,13 +40,7 @@ from trainid_ros.inspection.number_series import (
 )
 from trainid_ros.interface.text import listed, printable
 from trainid_ros.train.forces import G
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trainid_ros.interface.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def shared_path(relative: str) -> Path:

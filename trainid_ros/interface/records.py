@@ -10,8 +10,9 @@ How messages map to records and outputs, by field name; the same for the classes
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from trainid_ros.interface.results import (
     BrakeRateEstimate,
@@ -23,10 +24,7 @@ from trainid_ros.interface.results import (
     quantities,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Value = float | bool | int | str | list[float]
+Value = float | bool | int | str | list[float]
 
 NS_PER_S: Final = 1_000_000_000
 KM_H: Final = 3.6

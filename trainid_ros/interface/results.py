@@ -8,14 +8,12 @@ its unit and meaning in :class:`Quantity`: tables, replay and fleet loop over th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from trainid_ros.interface.state import stored
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class Status(IntEnum):

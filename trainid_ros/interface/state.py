@@ -19,21 +19,18 @@ import json
 import math
 import typing
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.compiled import uses_sources
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.vectors import vec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 T = TypeVar('T')
 # Far above any stamp [ns] or count; compiled modules keep some of them in 64 bits.

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from collections.abc import Sequence
+from typing import Final
 
 _PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...', '≥': '>='})
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, Group, JustifyMethod, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -29,11 +30,6 @@ from trainid_ros.monitor.trains import (
     state_of,
     with_band,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
 
 BAND_STD: Final = 2.0
 # Bands that are wider than this many of the narrowest one are cut off [1].

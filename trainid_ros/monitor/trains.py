@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntEnum
 from itertools import pairwise
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from trainid_ros.interface.records import (
     BRAKE_RATE_TOPIC,
@@ -28,18 +29,16 @@ from trainid_ros.interface.records import (
     BrakeRecord,
     ForceRecord,
     GradientRecord,
+    InputTopic,
     MassRecord,
+    OutputTopic,
+    Record,
     SpeedRecord,
     status_of,
 )
 from trainid_ros.interface.results import Status, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.pipelines import KINDS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-
-    from trainid_ros.interface.records import InputTopic, OutputTopic, Record
 
 
 class Level(IntEnum):

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -13,11 +14,7 @@ from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_
 from trainid_ros.interface.results import ResistanceEstimate, quantities
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.effects import EFFECTS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 DASH: Final = '–'
 DAVIS_UNITS: Final = tuple(quantities(ResistanceEstimate)[name].unit.replace('^2', '²') for name in 'abc')

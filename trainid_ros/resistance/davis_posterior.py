@@ -17,16 +17,13 @@ speeds seen.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from trainid_ros.interface.results import ResistanceEstimate
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from trainid_ros.train.train_file import Train, TrainFile
+from trainid_ros.train.train_file import Train, TrainFile
 
 CURVE_RADIUS: Final = 600.0
 """Radius at which the error of the curve resistance is stated [m]."""

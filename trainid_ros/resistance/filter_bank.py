@@ -35,13 +35,14 @@ traction ramps.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Final
+from collections.abc import Iterator
+from typing import ClassVar, Final
 
 import numpy as np
 
-from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.estimators.settings import FilterBankConfig, prior_variances
 from trainid_ros.interface.errors import check_settings
-from trainid_ros.interface.results import Reason, Rejection
+from trainid_ros.interface.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several
 from trainid_ros.interface.vectors import vec
@@ -71,23 +72,15 @@ from trainid_ros.resistance.hypotheses import (
     Bank,
     BankPlan,
     C,
+    Innovation,
     Interval,
     Mixture,
     ProcessNoise,
 )
-from trainid_ros.resistance.suggested_drive import STEP_S
+from trainid_ros.resistance.suggested_drive import STEP_S, Run, Step
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from trainid_ros.estimators.settings import FilterBankConfig
-    from trainid_ros.interface.results import ResistanceEstimate
-    from trainid_ros.resistance.hypotheses import Innovation
-    from trainid_ros.resistance.suggested_drive import Run, Step
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
+from trainid_ros.train.train_file import TrainFile
 
 # Hypothetical sizes of gusts and map errors, as multiples of the settings.
 _GUST_SIZES, _MAP_SIZES = (1.0, 2.0, 4.0, 8.0), (0.25, 1.25)

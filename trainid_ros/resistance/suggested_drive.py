@@ -12,22 +12,18 @@ continues its recursion over the planned drive, with the noise that it has learn
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
+from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import SEEN_SHARE, resistance_std
 from trainid_ros.train.forces import lag_response, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
-from trainid_ros.train.train_file import Davis
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 KM_H: Final = 1.0 / 3.6
 """One kilometre per hour [m/s]."""

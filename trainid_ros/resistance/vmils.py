@@ -43,18 +43,21 @@ The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vm
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Final
+from collections.abc import Iterator
+from typing import ClassVar, Final
 
 import numpy as np
 
-from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.estimators.settings import VMilsConfig, prior_variances
 from trainid_ros.interface.errors import InputError, check_settings
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Rejection, ResistanceEstimate
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, encode, restore
-from trainid_ros.resistance.change_points import ChangePointConfig, Tracker, independent
+from trainid_ros.resistance.change_points import Array, ChangePointConfig, Tracker, independent
 from trainid_ros.resistance.davis_posterior import (
     CURVE_RADIUS,
+    DavisPosterior,
     drift_rates,
     drifted,
     force_variances,
@@ -62,20 +65,11 @@ from trainid_ros.resistance.davis_posterior import (
     resistance_estimate,
     scale_step,
 )
-from trainid_ros.resistance.suggested_drive import STEP_S
+from trainid_ros.resistance.suggested_drive import STEP_S, Run
 from trainid_ros.resistance.window_learner import WindowLearner, WindowSample
 from trainid_ros.stream.known_force import Admission, KnownForce
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from trainid_ros.estimators.settings import VMilsConfig
-    from trainid_ros.interface.results import Rejection, ResistanceEstimate
-    from trainid_ros.resistance.change_points import Array
-    from trainid_ros.resistance.davis_posterior import DavisPosterior
-    from trainid_ros.resistance.suggested_drive import Run
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
 
 # Interval at which drift is added, and the estimate is tested again without new observations [s].
 _DRIFT_LUMP_S: Final = 60.0

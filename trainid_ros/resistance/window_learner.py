@@ -18,27 +18,22 @@ many, whose noise is correlated, are learned online, within bounds around the de
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from trainid_ros.estimators.settings import VMilsConfig
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, several
 from trainid_ros.interface.vectors import append, vec
-from trainid_ros.resistance.change_points import dot, gate
+from trainid_ros.resistance.change_points import Array, Tracker, dot, gate
 from trainid_ros.resistance.davis_posterior import DrivenSpeeds, Inflation
 from trainid_ros.stream.known_force import SpeedNoise
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.estimators.settings import VMilsConfig
-    from trainid_ros.resistance.change_points import Array, Tracker
 
 # Speeds further from the line of their window are outliers [standard deviations]; largest share of them [1].
 _OUTLIER_SIGMAS: Final = 5.0

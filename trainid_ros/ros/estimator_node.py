@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -21,6 +22,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.interface.results import Rejection, ResistanceEstimate, SpeedModelEstimate, Status, parameters
@@ -34,7 +36,7 @@ from trainid_ros.ros.diagnostics import (
     NodeContext,
     StepTimes,
 )
-from trainid_ros.ros.inputs import NodeMapping, SharedInputs
+from trainid_ros.ros.inputs import AnyTopic, NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import (
     SerializedEstimate,
@@ -62,15 +64,7 @@ from trainid_ros.setup.pipelines import (
     force_findings,
 )
 from trainid_ros.stream.sample_stream import MAX_STEP_S, TimeJumpPolicy
-from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-
-    from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
-    from trainid_ros.ros.inputs import AnyTopic
-    from trainid_ros.train.train_file import TrainFile
-
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 # Statuses that are published again without new samples, after this time [ns]: in time for the deadline of 1 s.
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})

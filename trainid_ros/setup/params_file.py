@@ -13,34 +13,27 @@ import math
 import re
 import sys
 import textwrap
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import yaml
 
-from trainid_ros.estimators.algorithm_registry import Choice
-from trainid_ros.estimators.pipeline import PipelineConfig
+from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
+from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.interface.errors import InputError, SettingInfo, setting_info
-from trainid_ros.interface.records import INPUT_TOPICS
+from trainid_ros.interface.records import INPUT_TOPICS, OutputTopic
 from trainid_ros.interface.text import listed
-from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, chosen_algorithms
+from trainid_ros.setup.pipelines import KINDS, EstimatorKind, EstimatorSettings, chosen_algorithms
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.fields import did_you_mean, read_text
 from trainid_ros.train.strict_yaml import compose
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
-    from trainid_ros.estimators.algorithm_registry import Algorithms
-    from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.setup.pipelines import EstimatorKind
 
 Value: TypeAlias = bool | int | float | str
 Values: TypeAlias = 'Mapping[str, Value]'

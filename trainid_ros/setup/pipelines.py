@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias
+from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
@@ -24,11 +25,7 @@ from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, l
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     'resistance',

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError, check_settings, setting
 from trainid_ros.interface.records import (
@@ -31,9 +32,6 @@ from trainid_ros.train.effects import check_effects, effect_value
 from trainid_ros.train.forces import G, specific_force
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, TrainFile
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 MAP_STEP_M: Final = 10.0
 """Distance between two values of the map error [m]."""

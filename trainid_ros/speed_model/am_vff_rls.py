@@ -56,15 +56,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, Protocol, TypeAlias
+from typing import ClassVar, Final, Protocol, TypeAlias
 
-from trainid_ros.estimators.settings import prior_variances
+from trainid_ros.estimators.settings import SpeedModelConfig, prior_variances
 from trainid_ros.interface.state import State, declare, definite
 from trainid_ros.interface.vectors import i64, vec
 from trainid_ros.stream.samples import SAMPLE_PERIOD
-
-if TYPE_CHECKING:
-    from trainid_ros.estimators.settings import SpeedModelConfig
 
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""

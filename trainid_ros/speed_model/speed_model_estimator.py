@@ -7,10 +7,12 @@ In addition to theta it estimates nuisances: force delay, error of the curve res
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
+from trainid_ros.estimators.settings import SpeedModelConfig
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.interface.scalars import is_finite
@@ -29,14 +31,8 @@ from trainid_ros.speed_model.am_vff_rls import (
     to_physical,
 )
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-from trainid_ros.stream.samples import SAMPLE_PERIOD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from trainid_ros.estimators.settings import SpeedModelConfig
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.train.train_file import TrainFile
 
 # Measurements kept: more than a second at the sample period, longer than any delay of the force.
 _KEPT: Final = 6

@@ -9,9 +9,10 @@ settings can share one stream.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
+from typing import ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED, Record
@@ -24,12 +25,7 @@ from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
 from trainid_ros.train.forces import BrakeActuator, CommandHistory
-from trainid_ros.train.train_file import TrainFile
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from trainid_ros.train.train_file import Effect
+from trainid_ros.train.train_file import Effect, TrainFile
 
 
 class SensorCorrection:
