@@ -226,6 +226,15 @@ def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: 
     assert not any(model.share(replace(item, brake_command=0.0), 0.5))
 
 
+@pytest.mark.parametrize(('speed', 'is_stopping'), [(0.75, False), (0.65, True)])
+def test_the_rate_is_that_of_the_next_braking_just_before_the_stop(
+    train_file: TrainFile, sample: Make, speed: float, is_stopping: bool
+) -> None:
+    """Braking by 0.5 m/s^2 the train is slower than 0.5 m/s, where nothing is learned, two samples after 0.7 m/s."""
+    item = sample(1, speed=speed, brake_command=-0.5)
+    assert any(MotionModel(train_file, CONFIG).share(item, 0.5)) is not is_stopping
+
+
 def braked(train_file: TrainFile, samples: list[Sample]) -> BrakeRateEstimator:
     estimator = stepped(Gsma(train_file, CONFIG, np.random.default_rng(1)), samples)
     assert estimator.state.observable

@@ -283,8 +283,8 @@ _BLEND_S: Final = 1.0
 # Correlation times of the errors of dead time, lag, slope and changeover, and of resistance and traction [s].
 _LONG_S: Final = 1e5
 _SHORT_S: Final = 1800.0
-# Below this speed the published brake rate is that of the next braking, at medium speed [m/s].
-_STOPPING: Final = 1.0
+# Samples before the slowest one to learn from at which the published brake rate becomes that of the next braking.
+_STOPPING: Final = 2.0
 # Relative change of the response per second at which its steadiness is 1/e [1/s].
 _CHANGING: Final = 0.1
 # Smallest brake level with a level error [m/s^2].
@@ -313,7 +313,7 @@ class MotionModel:
         self.timing_stds = train_file.brake.timing_stds
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
-        self._force_error, self._min_braking = config.force_error, config.min_braking
+        self._force_error, self._min_speed, self._min_braking = config.force_error, config.min_speed, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
@@ -396,11 +396,12 @@ class MotionModel:
     def share(self, sample: Sample, level: float) -> vec[float]:
         """Return the shares of the errors in the brake rate at a level [m/s^2, >= 0], shape (8,), until the next call.
 
-        At the end of a braking they are zero: that gives the rate at medium speed, for the next braking.
+        From just before a stop, or a release, on they are zero: the brake rate at medium speed, for the next braking.
         """
         share = self._share
         share[SLOPE] = share[CHANGEOVER] = share[LEVEL] = 0.0
-        if sample.brake_command < 0.0 and sample.speed >= _STOPPING:
+        is_stopping = sample.speed - _STOPPING * level * sample.dt < self._min_speed
+        if sample.brake_command < 0.0 and not is_stopping:
             share[SLOPE], share[CHANGEOVER] = self._slope(sample.speed), self._changeover(sample.speed)
             share[LEVEL] = 1.0 / level if level >= _MIN_LEVEL else 0.0
         return share
