@@ -90,10 +90,7 @@ def test_two_faults_are_named_and_nothing_is_wrong_or_not_finite() -> None:
     ('train', 'seed', 'fault', 'within_s', 'text'),
     [
         ('freight', 14, 'force frozen', 150.0, 'ato/force'),
-        # While the train is slow, the noise of the gradient is learned block by block, faster than the fault is found.
-        pytest.param(
-            'freight', 15, 'gradient 2 per mille high', 900.0, 'ato/gradient', marks=pytest.mark.xfail(strict=True)
-        ),
+        ('freight', 15, 'gradient 2 per mille high', 900.0, 'ato/gradient'),
         ('emu', 12, 'gradient 2 per mille high', 150.0, 'ato/gradient'),
         ('emu', 12, 'force spikes', 60.0, 'ato/force has spikes'),
         ('metro', 13, 'force spikes', 60.0, 'ato/force has spikes'),

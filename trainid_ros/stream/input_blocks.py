@@ -34,11 +34,12 @@ _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is l
 _COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
 _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line
 GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
+_GRADIENT_MEMORY_M: Final = 1000.0  # m: distance over which that error is learned: ten such lengths
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
 _PLACE_SHARE: Final = 0.006  # ... and by which share of the distance it grows, by worn wheels
 _FITS: Final = 4.0  # variances within which a gradient is one of the line, and tells the place
-_LEARNED: Final = 0.01  # weight of a new square in the learned noise of position and gradient: 100 blocks ...
+_LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: 100 blocks ...
 _FIRST: Final = 10.0  # blocks ... of which its first value counts for so many
 _CAPPED_MEAN: Final = 0.51606  # E min(z^2, 1) of a standard normal z: Huber's proposal 2
 
@@ -277,4 +278,5 @@ class InputBlocks:
         self._place_std += _PLACE_SHARE * block.by_speed
         if is_line_right:
             change = min(square, 1.0) / _CAPPED_MEAN - 1.0
-            self.gradient_var = max((1.0 + _LEARNED * change) * self.gradient_var, _GRADIENT_STD * _GRADIENT_STD)
+            share = min(block.by_speed / _GRADIENT_MEMORY_M, _LEARNED)
+            self.gradient_var = max((1.0 + share * change) * self.gradient_var, _GRADIENT_STD * _GRADIENT_STD)
