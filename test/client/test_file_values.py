@@ -234,3 +234,23 @@ def test_the_shares_do_not_depend_on_the_speed_for_built_in_effects() -> None:
     assert every.brake_share(7.0) == pytest.approx(1.0 / 1.2)
     assert every.brake_share(7.0, hot=True) == pytest.approx(1.0 / 1.2 - 0.3)
     assert every.traction_share(7.0, 1) == pytest.approx(1.0 / 1.2 - 0.2)
+
+
+OF_A_USER = """
+from trainid_ros.train.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='weak_when_fast', title='a brake that is weaker at speed', equation='w = value v b',
+    parameters={'value': Parameter('s/m', 0.0, 0.04)}, amplitude='value', typical_size=0.01,
+    resistance=lambda p, davis, at: p['value'] * at.speed * at.brake,
+)
+"""
+
+
+def test_an_effect_of_a_user_on_the_brake_may_depend_on_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'weak.py').write_text(OF_A_USER, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    weaker, top = model('weak_when_fast:value=0.01'), FILE.train.max_speed
+    for speed in (0.0, 3.0, 0.5 * top, top):
+        assert weaker.brake_rate(speed).value == pytest.approx(1.0 - 0.01 * speed)
+    assert weaker.brake_rate() == replace(weaker.brake_rate(0.5 * top), std=weaker.brake_rate().std)

@@ -163,6 +163,14 @@ def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: t
     assert MAX_AGE_S + FALL_BACK_S <= 1.0
 
 
+def test_an_estimate_may_be_used_until_it_is_older_than_allowed() -> None:
+    one = estimate(10.0)
+    one.go_on(10.0 + MAX_AGE_S)
+    assert one.is_live
+    one.go_on(10.0 + MAX_AGE_S + 1e-6)
+    assert not one.is_live
+
+
 @pytest.mark.parametrize('lost_s', [10.1, 20.0])  # before and after the silence is noticed
 def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate(lost_s: float) -> None:
     one = estimate(10.0)
@@ -315,6 +323,14 @@ def test_a_value_without_uncertainty_moves_gradually_too() -> None:
     values.go_to(Normal((1.01,), (1e-6,)), 0.0)
     assert values.at(2.0).mean[0] == pytest.approx(1.005)
     assert values.left_s(0.0) == pytest.approx(4.0)
+
+
+def test_a_move_starts_at_the_present_value_also_where_the_clock_is_coarse() -> None:
+    """At such times a clock in seconds has steps of 0.06 ms."""
+    values, begin_s = RateLimitedValue(LEARNED, ((1.0,),)), 3e11
+    values.go_to(FILE, begin_s, FALL_BACK_S)
+    assert values.left_s(begin_s) > FALL_BACK_S
+    assert values.at(begin_s).mean[0] == pytest.approx(LEARNED.mean[0], abs=1e-12)
 
 
 def test_repeating_the_same_value_does_not_lengthen_the_way() -> None:

@@ -17,6 +17,7 @@ from trainid_ros.client.stopping import (
     GRADIENT,
     LAG,
     MAX_SPEED,
+    NO_BRAKE,
     PARAMETERS,
     RATE,
     Braking,
@@ -325,6 +326,12 @@ def test_a_brake_rate_that_may_be_zero_gives_no_bound_even_where_the_train_would
         posterior = replace(uphill, variances=(std**2, *uphill.variances[1:]))
         bound = StoppingBounds(shape(), posterior, 0.3, 0.0, 0.95).at(10.0)
         assert math.isfinite(bound.distance) is is_known
+
+
+@pytest.mark.parametrize('share', [1.0, 0.999])
+def test_a_known_brake_rate_below_the_least_one_is_no_brake(share: float) -> None:
+    known = StopPosterior((share * NO_BRAKE, *LEARNED.mean[1:6], 50.0, 0.6, 0.4), (0.0,) * 9, (0.0,) * 9)
+    assert math.isfinite(StoppingBounds(shape(), known, 0.3, 0.0, 0.95).at(10.0).distance) is (share == 1.0)
 
 
 def test_another_iteration_of_the_design_point_does_not_lengthen_a_bound() -> None:

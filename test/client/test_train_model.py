@@ -338,6 +338,9 @@ def test_the_speeds_learned_from_are_those_of_usable_estimates() -> None:
     assert model.resistance(20.0).reason.endswith('; outside the speeds learned from, 3.0 to 18.0 m/s')
     model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, speed_max=30.0), 0, latched=True)
     assert 'outside' in model.resistance(20.0).reason  # the copy does not count
+    late = TrainModel(None, FILE)
+    late.take_message(RESISTANCE_TOPIC, Status.VALID, W, 0, latched=True)
+    assert late.resistance(20.0).reason.endswith('; outside the speeds learned from, 3.0 to 18.0 m/s')
 
 
 @pytest.mark.parametrize(
@@ -359,6 +362,12 @@ def test_a_resistance_that_no_train_has_is_not_used(wrong: dict[str, Any]) -> No
     assert model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'
     model.take(Output(1, replace(F, brake_rate_std=-1.0), Status.VALID, 1, 0, None))
     assert model.brake_rate().reason == 'train file: brake rate = 0.9 with a std of -1 is not possible'
+
+
+def test_a_resistance_may_be_as_uncertain_as_its_largest_value() -> None:
+    model = TrainModel(None, FILE)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, covariance=(3.9e4, *COVARIANCE[1:])), 1)
+    assert model.resistance(10.0).live
 
 
 def test_any_number_becomes_a_float() -> None:
