@@ -28,6 +28,7 @@ from trainid_ros.setup.pipelines import (
     speed_model_pipeline,
 )
 from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.stream.sample_stream import Contradiction
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
@@ -163,6 +164,23 @@ def test_recorded_bag_holds_estimates_and_latched_copies(replayed: tuple[Replay,
     assert counts.get('trainid/last_valid/brake_rate', 0) == valid
     messages = messages_of(path, 'trainid/resistance')
     assert [(m.a, m.used) for m in messages] == [(o.estimate.a, o.used) for o in outputs]
+
+
+def test_why_nothing_was_learned_is_said_with_the_most_frequent_rejection(
+    replayed: tuple[Replay, Log, Path],
+) -> None:
+    outcome = replayed[0]
+    last = outcome.resistance.output
+
+    def said(used: int, speed_max: float) -> str:
+        output = Output(last.stamp_ns, replace(last.estimate, speed_max=speed_max), last.status, used, 9, None)
+        rejections = ((Reason.BRAKING, 7), (Reason.STANDSTILL, 2))
+        result = replace(outcome.resistance, output=output, rejections=rejections)
+        return replace(outcome, resistance=result, contradiction=Contradiction()).why_no_resistance()
+
+    assert said(5, 0.5) == ''
+    for used in (0, 5):
+        assert f'{used} used, most often rejected: BRAKING (7 times)' in said(used, 0.0)
 
 
 def test_settings_reach_the_estimators(bag: Path) -> None:

@@ -212,6 +212,13 @@ def bomb(compression: str, stored: bytes, size: int) -> bytes:
 
 
 @pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+def test_at_most_one_byte_more_than_stated_is_unpacked(compression: str) -> None:
+    packed = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress}[compression](b'abc' * 1000)
+    head = ChunkHead(10, 0, compression, 0, len(packed))
+    assert head.unpack_start(packed) == (b'abc' * 4)[:11]
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
 @pytest.mark.parametrize('stated', [1000, 60_000_000, 1_500_000_000])
 def test_bombs_take_little_memory(path: Path, compression: str, stated: int) -> None:
     size = 200_000_000

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
@@ -18,6 +19,7 @@ from test.own_bag import changed
 from trainid_ros.bag import mcap_file
 from trainid_ros.bag.mcap_file import MAGIC, Record, RecordFile
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.run_reader import survey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -102,6 +104,13 @@ def test_images_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *,
     Counted.total = 0
     rows(path)
     assert Counted.total < 0.25 * path.stat().st_size
+
+
+def test_a_survey_counts_each_bag_as_one_however_much_of_it_is_scanned(tmp_path: Path) -> None:
+    large, steps = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=bytes(60_000)), list[float]()
+    survey([large, TINY], advance=steps.append)
+    assert min(steps) >= 0.0
+    assert math.fsum(steps) == pytest.approx(2.0)
 
 
 def test_a_damaged_image_is_no_matter_and_a_damaged_index_is_not_relied_on(tmp_path: Path) -> None:
@@ -291,3 +300,10 @@ def test_the_shortest_record_of_each_kind_is_one_and_a_shorter_one_is_not(tmp_pa
     assert file.record(len(MAGIC)) == Record(opcode, len(MAGIC) + 9, file.end)
     cut = struct.pack('<BQ', opcode, length - 1) + content[9:-1]
     assert opened(tmp_path / 'y.mcap', cut).record(len(MAGIC)) is None
+
+
+@pytest.mark.parametrize(('opcode', 'is_one'), [(0x10, False), (0x7F, False), (0x80, True), (0xFF, True)])
+def test_a_record_of_a_private_kind_needs_no_known_one_behind_it(tmp_path: Path, opcode: int, is_one: bool) -> None:
+    """The specification keeps the kinds from 0x80 on for others."""
+    file = opened(tmp_path / 'x.mcap', struct.pack('<BQ', opcode, 0) + b'\xff' * 20)
+    assert (file.record(len(MAGIC)) is not None) is is_one

@@ -83,6 +83,7 @@ def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:
     with BagReader(path) as reader:
         assert [record.stamp_ns - STAMP for record in reader.records()] == sorted(order)
         assert (reader.message_count, reader.input_count) == (12, 6)
+        assert [log_ns - STAMP for log_ns, _, _ in reader.stored()] == sorted(order)
 
 
 def test_namespace_selects_the_train(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import struct
+import zlib
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,6 +13,7 @@ from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, 
 
 from test.own_bag import START_NS as STAMP
 from test.own_bag import messages_of
+from trainid_ros.bag.mcap_file import MAGIC
 from trainid_ros.bag.types import digest, message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
@@ -54,6 +57,13 @@ def test_chunks_are_compressed(bag: Path) -> None:
     for chunk in summary.chunk_indexes:
         assert chunk.compression == 'zstd'
         assert chunk.compressed_size < 0.7 * chunk.uncompressed_size
+
+
+def test_the_summary_carries_its_checksum(bag: Path) -> None:
+    """Over all from its start on to the checksum itself, see the specification."""
+    content = (bag / 'bag.mcap').read_bytes()
+    start, _, crc = struct.unpack_from('<QQI', content, len(content) - len(MAGIC) - 20)
+    assert crc == zlib.crc32(content[start : -len(MAGIC) - 4]) != 0
 
 
 def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
