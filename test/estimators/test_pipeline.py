@@ -27,7 +27,7 @@ from trainid_ros.interface.records import (
 from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.sample_stream import Contradiction, TimeJumpPolicy
+from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile
 
 HOUR_NS = 3600 * NS_PER_S
@@ -450,14 +450,3 @@ def test_a_group_knows_when_the_inputs_contradicted_each_other(metro: TrainFile,
     assert group.contradiction.begin_s == seen[0]
     assert group.contradiction.end_s == pytest.approx(seen[-1], abs=0.5)
     assert group.contradiction.end_s > seen[-1]
-
-
-def test_the_last_contradiction_counts_and_each_has_a_begin_and_an_end() -> None:
-    last = Contradiction()
-    last.follow('', 1.0)
-    assert (last.finding, math.isnan(last.begin_s), math.isnan(last.end_s)) == ('', True, True)
-    for now_s, finding in enumerate(['late by 1.0 s', 'late by 1.1 s', '', '', 'wrong sign'], start=2):
-        last.follow(finding, float(now_s))
-        if now_s == 5:
-            assert (last.finding, last.begin_s, last.end_s) == ('late by 1.1 s', 2.0, 4.0)
-    assert (last.finding, last.begin_s, math.isnan(last.end_s)) == ('wrong sign', 6.0, True)

@@ -309,5 +309,6 @@ def test_prior_covariance(dataset: Dataset) -> None:
     covariance = root @ root.T
     np.testing.assert_allclose(np.diag(covariance), [0.25, 4.0, *[0.09] * bins.count])
     np.testing.assert_allclose(covariance[2:, 2:], 0.09 * correlation)
+    np.testing.assert_allclose(correlation[0], np.exp(-bins.width * np.arange(bins.count) / 200.0))
     assert not covariance[:2, 2:].any()
     np.testing.assert_array_equal(Spread(0.01, 0.02, 0.3).of_run, [0.01, 0.02])
