@@ -204,6 +204,15 @@ def test_bounds_cover_their_share_of_the_posterior(
         assert abs(covered - confidence) < tolerance
 
 
+def test_the_variance_along_a_gradient_is_that_of_the_whole_covariance() -> None:
+    davis = (0.04, -0.002, 1e-5, -0.002, 2e-4, -1e-6, 1e-5, -1e-6, 4e-8)
+    whole, along = np.diag(LEARNED.variances), unit(np.random.default_rng(5))
+    whole[3:6, 3:6] = np.reshape(davis, (3, 3))
+    posterior = replace(LEARNED, davis=davis)
+    np.testing.assert_allclose(posterior.spread(along.tolist()), whole @ along, rtol=1e-9)
+    assert posterior.std(along.tolist()) ** 2 == pytest.approx(along @ whole @ along)
+
+
 @pytest.mark.parametrize('table', [(), EMU])
 @pytest.mark.parametrize('gradient', [-30.0, 0.0, 25.0])
 @pytest.mark.parametrize('confidence', [0.5, 0.999])
@@ -334,11 +343,12 @@ def test_a_known_brake_rate_below_the_least_one_is_no_brake(share: float) -> Non
     assert math.isfinite(StoppingBounds(shape(), known, 0.3, 0.0, 0.95).at(10.0).distance) is (share == 1.0)
 
 
-def test_another_iteration_of_the_design_point_does_not_lengthen_a_bound() -> None:
+@pytest.mark.parametrize('speed', [0.01, 10.0])
+def test_another_iteration_of_the_design_point_does_not_lengthen_a_bound(speed: float) -> None:
     steep = on(UNKNOWN, -28.0, 1.0)
     bounds = StoppingBounds(shape(), steep, 0.7, 0.0, 0.999)
-    bound = bounds.at(10.0)
-    assert bounds.design_point_step(10.0, bound.gradient).distance == pytest.approx(bound.distance, rel=1e-8)
+    bound = bounds.at(speed)
+    assert bounds.design_point_step(speed, bound.gradient).distance == pytest.approx(bound.distance, rel=1e-8)
 
 
 def weak(davis: tuple[float, float, float], command: float) -> StoppingBounds:
