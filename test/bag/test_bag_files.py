@@ -57,9 +57,14 @@ def split(tmp_path: Path, records: list[Record]) -> Path:
     return folder
 
 
-def test_a_part_that_the_metadata_do_not_list_is_read_with_a_warning(split: Path, records: list[Record]) -> None:
-    warning = f'{split / "split_2.mcap"}: not listed in metadata.yaml, read as a part of the bag'
-    assert read_bag(split) == (records, [warning])
+@pytest.mark.parametrize('listed', [1, 2])
+def test_parts_that_the_metadata_do_not_list_are_read_with_a_warning(
+    split: Path, records: list[Record], listed: int
+) -> None:
+    names = [f'split_{number}.mcap' for number in range(3)]
+    change(split, relative_file_paths=names[:listed])
+    how = 'not listed in metadata.yaml, read as a part of the bag'
+    assert read_bag(split) == (records, [f'{split / name}: {how}' for name in names[listed:]])
 
 
 @pytest.mark.parametrize('name', ['other_2.mcap', 'split_2.db3', 'split_copy.mcap'])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from trainid_ros.bag import PACKAGES, missing_package_error
+from trainid_ros.bag import PACKAGES
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,9 +103,3 @@ def test_the_player_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
     node: Any = SimpleNamespace(parameters=SimpleNamespace(value=lambda _: 'bag'))
     with pytest.raises(InputError, match=r'mcap: pip install'):
         BagPlayer.open_timeline(node)
-
-
-def test_other_missing_modules_are_no_input_error() -> None:
-    error = ModuleNotFoundError("No module named 'numpy'", name='numpy')
-    with pytest.raises(ModuleNotFoundError):
-        missing_package_error(error)

@@ -21,6 +21,7 @@ from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.client import train_model as limits
+from trainid_ros.client.stopping import RateShape, StoppingBounds, StopPosterior
 from trainid_ros.client.train_model import SPEED, Argument, ForwardClock, distance_to
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
@@ -293,6 +294,16 @@ def test_no_answer_is_ever_infinite_whatever_the_estimates_are() -> None:
                     assert 0.0 <= answer.std < math.inf, (answer, w, f, v, i, u, P)
                     answered += 1
     assert answered > 1000
+
+
+def test_a_bound_is_that_of_all_that_is_known_of_the_stop() -> None:
+    delay_std, lag_std = FILE.brake.timing_stds
+    mean = (0.9, 0.0, 0.0, 2.0, 0.03, 0.0012, -4.0, 0.6, 0.4)
+    variances = (0.02**2, 0.08**2, 0.06**2, 0.0, 0.0, 0.0, 0.2**2, delay_std**2, lag_std**2)
+    form = RateShape([], [], FILE.train.max_speed, GsmaConfig().blend_speed, 9.80665 / 1100.0)
+    bound = StoppingBounds(form, StopPosterior(mean, variances, COVARIANCE), 0.8, 0.3, 0.99).at(18.0)
+    found = Drive().on(20.0).stopping_distance(18.0, -4.0, -0.8, 0.99, applied=-0.3)
+    assert (found.value, found.std) == pytest.approx((bound.distance, bound.std))
 
 
 def test_a_brake_that_may_not_hold_the_train_has_no_answer() -> None:
