@@ -86,6 +86,23 @@ def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:
         assert [log_ns - STAMP for log_ns, _, _ in reader.stored()] == sorted(order)
 
 
+def test_stored_messages_of_successive_files_are_in_order(tmp_path: Path) -> None:
+    folder = tmp_path / 'split'
+    folder.mkdir()
+    for k in range(3):
+        part = write_bag(tmp_path / f'part_{k}', [MassRecord(STAMP + k, 1e5)])
+        (part / f'part_{k}.mcap').rename(folder / f'part_{k}.mcap')
+    with BagReader(folder) as reader:
+        assert [log_ns - STAMP for log_ns, _, _ in reader.stored()] == [0, 1, 2]
+
+
+def test_a_bag_without_messages_lacks_none(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag'):
+        pass
+    with BagReader(tmp_path / 'bag') as reader:
+        assert (reader.message_count, reader.warnings) == (0, [])
+
+
 def test_namespace_selects_the_train(tmp_path: Path) -> None:
     one, two = SpeedRecord(STAMP, 1.0, 0.0), SpeedRecord(STAMP + 1, 2.0, 0.0)
     path = write(tmp_path / 'bag', [('/train1/ato/speed', one), ('/train2/ato/speed', two)])

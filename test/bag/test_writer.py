@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 import yaml
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, QosReliability
@@ -59,11 +60,13 @@ def test_chunks_are_compressed(bag: Path) -> None:
         assert chunk.compressed_size < 0.7 * chunk.uncompressed_size
 
 
-def test_the_summary_carries_its_checksum(bag: Path) -> None:
-    """Over all from its start on to the checksum itself, see the specification."""
+def test_messages_and_summary_carry_their_checksums(bag: Path) -> None:
+    """As in the specification: up to the end of the data, and from the start of the summary on to its checksum."""
     content = (bag / 'bag.mcap').read_bytes()
     start, _, crc = struct.unpack_from('<QQI', content, len(content) - len(MAGIC) - 20)
     assert crc == zlib.crc32(content[start : -len(MAGIC) - 4]) != 0
+    opcode, _, data_crc = struct.unpack_from('<BQI', content, start - 13)
+    assert (opcode, data_crc) == (Opcode.DATA_END, zlib.crc32(content[: start - 13]))
 
 
 def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
