@@ -179,14 +179,21 @@ def test_the_train_file_is_back_within_a_second_also_of_a_clock_that_went_back(
     assert not drive.model.stopping_distance(20.0).live
 
 
-def test_one_estimate_alone_may_be_missing() -> None:
+@pytest.mark.parametrize(
+    ('estimate', 'reason'),
+    [
+        (W, 'resistance VALID; brake rate train file: no estimate yet'),
+        (F, 'resistance train file: no estimate yet; brake rate VALID'),
+    ],
+)
+def test_one_estimate_alone_may_be_missing(estimate: Any, reason: str) -> None:
     drive = Drive()
     for k in range(100):
         drive.now = 0.2 * k
-        drive.model.take(Output(k, W, Status.VALID, 1, 0, None))
+        drive.model.take(Output(k, estimate, Status.VALID, 1, 0, None))
     answer = drive.model.braking_speed(200.0)
-    assert (answer.live, answer.reason) == (False, 'resistance VALID; brake rate train file: no estimate yet')
-    assert drive.model.resistance(10.0).live
+    assert (answer.live, answer.reason) == (False, reason)
+    assert (drive.model.resistance(10.0).live, drive.model.brake_rate().live) == (estimate is W, estimate is F)
 
 
 def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile]) -> None:
