@@ -220,6 +220,19 @@ def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, op
     assert f'{path}: {count} of ' in warnings[-1]
 
 
+def test_messages_on_unknown_channels_are_lost_alone(tmp_path: Path) -> None:
+    path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=b'', chunk_bytes=0)
+    expected, messages = rows(path)[0], iter(places(path, Opcode.MESSAGE))
+    for channel in (98, 99):
+        start = next(messages).start
+        with changed(path) as content:
+            content[start : start + 2] = struct.pack('<H', channel)
+    found, warnings, _, _ = rows(path)
+    assert found in (expected, expected[1:], expected[2:])
+    for channel in (98, 99):
+        assert any(f'messages on the unknown channel {channel} ' in text for text in warnings)
+
+
 def places(path: Path, opcode: int) -> Iterable[Record]:
     """Yield the records of one kind."""
     file, position = RecordFile(path), len(MAGIC)
