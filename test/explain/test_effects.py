@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,9 +13,9 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Maker, local_drag
 from trainid_ros.explain.dataset import Dataset, assemble
-from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, track_points, without_replaced
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, prior_cost, track_points, without_replaced
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.effects import TrackPoint, parse_effects
+from trainid_ros.train.effects import EFFECTS, TrackPoint, parse_effects
 from trainid_ros.train.forces import specific_inertia
 
 DRAG = 'local_drag:start=0,end=200,permille=1'
@@ -102,6 +103,17 @@ def test_error_names_the_failing_user_effect(
     user_effect('wrong', "{'value': Parameter('N/kN', 0.0, 20.0)}", value)
     with pytest.raises(InputError, match=f'effect wrong: .*value=1.*{what}|effect wrong: .*{what}.*value=1'):
         evaluator.resistance('wrong', {'value': 1.0})
+
+
+def test_the_prior_is_normal_in_the_amplitude_and_uniform_in_the_place(dataset: Dataset) -> None:
+    kind = EFFECTS['mass_error']
+    term = EffectTerm('mass_error', {'ratio': kind.neutral + 9.0 * kind.typical_size})  # three of its prior std
+    assert prior_cost(term, dataset) == pytest.approx(9.0)
+    assert term.std == {}  # before a fit
+    share = np.ptp(dataset.joined('position')) / (math.sqrt(2.0 * math.pi) * 80.0)
+    assert share > 2.0
+    drag = EffectTerm('local_drag', local_drag(0.0, 200.0, 0.0).parameters)
+    assert prior_cost(drag, dataset) == pytest.approx(2.0 * 2.0 * math.log(share))
 
 
 def test_effect_found_again_is_removed_from_the_train_file() -> None:

@@ -28,6 +28,7 @@ from trainid_ros.explain.likelihood import (
     eliminate,
     group_log_bayes,
     informations,
+    integrated_covariance,
     log_bayes,
     posterior,
     prior_factor,
@@ -312,3 +313,11 @@ def test_prior_covariance(dataset: Dataset) -> None:
     np.testing.assert_allclose(correlation[0], np.exp(-bins.width * np.arange(bins.count) / 200.0))
     assert not covariance[:2, 2:].any()
     np.testing.assert_array_equal(Spread(0.01, 0.02, 0.3).of_run, [0.01, 0.02])
+
+
+def test_the_covariance_of_integrated_gusts_is_their_double_integral() -> None:
+    tau, step, ends = 4.0, 0.02, (3.0, 10.0)
+    at = step * (np.arange(round(ends[-1] / step)) + 0.5)
+    gusts = np.exp(-np.abs(at[:, None] - at[None, :]) / tau) * (step / tau) ** 2
+    expected = [[gusts[at < one][:, at < other].sum() for other in ends] for one in ends]
+    np.testing.assert_allclose(integrated_covariance(np.array(ends), tau), expected, rtol=1e-4)
