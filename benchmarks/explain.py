@@ -23,6 +23,7 @@ from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
 from trainid_ros.explain.dataset import Run, RunCollector
+from trainid_ros.explain.probability import NONE, OTHER
 from trainid_ros.explain.workflow import explain
 from trainid_ros.interface.records import Record
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
@@ -87,6 +88,7 @@ class Outcome:
     answer: Answer  # The truth
     verdict: str  # Of the workflow, or ``CRASHED``
     found: tuple[Named, ...]  # Effects, strongest first
+    probabilities: NamedValues  # Cause and probability
     gap: tuple[float, float, float] | None  # RMS gap before, after, floor [m/s]; None if no run was held out
     remaining: str  # What the remaining gap depends on, or the error message of a crash
     runs: int  # Number of runs
@@ -103,6 +105,7 @@ def explain_case(spec: Spec, case: Case) -> Outcome:
     runs = runs_of(case.bags, assumed)
     start = time.process_time()
     verdict, found, gap = CRASHED, list[Named](), None
+    probabilities: NamedValues = ()
     try:
         explanation = explain(runs, assumed)
     except Exception as error:  # A benchmark of hundreds of cases must report failures, not stop at one.
@@ -110,13 +113,14 @@ def explain_case(spec: Spec, case: Case) -> Outcome:
         remaining = f'{type(error).__name__}: {error} ({frame.name}, line {frame.lineno})'
     else:
         verdict, remaining = explanation.verdict.value, explanation.remaining
+        probabilities = explanation.probabilities
         for one in explanation.effects:
             twins = tuple(twin.name for twin in one.twins)
             found.append(Named(one.name, one.parameters, one.std, one.evidence, twins))
         if explanation.gap is not None:
             gap = explanation.gap.before, explanation.gap.after, explanation.gap.noise_floor
     explain_s = time.process_time() - start
-    return Outcome(spec, case.answer, verdict, tuple(found), gap, remaining, len(runs), explain_s)
+    return Outcome(spec, case.answer, verdict, tuple(found), probabilities, gap, remaining, len(runs), explain_s)
 
 
 def runs_of(bags: Sequence[Sequence[Record]], assumed: TrainFile) -> tuple[Run, ...]:
@@ -281,7 +285,7 @@ def measure(seeds: int) -> list[Table | Plot]:
     """Score five cases of generator A and 2.5 of generator B per seed."""
     by_generator = {generator: _scored(generator, round(each * seeds)) for generator, each in _CASES_PER_SEED.items()}
     everything = [outcome for of_one in by_generator.values() for outcome in of_one]
-    tables: list[Table | Plot] = [targets(everything, 'both generators')]
+    tables: list[Table | Plot] = [targets(everything, 'both generators'), reliability(everything)]
     for generator, of_one in by_generator.items():
         title = f'generator {generator}'
         tables += [targets(of_one, title), *tables_of(of_one, title)]
@@ -322,6 +326,38 @@ def targets(outcomes: Outcomes, title: str) -> Table:
         f'data. Gap after / floor: {_within_slack(ratios)} of these cases are within 10 %.'
     )
     return Table(f'Targets, {title}', ('quantity', 'target', 'reached', 'met?'), tuple(rows), note)
+
+
+def causes(outcome: Outcome) -> frozenset[str]:
+    """Return the true causes as probabilities name them; contaminating slip is one."""
+    answer = outcome.answer
+    slip = {_SLIP} if 'slip' in answer.contamination else set()
+    if answer.kind == 'outside':
+        return frozenset({OTHER} | slip)
+    return frozenset({effect.name for effect in answer.effects} | slip or {NONE})
+
+
+def given_to_truth(outcome: Outcome) -> float:
+    """Return the probability given to the true causes."""
+    true = causes(outcome)
+    return sum(p for name, p in outcome.probabilities if name in true)
+
+
+def reliability(outcomes: Outcomes) -> Table:
+    """Return a table of stated probabilities against the share of them that were true."""
+    stated = [(p, name in causes(one)) for one in outcomes for name, p in one.probabilities]
+    rows = []
+    for low in range(10):
+        pairs_ = [pair for pair in stated if low <= 10.0 * pair[0] < low + 1 or (low == 9 and pair[0] >= 1.0)]
+        if pairs_:
+            mean, true = (float(np.mean(values)) for values in zip(*pairs_, strict=True))
+            rows.append((f'{low / 10:.1f} to {low / 10 + 0.1:.1f}', f'{len(pairs_)}', f'{mean:.3f}', f'{true:.3f}'))
+    seen = [given_to_truth(one) for one in outcomes if visible(one) or one.answer.kind == 'none']
+    note = (
+        f'Mean probability given to the true causes: {np.mean([given_to_truth(one) for one in outcomes]):.2f} in all '
+        f'{len(outcomes)} cases, {np.mean(seen):.2f} in those without an effect or with visible ones.'
+    )
+    return Table('Probabilities of causes', ('stated', 'number', 'mean', 'true'), tuple(rows), note)
 
 
 def singles(outcomes: Outcomes, title: str) -> Table:

@@ -44,6 +44,7 @@ DRAG = FoundEffect(
     parameters=(('start', 300.0), ('end', 500.0), ('permille', 1.5)),
     std=(('start', 12.0), ('end', 9.0), ('permille', 0.05)),
     evidence=48.0,
+    probability=0.97,
     where='position 300 to 500 m (+1.50 N/kN)',
     twins=(),
 )
@@ -93,6 +94,7 @@ def make_explanation() -> Callable[..., Explanation]:
         outliers=0.012,
         weighed=True,
         gradient_point=None,
+        probabilities=(('local_drag', 0.97), ('gradient_error', 0.025), ('other', 0.004), ('none', 0.001)),
     )
 
     def make(*, ambiguous: bool = False, **changes: Any) -> Explanation:

@@ -19,11 +19,14 @@ from benchmarks.explain import (
     acceptable,
     alarmed,
     both,
+    causes,
     draw_specs,
     exact,
     gap_plot,
     generic,
+    given_to_truth,
     parameter_errors,
+    reliability,
     reported,
     rms,
     seconds_for_eight,
@@ -51,7 +54,8 @@ def outcome_of(
 ) -> Outcome:
     seen = max((effect.visible for effect in hidden), default=0.0)
     answer = Answer(kind, hidden, seen, 0.05, False, contamination, ('metro',))
-    return Outcome(Spec('A', 'x', 1), answer, verdict, found, (0.2, 0.06, 0.05), 'the speed', 6, 1.5)
+    probabilities = (('headwind', 0.75), ('none', 0.25))
+    return Outcome(Spec('A', 'x', 1), answer, verdict, found, probabilities, (0.2, 0.06, 0.05), 'the speed', 6, 1.5)
 
 
 def name(text: str, *twins: str, speed: float = 5.0, std: float = 1.0) -> Named:
@@ -125,6 +129,17 @@ def test_parameter_errors_are_in_units_of_their_std() -> None:
     assert exact(twice)
     assert within_std([1.5, -2.5, math.inf, -0.2]).hits == 2
     assert rms([3.0, -4.0, math.inf]) == pytest.approx(math.sqrt(12.5))
+
+
+def test_probabilities_are_compared_with_how_often_they_are_true() -> None:
+    windy, draughty = outcome_of(WIND), outcome_of(DRAG)
+    wavy = outcome_of(WAVE, kind='outside', contamination=('slip',))
+    assert [causes(one) for one in (windy, wavy)] == [{'headwind'}, {'other', 'wheel_slip'}]
+    assert causes(outcome_of(kind='none')) == {'none'}
+    assert [given_to_truth(one) for one in (windy, draughty)] == [0.75, 0.0]
+    table = reliability([windy, draughty])
+    assert table.rows == (('0.2 to 0.3', '2', '0.250', '0.000'), ('0.7 to 0.8', '2', '0.750', '0.500'))
+    assert '0.38 in all 2 cases' in table.note
 
 
 def test_wilson_interval() -> None:

@@ -36,8 +36,8 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 Make = Callable[..., Explanation]
 BAGS = Path(__file__).parents[2] / 'bags'
 ALTRIOS = BAGS / 'altrios_manifest'  # a freight run of another simulator
-KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at'}
-EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'where', 'indistinguishable_from'}
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at', 'probabilities'}
+EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'probability', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
 
@@ -236,6 +236,9 @@ def test_a_hidden_drag_is_found_and_added(dragged: Path, capsys: pytest.CaptureF
     effect = answer['effects'][0]
     assert set(effect) == EFFECT_KEYS
     assert effect['name'] == 'local_drag'
+    assert sum(answer['probabilities'].values()) == pytest.approx(1.0)
+    assert answer['probabilities']['local_drag'] == pytest.approx(effect['probability'], abs=0.05)
+    assert effect['probability'] > 0.9
     assert effect['parameters']['permille'] == pytest.approx(2.5, abs=max(0.5, 4.0 * effect['std']['permille']))
     assert answer['gap']['after'] < 0.6 * answer['gap']['before']
     assert json.loads((out / 'report.json').read_text(encoding='utf-8')) == answer

@@ -41,8 +41,9 @@ def text(make_explanation: Make, stated: TrainFile) -> str:
 def test_findings_come_first_then_all_figures(text: str) -> None:
     heads = re.findall(r'<h[23]>(.*?)</h[23]>', text)
     assert 'ambiguous' in heads[0]
-    findings = ['Missing effects', 'Where', 'Evidence', 'Alternatives, and test runs to distinguish them']
-    assert heads[1:5] == findings
+    findings = ['Missing effects', 'Where', 'Probability of each cause', 'Evidence']
+    assert heads[1:6] == [*findings, 'Alternatives, and test runs to distinguish them']
+    assert 'local_drag 97%, gradient_error 2%' in text
     for label in FIGURES:
         assert text.count(f'aria-label="{label}"') == 1
     assert text.index('Remaining gap') < text.index('<svg')

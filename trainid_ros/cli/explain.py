@@ -146,11 +146,13 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
                     'parameters': dict(effect.parameters),
                     'std': dict(effect.std),
                     'evidence': effect.evidence,
+                    'probability': effect.probability,
                     'where': effect.where,
                     'indistinguishable_from': [twin.name for twin in effect.twins],
                 }
                 for effect in (e.effects if e else ())
             ],
+            'probabilities': dict(e.probabilities if e else ()),
             'gap': {
                 'metric': 'rms speed',
                 'unit': 'm/s',
@@ -190,6 +192,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
         head,
         *('\n  '.join(lines) for lines in effects),
         *filter(None, ['\n'.join(parts)]),
+        f'Probability: {words.causes_text(explanation)}.',
         words.gap_sentence(explanation),
         table(davis, numbers=(1,)),
         explanation.remaining,

@@ -38,6 +38,7 @@ class FoundEffect:
     parameters: NamedValues  # Its parameters, in the units of the effect
     std: NamedValues  # Their standard deviations
     evidence: float  # 2 ln of its Bayes factor, given the other effects [1]
+    probability: float  # That it is among the causes [1]
     where: str  # Where and when it shows, as text
     twins: tuple[Twin, ...]  # Alternative effects that explain the data equally well, nearest first
 
@@ -107,6 +108,7 @@ class Explanation:
     weighed: bool  # True if the mass was measured
     # Point of the train at which gradients were taken to be given; None if they are means under it
     gradient_point: str | None
+    probabilities: NamedValues  # Cause ('none', 'other' or an effect) and probability, largest first; their sum is 1
 
 
 _KINDS: Final = {

@@ -17,7 +17,7 @@ abruptly elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -30,6 +30,7 @@ from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Indice
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_cost, unit_resistance
 from trainid_ros.explain.likelihood import Bins, Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
+from trainid_ros.explain.probability import Hypothesis, dependence, noise
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
@@ -287,6 +288,11 @@ class State:
     logs: Array  # Their logs, shape (7,)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Effects of the model."""
+        return tuple(term.name for term in self.model.terms)
+
+    @property
     def excess(self) -> float:
         """How far the hyperparameters lie above the medians of their priors [1]."""
         return self.model.evidence().excess(self.logs)
@@ -302,6 +308,7 @@ class Selection:
     # Name of the effect that is indistinguishable from each effect; empty if there is none
     twins: tuple[tuple[str, ...], ...]
     groups: tuple[EffectScore, ...]  # Evidence of generic dependences, given all effects
+    hypotheses: tuple[Hypothesis, ...]  # All sets of effects, and other causes, that were compared
 
 
 class Search:
@@ -313,6 +320,7 @@ class Search:
         self.base = State(model, *model.evidence().maximise())
         self._scorer = EffectScorer(model)
         self._scores = cache(self._scorer.scores)
+        self._fitted: list[Hypothesis] = []
 
     def gradient_point(self) -> str | None:
         """Return the point of the train at which gradients are given, None if they are means under it."""
@@ -338,7 +346,35 @@ class Search:
             nearest = self._best_alternative(term.name, state.model.without(k), state.hyper)
             evidence.append(own)
             twins.append((nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ())
-        return Selection(self.base, state, tuple(evidence), tuple(twins), tuple(groups))
+        hypotheses = tuple(self._hypotheses(state, evidence, groups))
+        return Selection(self.base, state, tuple(evidence), tuple(twins), tuple(groups), hypotheses)
+
+    def _hypotheses(self, final: State, gains: Sequence[float], groups: Sequence[EffectScore]) -> Iterator[Hypothesis]:
+        """Yield what was compared: sets that were fitted, those with one effect more or another, and other causes."""
+        yield Hypothesis((), 0.0)
+        yield from self._fitted
+        base, groups_of_base = self._scores(self.base.model, self.base.hyper)
+        for score in base:
+            yield Hypothesis((score.name,), score.evidence)
+        # Hyperparameters fitted without an effect hide as much of a dependence as of the best effect.
+        fitted = (item.evidence for item in self._fitted if item.names == (base[0].name,))
+        hidden = max(max(fitted, default=0.0) - base[0].evidence, 0.0)
+        for score in groups_of_base:
+            evidence = score.evidence + (hidden if score.evidence > _MIN_SCORE else 0.0)
+            yield dependence((), evidence, len(groups_of_base))
+        names, reached = final.names, self._beyond(final)
+        for k, gain in enumerate(gains):
+            rest = (*names[:k], *names[k + 1 :])
+            yield Hypothesis(rest, reached - gain)
+            for score in self._named(final.model.without(k), final.hyper):
+                yield Hypothesis((*rest, score.name), reached - gain + score.evidence)
+        if names:
+            yield Hypothesis(names, reached)
+            for score in self._named(final.model, final.hyper):
+                yield Hypothesis((*names, score.name), reached + score.evidence)
+        for score in groups:
+            yield dependence(names, reached + score.evidence, len(groups))
+        yield noise(names, reached + final.excess)
 
     def _add(self, state: State, threshold: float) -> State | None:
         """Add the best effect; None if none has enough evidence or others lose theirs.
@@ -394,7 +430,13 @@ class Search:
         term = EffectTerm(score.name, score.parameters)
         model = model.with_terms((*model.terms, term)).fit(before.hyper)
         hyper, logs = model.evidence().maximise(before.logs)
-        return State(model.fit(hyper), hyper, logs)
+        state = State(model.fit(hyper), hyper, logs)
+        self._fitted.append(Hypothesis(state.names, self._beyond(state)))
+        return state
+
+    def _beyond(self, state: State) -> float:
+        """Return 2 ln of the Bayes factor of a model against that without effects."""
+        return self._evidence(state) - self._evidence(self.base)
 
     def _evidence(self, state: State) -> float:
         """Return 2 ln of the evidence of a model, with the full priors of its effects instead of those of the fit."""

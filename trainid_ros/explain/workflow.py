@@ -20,6 +20,7 @@ import numpy as np
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.likelihood import DAVIS, integrated_covariance
 from trainid_ros.explain.model import Model, find_slip, read_at
+from trainid_ros.explain.probability import Probabilities, probabilities
 from trainid_ros.explain.proof import assess, locate, where
 from trainid_ros.explain.result import Explanation, FoundEffect, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
@@ -77,9 +78,10 @@ def explain(
     # 4. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, locations, train_file)
+    causes = _causes(selection, outcome, None if slip is None else slip[0])
+    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, locations, train_file)
     if slip is not None:
-        found.append(_effect(*slip, (), 'bursts under traction and braking'))
+        found.append(_effect(*slip, causes, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
     davis, davis_std = _davis(outcome.final, outcome.hyper)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
@@ -97,7 +99,16 @@ def explain(
         outliers=float(np.mean(outcome.base.dataset.outlier)),
         weighed=outcome.final.weighed,
         gradient_point=point,
+        probabilities=causes.shares,
     )
+
+
+def _causes(selection: Selection, outcome: Outcome, slip: EffectTerm | None) -> Probabilities:
+    """Return the probabilities of causes; sets with the selected effects have none if held-out runs refute these."""
+    compared, selected = selection.hypotheses, {*selection.final.names}
+    if outcome.verdict is Verdict.UNEXPLAINED and selected:
+        compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
+    return probabilities(compared, () if slip is None else (slip.name,))
 
 
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
@@ -111,7 +122,11 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
 
 
 def _found(
-    selection: Selection, outcome: Outcome, locations: tuple[Location, ...], train_file: TrainFile
+    selection: Selection,
+    outcome: Outcome,
+    causes: Probabilities,
+    locations: tuple[Location, ...],
+    train_file: TrainFile,
 ) -> list[FoundEffect]:
     """Return the effects of the model, the most evident first."""
     model, found = outcome.final, []
@@ -124,16 +139,18 @@ def _found(
             drive = distinguishing_drive(term.name, term.parameters, name, fit)
             alternatives.append(Twin(name, f'{text}; for example {drive}' if drive else text))
         place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset, locations)
-        found.append(_effect(term, evidence, tuple(alternatives), place))
+        found.append(_effect(term, evidence, causes, tuple(alternatives), place))
     return found
 
 
-def _effect(term: EffectTerm, evidence: float, alternatives: tuple[Twin, ...], place: str) -> FoundEffect:
+def _effect(
+    term: EffectTerm, evidence: float, causes: Probabilities, alternatives: tuple[Twin, ...], place: str
+) -> FoundEffect:
     kind = term.kind
     parameters = tuple((name, float(value)) for name, value in term.parameters.items())
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
     of_kind = kind.name, kind.title, kind.equation, kind.origin
-    return FoundEffect(*of_kind, parameters, std, float(evidence), place, alternatives)
+    return FoundEffect(*of_kind, parameters, std, float(evidence), causes.of(kind.name), place, alternatives)
 
 
 def _total_std(term: EffectTerm, name: str, std: float) -> float:

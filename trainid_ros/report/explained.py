@@ -90,6 +90,7 @@ def _findings(explanation: Explanation) -> tuple[tuple[str, list[str]], ...]:
     return (
         ('Missing effects', what),
         ('Where', where or words.strongest(explanation)),
+        ('Probability of each cause', [words.causes_text(explanation)]),
         ('Evidence', [f'{effect.name}: {words.how_sure(effect)}' for effect in effects]),
         ('Alternatives, and test runs to distinguish them', words.alternatives(explanation)),
         ('Gap before and after', [words.gap_sentence(explanation)]),

@@ -70,6 +70,15 @@ def parameters_text(effect: FoundEffect) -> str:
     return join([f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values])
 
 
+def causes_text(explanation: Explanation) -> str:
+    """Return the probabilities of causes as text, those of less than one per cent together."""
+    words = {'none': 'nothing is missing', 'other': 'something outside the library'}
+    shown = [(name, p) for name, p in explanation.probabilities if p >= 0.01]
+    rest = 1.0 - sum(p for _, p in shown)
+    texts = [f'{words.get(name, name)} {p:.0%}' for name, p in shown]
+    return ', '.join([*texts, *([f'all else {rest:.0%}'] if rest >= 0.01 else [])])
+
+
 def how_sure(effect: FoundEffect) -> str:
     """Return the evidence for an effect as text."""
     digits = effect.evidence / (2.0 * math.log(10.0))
