@@ -59,6 +59,12 @@ def test_a_run_is_from_standstill_to_standstill() -> None:
     assert first.positioned
 
 
+def test_a_run_is_without_its_slowest_ends() -> None:
+    """At 0.2 m/s the brake may hold the train already."""
+    (run,) = collect(samples([0.0] * 5 + [0.2] * 5 + [10.0] * 100 + [0.2] * 5 + [0.0]))
+    assert (run.time.size, run.speed.min()) == (100, 10.0)
+
+
 @pytest.mark.parametrize('name', ['dt', 'emergency', 'force_mean', 'gradient_mean', 'brake_command'])
 def test_a_gap_or_an_unusable_sample_ends_a_run(name: str) -> None:
     fields = {name: True if name == 'emergency' else math.nan}

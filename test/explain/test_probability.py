@@ -43,6 +43,8 @@ def test_without_evidence_nothing_is_missing_and_with_much_of_it_the_effect_is()
     # Their odds are those of their evidence, tempered.
     assert found['headwind'] / found['tunnel_drag'] == pytest.approx(math.exp(1.0 / 1.2))
     assert found[NONE] < 1e-3
+    even = shares(Hypothesis(('headwind',), 0.0))
+    assert even[NONE] / even['headwind'] == pytest.approx(math.exp(-1.1) * len(EFFECTS))
 
 
 def test_a_pair_shares_its_probability_and_both_are_present() -> None:

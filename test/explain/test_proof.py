@@ -76,6 +76,15 @@ def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
     np.testing.assert_allclose(held.gap[~others], gap - gap[known].mean(), atol=1e-9)
 
 
+def test_the_gap_expected_of_strong_gusts_is_proportional_to_them(dragged_model: Model) -> None:
+    weak, strong = (
+        hold_out(dragged_model, replace(HYPER, noise=replace(HYPER.noise, gust=gust))) for gust in (5.0, 10.0)
+    )
+    assert weak is not None
+    assert strong is not None
+    assert np.median(strong.std / weak.std) == pytest.approx(2.0, rel=0.02)
+
+
 def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
     model = dragged_model
     added = model.with_terms((local_drag(120.0, 330.0, 1.5),)).fit(HYPER)
