@@ -334,7 +334,7 @@ def causes(outcome: Outcome) -> frozenset[str]:
     slip = {_SLIP} if 'slip' in answer.contamination else set()
     if answer.kind == 'outside':
         return frozenset({OTHER} | slip)
-    return frozenset({effect.name for effect in answer.effects} | slip or {NONE})
+    return frozenset({*truth_names(outcome)} | slip or {NONE})
 
 
 def given_to_truth(outcome: Outcome) -> float:
@@ -348,13 +348,13 @@ def reliability(outcomes: Outcomes) -> Table:
     stated = [(p, name in causes(one)) for one in outcomes for name, p in one.probabilities]
     rows = []
     for low in range(10):
-        pairs_ = [pair for pair in stated if low <= 10.0 * pair[0] < low + 1 or (low == 9 and pair[0] >= 1.0)]
-        if pairs_:
-            mean, true = (float(np.mean(values)) for values in zip(*pairs_, strict=True))
-            rows.append((f'{low / 10:.1f} to {low / 10 + 0.1:.1f}', f'{len(pairs_)}', f'{mean:.3f}', f'{true:.3f}'))
-    seen = [given_to_truth(one) for one in outcomes if visible(one) or one.answer.kind == 'none']
+        if some := [(p, is_true) for p, is_true in stated if min(int(10.0 * p), 9) == low]:
+            mean, true = np.mean(some, axis=0).tolist()
+            rows.append((f'{low / 10:.1f} to {low / 10 + 0.1:.1f}', f'{len(some)}', f'{mean:.3f}', f'{true:.3f}'))
+    given = [given_to_truth(one) for one in outcomes]
+    seen = [p for p, one in zip(given, outcomes, strict=True) if visible(one) or one.answer.kind == 'none']
     note = (
-        f'Mean probability given to the true causes: {np.mean([given_to_truth(one) for one in outcomes]):.2f} in all '
+        f'Mean probability given to the true causes: {np.mean(given):.2f} in all '
         f'{len(outcomes)} cases, {np.mean(seen):.2f} in those without an effect or with visible ones.'
     )
     return Table('Probabilities of causes', ('stated', 'number', 'mean', 'true'), tuple(rows), note)

@@ -48,11 +48,11 @@ class Hypothesis:
     @property
     def weight(self) -> float:
         """Logarithm of its probability, up to a constant."""
-        k = len(self.names)
-        # One effect is any of the library.
-        prior = _LN_NONE if k == 0 else -k * math.log(len(EFFECTS)) + (k - 1) * _LN_FURTHER
+        k, ln_any = len(self.names), math.log(len(EFFECTS))  # one effect is any of the library
         if self.is_other:
-            prior = self.other - k * math.log(len(EFFECTS)) + k * _LN_FURTHER
+            prior = self.other - k * ln_any + k * _LN_FURTHER
+        else:
+            prior = -k * ln_any + (k - 1) * _LN_FURTHER if k else _LN_NONE
         return prior + 0.5 * self.evidence / _TEMPERATURE
 
 
