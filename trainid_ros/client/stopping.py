@@ -215,7 +215,10 @@ class Braking:
         return v - dt * (k1 + 2.0 * (k2 + k3) + k4) / 6.0, run
 
     def _time_of_stop(self, t: float, v: float, dt: float, after: float) -> float:
-        """Return the time from t until the train stands [s]; ``after`` is the negative speed after dt."""
+        """Return the time from t until the train stands [s], by regula falsi (Illinois variant).
+
+        ``after`` is the negative speed after dt.
+        """
         low, high, above, below = 0.0, dt, v, after
         for _ in range(60):
             x = low + (high - low) * above / (above - below)

@@ -8,7 +8,7 @@ w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_post
 
     [1]  theta = theta(0), P = P(0): the regularisation                                   (7): P(0)^-1 for lambda I
     for each sample without braking:
-    [2]      add it to a window of 5 s; every hop seconds the window is fitted            Fig. 2: segments
+    [2]      add it to the window; every hop seconds the window is fitted                 Fig. 2: segments
     [3]      slope of v - v_u by least squares, v_u = speed by the known force alone      (6)
     [4]      y = -m slope,  m = 1000 (1 + gamma) / g0                                     (3), (4), (5)
     [5]      phi = [1, v, v^2, -Tw, -Dw, (600/R)w], averaged over the window              (2)
@@ -74,7 +74,7 @@ from trainid_ros.train.train_file import TrainFile
 # Interval at which drift is added, and the estimate is tested again without new observations [s].
 _DRIFT_LUMP_S: Final = 60.0
 # Speed below which the train is at a stop [m/s].
-_STANDING: Final = 0.3
+_STOPPED: Final = 0.3
 # Indices of kappa and delta in theta.
 _KAPPA, _DELTA = 3, 4
 
@@ -160,7 +160,7 @@ class VMils:
         """Add the variance of a step of kappa at each standstill, where the load changes."""
         if self._standing:
             self._standing = sample.speed < self.config.min_speed
-        elif sample.speed < _STANDING:
+        elif sample.speed < _STOPPED:
             self._standing = True
             # [16]
             step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2

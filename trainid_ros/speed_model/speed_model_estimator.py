@@ -306,7 +306,7 @@ class SpeedModelState:
 
 
 # Slow samples in a row that indicate standstill: a single one may be an outlier.
-_STANDING: Final = 3
+_STOP_SAMPLES: Final = 3
 # Largest plausible loss of speed from one sample to the next [m/s].
 _MAX_SPEED_LOSS: Final = 1.0
 # A detected change keeps at least the square of this share of the information.
@@ -530,14 +530,14 @@ class SpeedModelEstimator:
         state, method, noise = self.state, self.method, self.state.noise.variance
         state.slow_in_a_row = state.slow_in_a_row + 1 if y < self._min_speed else 0
         sudden = method.speed() - y > _MAX_SPEED_LOSS
-        if reason is Reason.STANDSTILL and state.slow_in_a_row < _STANDING and sudden:
+        if reason is Reason.STANDSTILL and state.slow_in_a_row < _STOP_SAMPLES and sudden:
             self._predict(step)
             method.coast(step.u, step.scale)
             if not self.method.is_usable():
                 method.reinit_speed(y, noise)
         else:
             method.reinit_speed(self._recent.at(self._delay())[0], noise)
-        if state.slow_in_a_row == _STANDING:
+        if state.slow_in_a_row == _STOP_SAMPLES:
             method.inflate_load_variance(self._load_share())
         self._end_window()
         state.predicted, state.error, state.variance = y, 0.0, 0.0

@@ -20,9 +20,9 @@ from typing import Final
 
 # Smallest change that contradicts the train file [1].
 _MIN_CHANGE: Final = 0.3
-# The same in standard deviations [1].
+# Smallest change in standard deviations that does [1].
 _KNOWN: Final = 4.0
-# Share of that limit at which a contradiction ends [1].
+# A contradiction ends below this share of the smallest change [1].
 _ENDS: Final = 0.75
 # A braking over a smaller range of p says nothing of a change over speed [1].
 _NARROW: Final = 0.2

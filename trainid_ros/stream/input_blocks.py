@@ -45,7 +45,7 @@ _CAPPED_MEAN: Final = 0.51606  # E min(z^2, 1) of a standard normal z: Huber's p
 
 MOVING: Final = 0
 """State of a block: the train moves, and all inputs are known."""
-STANDING: Final = 1
+AT_STOP: Final = 1
 """It stands."""
 UNKNOWN: Final = 2
 """Nothing can be compared."""
@@ -218,7 +218,7 @@ class InputBlocks:
             return MOVING
         moved = sum(other.by_position for other in self._blocks)
         is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self.position_var
-        return MOVING if is_driven else STANDING
+        return MOVING if is_driven else AT_STOP
 
     def _count_still(self, block: Block, last: Block) -> None:
         """Count for how long speed and position of a moving train, and any force, have not changed."""

@@ -40,7 +40,7 @@ from trainid_ros.stream.fault_filter import (
     position_variance,
 )
 from trainid_ros.stream.fault_table import GAIN, OFFSET, TABLE, USUAL, WHEEL, V
-from trainid_ros.stream.input_blocks import GRADIENT_M, KEPT, MOVING, STANDING, UNKNOWN, Block, InputBlocks
+from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, UNKNOWN, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
@@ -320,7 +320,7 @@ class InputCheck:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
         prior = PRIORS[trial.row]
         trial.measure(at.speed * prior.row.speed, at.variance * prior.row.speed * prior.row.speed)
-        if at.state == STANDING and not self.blocks.is_weighed:
+        if at.state == AT_STOP and not self.blocks.is_weighed:
             std = max(prior.std[GAIN], _BOARDING)
             more = _BOARDING * _BOARDING * at.seconds / _BOARDING_S
             trial.P[_GAIN_GAIN] = min(trial.P[_GAIN_GAIN] + more, std * std)
@@ -394,7 +394,7 @@ class InputCheck:
             if S >= _GIVE_UP and not (S < 1.0 and other.age_s > _HOPELESS_S):
                 kept.append(other)
         self._others = kept
-        if block.state == STANDING:
+        if block.state == AT_STOP:
             self._braked_s = math.nan  # a train that departs with its brake on shows nothing
         elif block.state == MOVING:
             self._braked_s = 0.0 if is_released else self._braked_s + block.seconds
