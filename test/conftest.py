@@ -81,7 +81,7 @@ def make_explanation() -> Callable[..., Explanation]:
     explained = Explanation(
         verdict=Verdict.EXPLAINED,
         effects=(DRAG,),
-        gap=Gap(0.4, 0.05, 0.049, 2),
+        gap=Gap(0.4, 0.05, 0.049, 2, 0.3, 0.04, 25.0),
         remaining='What is left is noise.',
         train_file=replace(
             STATED, resistance=Davis(1.61, 0.02, 0.0011), effects=(Effect('local_drag', DRAG.parameters, DRAG.std),)

@@ -38,7 +38,7 @@ BAGS = Path(__file__).parents[2] / 'bags'
 ALTRIOS = BAGS / 'altrios_manifest'  # a freight run of another simulator
 KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at', 'probabilities'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'probability', 'where', 'indistinguishable_from'}
-GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out'}
+GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out', 'fitted', 'evidence'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
 
 
@@ -55,8 +55,9 @@ def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
     assert effect['parameters'] == {'start': 300.0, 'end': 500.0, 'permille': 1.5}
     assert effect['std'] == {'start': 12.0, 'end': 9.0, 'permille': 0.05}
     assert effect['indistinguishable_from'] == ['gradient_error']
-    expected = {'metric': 'rms speed', 'unit': 'm/s', 'before': 0.4, 'after': 0.05, 'noise_floor': 0.049}
-    assert answer['gap'] == {**expected, 'runs_held_out': 2}
+    expected = {'before': 0.4, 'after': 0.05, 'noise_floor': 0.049, 'runs_held_out': 2, 'evidence': 25.0}
+    fitted = {'before': 0.3, 'after': 0.04}
+    assert answer['gap'] == {'metric': 'rms speed', 'unit': 'm/s', 'fitted': fitted, **expected}
     json.dumps(answer, allow_nan=False)
 
 
@@ -64,8 +65,10 @@ def test_verdicts_have_the_agreed_names_and_unknown_values_are_null(make_explana
     verdicts = {to_json(make_explanation(verdict=verdict))['verdict'] for verdict in Verdict}
     assert verdicts == {'explained', 'no_gap', 'unexplained', 'ambiguous'}
     gap = to_json(make_explanation(gap=None))['gap']
-    assert gap == dict.fromkeys(GAP_KEYS) | {'metric': 'rms speed', 'unit': 'm/s', 'runs_held_out': 0}
-    assert to_json(make_explanation(gap=Gap(float('nan'), 0.1, 0.1, 3)))['gap']['before'] is None
+    fitted = {'before': None, 'after': None}
+    known = {'metric': 'rms speed', 'unit': 'm/s', 'runs_held_out': 0, 'fitted': fitted}
+    assert gap == dict.fromkeys(GAP_KEYS) | known
+    assert to_json(make_explanation(gap=Gap(float('nan'), 0.1, 0.1, 3, 0.1, 0.1, 0.0)))['gap']['before'] is None
     nothing = to_json(None, 'too little')
     assert set(nothing) == KEYS
     assert (nothing['verdict'], nothing['effects'], nothing['remaining']) == (None, [], 'too little')

@@ -19,12 +19,16 @@ from test.explain.made_runs import TRAIN, Maker, disturbed
 from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.forces import BrakeCommandChange, specific_inertia
+from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, specific_force, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 START = 1_700_000_000 * NS_PER_S
 FILE = TrainFile(Train(200e3), Davis(1.5, 0.02, 0.003), Brake(0.9, 0.4, 0.6))
 PLAIN = Sample(START, 0.2, 0.0, 0.0, 1, 0.0, 0.0, 2.0, 2.0, 0.0, False, math.nan, 0.0, (), False, False)
+
+
+APPLIED = BrakeCommandChange(START + 32 * NS_PER_S // 5, -1.0)
+RELEASED = BrakeCommandChange(START + 72 * NS_PER_S // 5, 0.0)
 
 
 def samples(speeds: Sequence[float], changes: dict[int, dict[str, Any]] | None = None) -> list[Sample]:
@@ -100,7 +104,7 @@ def test_brake_force_follows_the_command() -> None:
     assert not run.brake[:53].any()  # dead time of 0.6 s
     assert run.brake[74] == pytest.approx(-0.9 * 0.8 * inertia, rel=0.01)
     assert 0.0 > run.brake[54] > -0.9 * 0.8 * inertia
-    assert not run.traction[56:76].any()
+    assert not run.traction[56:75].any()
     assert run.since_release[74] == 0.0
     assert run.since_release[-1] > 4.0
     assert math.isinf(run.since_release[10])
@@ -112,7 +116,25 @@ def test_traction_against_the_brake_is_the_difference() -> None:
     changes: dict[int, dict[str, Any]] = {k: {'force_mean': 40e3} for k in range(120)}
     changes[50]['brake_changes'] = (BrakeCommandChange(START + 10 * NS_PER_S, -0.5),)
     (run,) = collect(samples([15.0] * 120, changes))
-    np.testing.assert_allclose(run.traction + run.brake, run.traction[0])
+    # The train file has a brake rate of 0.9, but the brake is reported as that of a rate of 1.
+    np.testing.assert_allclose(run.traction + run.brake / 0.9, run.traction[0])
+
+
+def test_traction_before_the_brake_is_released_counts() -> None:
+    """A driver who pulls at the command to release: the sum of both forces is still a braking force."""
+    actuator, nominal = BrakeActuator(FILE.brake), FILE.train.mass * (1.0 + FILE.train.rotary_mass)
+    changes: dict[int, dict[str, Any]] = {}
+    for k in range(135):
+        stamp = START + k * NS_PER_S // 5
+        changes[k] = {'brake_changes': tuple(c for c in (APPLIED, RELEASED) if 0 <= stamp - c.stamp_ns < NS_PER_S // 5)}
+        for change in changes[k]['brake_changes']:
+            actuator.commands.push(change)
+        mean = actuator.advance(stamp - NS_PER_S // 5, stamp) / 0.2
+        changes[k]['force_mean'] = nominal * mean + (60e3 if k > 72 else 0.0)
+    (run,) = collect(samples([15.0] * 135, changes))
+    pull = specific_force(60e3, FILE.train.mass)
+    assert not run.traction[:72].any()  # braking, with the sum of the forces as far negative as after it
+    np.testing.assert_allclose(run.traction[73:84], pull)
 
 
 def test_run_starts_after_the_brake_is_released() -> None:

@@ -78,9 +78,9 @@ def test_gap_sentence(make_explanation: Make) -> None:
     text = gap_sentence(make_explanation())
     assert all(part in text for part in ('2 runs', '0.400 m/s (rms) without', '0.050 m/s with', '0.049 m/s'))
     assert 'above the noise' not in text
-    assert '100% above the noise' in gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 2)))
+    assert '100% above the noise' in gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 2, 0.3, 0.1, 25.0)))
     assert 'with them' not in gap_sentence(make_explanation(effects=()))
-    assert gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 1))).startswith('On 1 run, ')
+    assert gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 1, 0.3, 0.1, 25.0))).startswith('On 1 run, ')
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
 
 

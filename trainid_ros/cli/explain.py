@@ -158,6 +158,8 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
                 'unit': 'm/s',
                 **{name: gap and getattr(gap, name) for name in ('before', 'after', 'noise_floor')},
                 'runs_held_out': gap.runs_held_out if gap else 0,
+                'fitted': {'before': gap and gap.fitted_before, 'after': gap and gap.fitted_after},
+                'evidence': gap and gap.evidence,
             },
             'remaining': e.remaining if e else reason,
             'gradient_read_at': e and e.gradient_point,

@@ -79,7 +79,7 @@ class RunCollector:
         self._rows: list[tuple[float, ...]] = []
         self._distance = self._travelled = 0.0
         self._start_position = self._speed = math.nan
-        self._weighed = False
+        self._weighed = self._releasing = False
         self.start_over()
 
     def add(self, sample: Sample) -> None:
@@ -121,10 +121,12 @@ class RunCollector:
         self._weighed = sample.weighed
         braking = specific_inertia(1.0, train.rotary_mass) * brake if brake < BRAKE_APPLIED else 0.0
         traction = specific_force(sample.force_mean, mass)
-        # While the brake acts, its force follows from its command. The reported force is the sum of both: if it is
-        # positive there is still traction, otherwise there is none.
+        # While the brake acts, its force follows from its command, and the reported force is the sum of traction and a
+        # brake of rate 1. There is traction where the sum is positive, and where a driver pulls before the brake is
+        # released; elsewhere the difference is an error of the reported brake.
         if braking:
-            traction = traction - braking if traction > PULLING else 0.0
+            pull = traction - braking / self._train_file.brake.rate_at(sample.speed)
+            traction = pull if traction > PULLING or (self._releasing and pull > PULLING) else 0.0
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
@@ -162,6 +164,7 @@ class RunCollector:
             actuator.commands.prune(now - actuator.delay_ns)
             return rate * actuator.output
         mean = rate * actuator.advance(before, now) / sample.dt
+        self._releasing = actuator.output < actuator.commands.value(now)
         self._since_release = 0.0 if actuator.output < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean
@@ -204,6 +207,13 @@ class Dataset:
     def direction(self) -> NDArray[np.int_]:
         """Direction of travel of each sample, +1 for rising positions, -1 for falling ones, shape (n,)."""
         return np.array([run.direction for run in self.runs])[self.run_of]
+
+    @property
+    def point_change(self) -> Array:
+        """Change of the force since the previous grid point, as acceleration [m/s^2], shape (m,)."""
+        force = (self.joined('traction') + self.joined('brake'))[self.point_starts]
+        change = np.abs(np.diff(force, prepend=force[0])) / self.inertia
+        return np.where(np.diff(self.point_run, prepend=-1) == 0, change, 0.0)
 
     @property
     def positioned(self) -> bool:

@@ -74,11 +74,10 @@ class Grid:
         inside = rows < counts[longest]
         index = np.where(inside, first[longest] + rows, 0)
         time, count = dataset.point_time[index], dataset.point_count[index]
-        dt, change = np.zeros((2, *index.shape))
+        dt = np.zeros(index.shape)
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         share = np.where(inside & (count > 0.0), share_of_mean(count), np.inf)
-        force = (dataset.joined('traction') + dataset.joined('brake'))[dataset.point_starts][index]
-        change[1:] = np.where(inside[1:], np.abs(force[1:] - force[:-1]) / dataset.inertia, 0.0)
+        change = np.where(inside, dataset.point_change[index], 0.0)
         edges = (*first.tolist(), dataset.point_time.size)
         return cls(edges, inside, index[inside], dt, share, change, dataset.inertia)
 

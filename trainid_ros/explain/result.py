@@ -45,12 +45,15 @@ class FoundEffect:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """RMS of simulated less measured speed on runs held out of the fit, with fitted initial speeds [m/s]."""
+    """RMS of simulated less measured speed on runs held out of the fit [m/s], each simulated from its initial speed."""
 
-    before: float  # Without the effects; a, b, c and nuisances are fitted
-    after: float  # With the effects
-    noise_floor: float  # RMS expected of a correct model, from noise, gusts, map errors and payload
-    runs_held_out: int  # Number of runs it was measured on, each simulated by a fit to other runs
+    before: float  # Of the train file read
+    after: float  # Of the train file written, with a, b, c and the effects as fitted to the other runs
+    noise_floor: float  # That a correct train file leaves: noise, gusts, payload, errors of map and sensors
+    runs_held_out: int  # Number of runs it was measured on
+    fitted_before: float  # Without the effects, all nuisances and the initial speed fitted
+    fitted_after: float  # With the effects, all nuisances and the initial speed fitted
+    evidence: float  # 2 ln of the ratio of likelihoods of the held-out runs with and without the effects [1]
 
 
 @dataclass(frozen=True, slots=True)

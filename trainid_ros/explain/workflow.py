@@ -172,11 +172,11 @@ def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, fl
 
 
 def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
-    dataset, before, after = outcome.final.dataset, outcome.before, outcome.after
+    dataset, read, after = outcome.final.dataset, outcome.read, outcome.after
     nothing = np.full(dataset.point_time.size, np.nan)
     columns = (
         dataset.average(dataset.joined('position')), dataset.average(dataset.speed),
-        nothing if before is None else before.gap, *((nothing, nothing) if after is None else (after.gap, after.std)),
+        read, *((nothing, nothing) if after is None else (after.gap, after.std)),
     )  # fmt: skip
     traces = []
     for k, run in enumerate(dataset.runs):
