@@ -110,6 +110,16 @@ def test_a_position_that_is_off_is_named_and_holds_back_nobody(metro: TrainFile,
     assert not any(event.rejection or event.brake_rejection for event in events if isinstance(event, Sample))
 
 
+def test_beside_a_position_in_feet_the_other_inputs_confirm_each_other(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    stream, change = SampleStream(StreamConfig(metro)), position(lambda x: x / 0.3048)
+    for record in day[:4500]:
+        stream.push(change(record))
+    assert 'position' in stream.finding
+    assert stream.faults.resistance.doubt == ''
+
+
 def test_spikes_of_the_force_are_named(metro: TrainFile, day: tuple[Record, ...]) -> None:
     forces = [record for record in day[:1500] if isinstance(record, ForceRecord)]
     spiked = {record.stamp_ns for record in forces[::25]}

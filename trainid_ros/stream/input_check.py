@@ -282,7 +282,9 @@ class InputCheck:
 
     def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
-        is_odd = score < -0.5 * ODD
+        # A position that is ignored costs the same in every block, odd or not.
+        blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
+        is_odd = score + blank < -0.5 * ODD
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         speed = at.speed * PRIORS[trial.row].row.speed
