@@ -86,6 +86,7 @@ def make_explanation() -> Callable[..., Explanation]:
         train_file=replace(
             STATED, resistance=Davis(1.61, 0.02, 0.0011), effects=(Effect('local_drag', DRAG.parameters, DRAG.std),)
         ),
+        davis=Davis(1.61, 0.02, 0.0011),
         davis_std=(0.12, 0.004, 0.0001),
         locations=(Location('position', 'm', parts), Location('mode', '', modes), Location('run', '', runs)),
         traces=(trace(1), trace(-1)),

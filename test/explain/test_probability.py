@@ -51,6 +51,17 @@ def test_a_pair_shares_its_probability_and_both_are_present() -> None:
     found = probabilities([NOTHING, Hypothesis(('headwind', 'mass_error'), 200.0), Hypothesis(('headwind',), 100.0)])
     assert dict(found.shares) == pytest.approx({'headwind': 0.5, 'mass_error': 0.5, NONE: 0.0}, abs=1e-6)
     assert (found.of('headwind'), found.of('mass_error'), found.of('brake_fade')) == pytest.approx((1.0, 1.0, 0.0))
+    assert [found.at_least(count) for count in range(4)] == pytest.approx([1.0, 1.0, 1.0, 0.0], abs=1e-6)
+
+
+def test_number_of_effects_and_other_causes() -> None:
+    found = probabilities([NOTHING, Hypothesis(('headwind',), 12.0), dependence(('headwind',), 30.0, 17)])
+    of_none = dict(found.shares)[NONE]
+    assert found.at_least(0) == pytest.approx(1.0)
+    assert found.at_least(1) == pytest.approx(1.0 - of_none)
+    assert found.other == pytest.approx(dict(found.shares)[OTHER])
+    assert 0.0 < found.other < 1.0
+    assert probabilities([NOTHING]).other == 0.0
 
 
 def test_the_same_set_counts_once_by_its_best_fit() -> None:

@@ -15,6 +15,7 @@ from test.explain.made_runs import TRAIN, Maker, drag
 from trainid_ros.explain.dataset import Run
 from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread
 from trainid_ros.explain.result import Explanation, Verdict
+from trainid_ros.explain.search import CERTAIN
 from trainid_ros.explain.workflow import FitSummary, distinguishing_drive, explain
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.effects import parse_effects
@@ -89,6 +90,30 @@ def test_gap_that_no_effect_fits_is_unexplained() -> None:
     assert (reported.verdict, reported.effects, reported.train_file.effects) == (Verdict.UNEXPLAINED, (), ())
     assert 'speed, and no effect of the library fits' in reported.remaining
     assert not set(not_finite(reported)) - UNKNOWN
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('permille', [0.1, 0.25, 0.5])
+def test_an_effect_is_named_if_it_is_certain(permille: float) -> None:
+    reported = explain(Maker().runs(6, 46, drag(permille)), TRAIN)
+    shares = dict(reported.probabilities)
+    missing = 1.0 - shares.get('none', 0.0) - shares.get('other', 0.0)
+    assert bool(reported.effects) == (missing >= CERTAIN)
+
+
+@pytest.mark.slow
+def test_runs_with_more_resistance_are_named() -> None:
+    """Rain on two of eight runs: no effect of the library is one of some runs."""
+    dry, wet = Maker().runs(8, 44), Maker().runs(8, 44, lambda *_: 1.5)
+    reported = explain([wet[k] if k in {2, 5} else dry[k] for k in range(8)], TRAIN)
+    assert reported.verdict is Verdict.UNEXPLAINED
+    assert 'depends on the run' in reported.remaining
+    assert 'It is that of 2 runs: 3 (+' in reported.remaining
+    assert ', 6 (+' in reported.remaining
+    # What no effect explains bends a, b, c of the fit; they are not written.
+    assert reported.train_file.resistance == TRAIN.resistance
+    assert reported.gap is not None
+    assert reported.gap.after == reported.gap.before
 
 
 def windy(_: float, v: float, direction: int) -> float:

@@ -72,10 +72,20 @@ class Probabilities:
 
     shares: tuple[tuple[str, float], ...]  # Cause and probability, largest first; they add up to one
     present: tuple[tuple[str, float], ...]  # Effect and probability that it is among the causes
+    counts: tuple[tuple[int, float], ...]  # Number of effects and its probability
 
     def of(self, name: str) -> float:
         """Return the probability that an effect is among the causes."""
         return dict(self.present).get(name, 0.0)
+
+    def at_least(self, count: int) -> float:
+        """Return the probability that so many effects or more are missing."""
+        return sum(p for number, p in self.counts if number >= count)
+
+    @property
+    def other(self) -> float:
+        """Probability that something outside the library is missing."""
+        return dict(self.shares).get(OTHER, 0.0)
 
 
 def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = ()) -> Probabilities:
@@ -87,15 +97,19 @@ def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = (
             best[key] = item
     most = max(item.weight for item in best.values())
     share, present = defaultdict[str, float](float), defaultdict[str, float](float)
+    counts = defaultdict[int, float](float)
     for item in best.values():
         p, names = math.exp(item.weight - most), {*item.names, *certain}
         causes = [OTHER] if item.is_other else sorted(names) or [NONE]
         for cause in causes:
             share[cause] += p / len(causes)
+        counts[len(item.names)] += p
         for name in names:
             present[name] += p
     total = sum(share.values())
     ordered = sorted(share.items(), key=lambda one: (-one[1], one[0]))
     return Probabilities(
-        tuple((name, p / total) for name, p in ordered), tuple((name, p / total) for name, p in present.items())
+        tuple((name, p / total) for name, p in ordered),
+        tuple((name, p / total) for name, p in present.items()),
+        tuple((count, p / total) for count, p in counts.items()),
     )

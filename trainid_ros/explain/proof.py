@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,10 +29,13 @@ from scipy.linalg import solve_triangular
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
 from trainid_ros.explain.likelihood import DAVIS, Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.probability import probabilities
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
-from trainid_ros.explain.search import GENERIC, LEFT_OVER, Selection, with_onsets
+from trainid_ros.explain.search import Selection, with_onsets
 from trainid_ros.train.train_file import TrainFile
 
+# Share of the evidence that may remain after the effects named: equations of real effects differ slightly [1].
+_LEFT_OVER: Final = 0.15
 SHOWN: Final = 6.0
 """2 ln of the ratio of likelihoods of held-out runs above which they show the effects: strong evidence (Kass, Raftery
 1995)."""
@@ -164,12 +167,23 @@ class Outcome:
     base: Model  # Model without effects, of all runs compared
     final: Model  # Model with the effects that are reported
     read: Array  # Gap of the train file read, from the initial speeds [m/s], shape (m,)
-    after: HeldOut | None  # Gaps of the train file written on runs held out; None with too few runs
-    gap: Gap | None  # The same in numbers
+    after: HeldOut | None  # Gaps with a, b, c and effects fitted on runs held out; None with too few runs
+    gap: Gap | None  # Gap of the train file read and of the one written
+
+    @property
+    def writes_davis(self) -> bool:
+        """Whether a, b, c of the fit go into the train file: if they are better, and nothing unknown bends them."""
+        is_better = self.gap is None or self.gap.after < self.gap.before
+        return self.verdict is not Verdict.UNEXPLAINED and is_better
 
 
-def assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, slipping: bool) -> Outcome:
-    """Return the verdict on the selected effects, from all runs compared with the model of a train file."""
+def assess(
+    selection: Selection, runs: Sequence[Run], train_file: TrainFile, stated: TrainFile, *, slipping: bool
+) -> Outcome:
+    """Return the verdict on the selected effects, from all runs compared with the model of a train file.
+
+    ``stated`` is the train file read, which may have effects that were found anew.
+    """
     verdict = _verdict(selection, slipping=slipping)
     # Effects that do not fit are not reported and not used.
     reported = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
@@ -177,39 +191,42 @@ def assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, 
     if len(base.dataset.runs) < len(runs):
         base = Model.of(runs, train_file)
         final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
-    read, before, after = read_gap(base), hold_out(base, hyper), hold_out(final, hyper)
+    before, after = hold_out(base, hyper), hold_out(final, hyper)
+    read = read_gap(base if stated is train_file else Model.of(runs, stated))
     bursts = float(np.mean(np.square(base.dataset.deviation))) if slipping else 0.0
     gap = gap_of(read, before, after, final, bursts)
     if gap is None or not final.terms or (gap.after < gap.before and gap.evidence > SHOWN):
+        if gap is not None and not final.terms and (verdict is Verdict.UNEXPLAINED or gap.after > gap.before):
+            gap = replace(gap, after=gap.before)  # the train file stays as it was read
         return Outcome(verdict, _remaining(selection, verdict), hyper, base, final, read, after, gap)
     # Their evidence is that of a fit: runs that it has not seen do not show the effects.
     remaining = (
         f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed on runs left '
         f'out of the fit: gap {gap.before:.3f} m/s before, {gap.after:.3f} m/s after, evidence {gap.evidence:.0f}.'
     )
-    gap = gap_of(read, before, before, base, bursts)
+    gap = replace(gap, after=gap.before, fitted_after=gap.fitted_before, evidence=0.0)
     return Outcome(Verdict.UNEXPLAINED, remaining, hyper, base, base, read, before, gap)
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
-    final, terms = selection.final, selection.final.model.terms
-    # Beyond plausible gusts, payloads, brakes and map errors; more is plausible beside effects with evidence of their
-    # own. With slip the noise is not checked, since its bursts look like gusts.
-    is_noisy = not slipping and final.excess >= (30.0 if terms else 14.0)
-    if (
-        selection.groups[0].evidence > max(GENERIC, LEFT_OVER * sum(selection.evidence))
-        or is_noisy
-        or any(term.size >= 12.0 for term in terms)  # typical amplitudes
-    ):
+    final = selection.final
+    left = max(selection.groups[0].evidence, 0.0 if slipping else final.excess)
+    is_other = _is_other(selection) and left > _LEFT_OVER * sum(selection.evidence)
+    if is_other or any(term.size >= 12.0 for term in final.model.terms):  # typical amplitudes
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
 
 
+def _is_other(selection: Selection) -> bool:
+    """Return whether something outside the library is more probable than not."""
+    return probabilities(selection.hypotheses).other > 0.5
+
+
 def _remaining(selection: Selection, verdict: Verdict) -> str:
     strongest = selection.groups[0]
-    if strongest.evidence >= GENERIC:
+    if _is_other(selection) and strongest.evidence > selection.final.excess:
         size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends slightly'
         return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
     if verdict is not Verdict.UNEXPLAINED:

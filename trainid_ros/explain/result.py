@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.explain.likelihood import Noise, Spread
     from trainid_ros.train.effects import Twin
-    from trainid_ros.train.train_file import NamedValues, TrainFile
+    from trainid_ros.train.train_file import Davis, NamedValues, TrainFile
 
     Array = NDArray[np.float64]
 
@@ -101,7 +101,8 @@ class Explanation:
     effects: tuple[FoundEffect, ...]
     gap: Gap | None  # Gap before and after; None with too few runs to hold one out
     remaining: str  # One sentence on what the rest of the gap depends on
-    train_file: TrainFile  # Train file with the effects added, and a, b, c as estimated with them
+    train_file: TrainFile  # Train file with the effects added, and a, b, c as estimated if that is better
+    davis: Davis  # a, b, c as estimated with the effects
     davis_std: tuple[float, float, float]  # Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2]
     locations: tuple[Location, ...]  # Where the gap is
     traces: tuple[RunTrace, ...]  # All runs, for plots

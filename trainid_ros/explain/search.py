@@ -30,7 +30,7 @@ from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Indice
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_cost, unit_resistance
 from trainid_ros.explain.likelihood import Bins, Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
-from trainid_ros.explain.probability import Hypothesis, dependence, noise
+from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
@@ -266,16 +266,13 @@ def _by_evidence(scores: Iterable[EffectScore]) -> list[EffectScore]:
     return sorted(scores, key=lambda score: -score.evidence)
 
 
-GENERIC: Final = 18.0
-"""2 ln of the Bayes factor of a generic dependence for the verdict that no effect fits."""
-LEFT_OVER: Final = 0.15
-"""Share of the evidence that may remain after the named effects, since equations of real effects differ slightly."""
-# The other limits of evidence are in 2 ln of the Bayes factor too.
-_NAMED: Final = 15.0  # Evidence required to add an effect
-_NAMED_IN_GAP: Final = 6.0  # The same while a generic dependence remains that exceeds GENERIC
+CERTAIN: Final = 0.8
+"""Probability above which an effect is named: a calibrated one of four fifths is wrong once in five times."""
+# Limits of evidence are in 2 ln of the Bayes factor.
 _TWIN: Final = 6.0  # Difference of evidence below which two effects are indistinguishable
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
+_CERTAIN_SCORE: Final = 18.0  # Evidence from which a dependence is fitted no further: it decides as it is
 _MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted in full
 
 
@@ -328,17 +325,22 @@ class Search:
         named, _ = self._scores(model, hyper)
         return preferred_point(model, hyper, next((s.evidence for s in named if s.name == 'map_shift'), 0.0))
 
-    def run(self) -> Selection:
-        """Return the best set of effects found."""
-        state = self.base
-        while len(state.model.terms) < _MAX_EFFECTS and (extended := self._add(state, _NAMED)) is not None:
-            state = extended
+    def run(self, *, slipping: bool) -> Selection:
+        """Return the largest set of effects, each more probable than not, that is certain; none if none is.
+
+        ``slipping`` says that wheels slip.
+        """
+        states = [self.base]
+        while len(states) <= _MAX_EFFECTS and (extended := self._add(states[-1])) is not None:
+            states.append(extended)
+        while True:
+            found = self._described(states.pop(), slipping=slipping)
+            if probabilities(found.hypotheses).at_least(len(found.final.names)) >= CERTAIN:
+                return found
+
+    def _described(self, state: State, *, slipping: bool) -> Selection:
+        """Return the selection of a set of effects, with all that was compared with it."""
         groups = self._generic(state)
-        if groups[0].evidence > GENERIC:
-            # A dependence certainly remains, so an effect that accounts for it needs less evidence of its own.
-            extended = self._add(state, _NAMED_IN_GAP) if len(state.model.terms) < _MAX_EFFECTS else None
-            if extended is not None and (rest := self._generic(extended))[0].evidence < GENERIC:
-                state, groups = extended, rest
         state = replace(state, model=with_onsets(state.model, state.hyper))
         evidence, twins = [], []
         for k, term in enumerate(state.model.terms):
@@ -346,10 +348,12 @@ class Search:
             nearest = self._best_alternative(term.name, state.model.without(k), state.hyper)
             evidence.append(own)
             twins.append((nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ())
-        hypotheses = tuple(self._hypotheses(state, evidence, groups))
+        hypotheses = tuple(self._hypotheses(state, evidence, groups, slipping=slipping))
         return Selection(self.base, state, tuple(evidence), tuple(twins), tuple(groups), hypotheses)
 
-    def _hypotheses(self, final: State, gains: Sequence[float], groups: Sequence[EffectScore]) -> Iterator[Hypothesis]:
+    def _hypotheses(
+        self, final: State, gains: Sequence[float], groups: Sequence[EffectScore], *, slipping: bool
+    ) -> Iterator[Hypothesis]:
         """Yield what was compared: sets that were fitted, those with one effect more or another, and other causes."""
         yield Hypothesis((), 0.0)
         yield from self._fitted
@@ -364,7 +368,7 @@ class Search:
             yield dependence((), evidence, len(groups_of_base))
         names, reached = final.names, self._beyond(final)
         for k, gain in enumerate(gains):
-            rest = (*names[:k], *names[k + 1 :])
+            rest = _less(names, k)
             yield Hypothesis(rest, reached - gain)
             for score in self._named(final.model.without(k), final.hyper):
                 yield Hypothesis((*rest, score.name), reached - gain + score.evidence)
@@ -374,22 +378,23 @@ class Search:
                 yield Hypothesis((*names, score.name), reached + score.evidence)
         for score in groups:
             yield dependence(names, reached + score.evidence, len(groups))
-        yield noise(names, reached + final.excess)
+        if not slipping:  # whose bursts look like gusts
+            yield noise(names, reached + final.excess)
 
-    def _add(self, state: State, threshold: float) -> State | None:
-        """Add the best effect; None if none has enough evidence or others lose theirs.
+    def _add(self, state: State) -> State | None:
+        """Add the best effect; None if none is more probable than not, or others are no longer.
 
         Hyperparameters estimated without an effect have absorbed part of it, so each candidate is judged with
         hyperparameters estimated with it.
         """
-        required, found = self._evidence(state) + threshold, []
+        found = []
         for candidate in self._candidates(state):
             self._advance(candidate.name)
             found.append(self._extend(state.model, candidate, state))
         for extended in sorted(found, key=lambda one: -self._evidence(one)):
-            if self._evidence(extended) <= required:
+            if not _is_better(extended.names, self._beyond(extended), state.names, self._beyond(state)):
                 break
-            if self._is_supported(exchanged := self._exchange(extended), threshold):
+            if self._is_supported(exchanged := self._exchange(extended)):
                 return exchanged
         return None
 
@@ -418,7 +423,7 @@ class Search:
         judged = []
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
-            if _MIN_SCORE < found < GENERIC:
+            if _MIN_SCORE < found < _CERTAIN_SCORE:
                 model = state.model.with_nuisances(self._scorer.group_columns(score.name), 0.3)  # N/kN
                 hyper, _ = model.evidence().maximise(state.logs)
                 found = max(found, hyper.evidence - state.hyper.evidence)
@@ -460,18 +465,28 @@ class Search:
                 state = self._extend(without, best, state)
         return state
 
-    def _is_supported(self, state: State, threshold: float) -> bool:
-        """Return True if every effect of the joint fit is significant, has its evidence and shows in the other runs."""
-        model = state.model
+    def _is_supported(self, state: State) -> bool:
+        """Return True if every effect of the joint fit is significant and probable, and shows in the other runs."""
+        model, reached = state.model, self._beyond(state)
         return all(
             term.significance > 2.5  # std
-            and self._gain(state, k) > threshold
+            and Hypothesis(state.names, reached).weight
+            > Hypothesis(_less(state.names, k), reached - self._gain(state, k)).weight
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))
             for k, term in enumerate(model.terms)
         )
 
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
         return next((score for score in self._named(model, hyper) if score.name != name), None)
+
+
+def _is_better(names: tuple[str, ...], evidence: float, than: tuple[str, ...], its: float) -> bool:
+    """Return whether a set of effects with an evidence is more probable than another with its evidence."""
+    return Hypothesis(names, evidence).weight > Hypothesis(than, its).weight
+
+
+def _less(names: tuple[str, ...], k: int) -> tuple[str, ...]:
+    return (*names[:k], *names[k + 1 :])
 
 
 def with_onsets(model: Model, hyper: Hyperparameters) -> Model:

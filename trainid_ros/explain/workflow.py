@@ -46,7 +46,12 @@ _MAX_SEARCHED_S: Final = 3000.0  # Maximum driving time that is searched for eff
 
 
 def explain(
-    runs: Sequence[Run], train_file: TrainFile, *, provenance: str = '', advance: Callable[[str], None] = lambda _: None
+    runs: Sequence[Run],
+    train_file: TrainFile,
+    *,
+    provenance: str = '',
+    advance: Callable[[str], None] = lambda _: None,
+    stated: TrainFile | None = None,
 ) -> Explanation:
     """Find the effects that the model of a train file lacks.
 
@@ -55,6 +60,7 @@ def explain(
         train_file: Train file with the current model.
         provenance: Origin of added effects, for the train file.
         advance: Called with the name of each step.
+        stated: Train file whose gap is stated, if not the same.
 
     Raises:
         NoAnswerError: There is too little motion.
@@ -68,13 +74,13 @@ def explain(
         compared = read_at(point, compared, train_file.train.length)
         search = Search(Model.of(_some(compared, _MAX_SEARCHED_S), train_file), advance)
     # 2. Search: the effects that the marginal likelihood calls for, and what else explains the data as well.
-    selection = search.run()
-    if (rest := without_replaced(selection.final.model.terms, train_file)) is not None:
-        return explain(runs, rest, provenance=provenance, advance=advance)
     slip = find_slip(search.base.model.dataset)
+    selection = search.run(slipping=slip is not None)
+    if (rest := without_replaced(selection.final.model.terms, train_file)) is not None:
+        return explain(runs, rest, provenance=provenance, advance=advance, stated=train_file)
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
-    outcome = assess(selection, compared, train_file, slipping=slip is not None)
+    outcome = assess(selection, compared, train_file, stated or train_file, slipping=slip is not None)
     # 4. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
@@ -84,13 +90,15 @@ def explain(
         found.append(_effect(*slip, causes, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
     davis, davis_std = _davis(outcome.final, outcome.hyper)
+    written = davis if outcome.writes_davis else train_file.resistance
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
         gap=outcome.gap,
-        remaining=outcome.remaining,
-        train_file=replace(train_file, resistance=davis, effects=merged(train_file.effects, added)),
+        remaining=outcome.remaining + _odd_runs(selection, locations),
+        train_file=replace(train_file, resistance=written, effects=merged(train_file.effects, added)),
+        davis=davis,
         davis_std=davis_std,
         locations=locations,
         traces=_traces(outcome),
@@ -109,6 +117,15 @@ def _causes(selection: Selection, outcome: Outcome, slip: EffectTerm | None) -> 
     if outcome.verdict is Verdict.UNEXPLAINED and selected:
         compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
     return probabilities(compared, () if slip is None else (slip.name,))
+
+
+def _odd_runs(selection: Selection, locations: Sequence[Location]) -> str:
+    """Return a sentence with the runs that differ by three standard deviations, if the gap depends on the run."""
+    if selection.groups[0].name != 'run':
+        return ''
+    places = [place for location in locations if location.axis == 'run' for place in location.places]
+    odd = [f'{place.label} ({place.before:+.2f} N/kN)' for place in places if abs(place.before) > 3.0 * place.std]
+    return f' It is that of {pluralise(len(odd), "run")}: {", ".join(odd)}.' if odd else ''
 
 
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
@@ -172,11 +189,12 @@ def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, fl
 
 
 def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
-    dataset, read, after = outcome.final.dataset, outcome.read, outcome.after
+    dataset, read, held = outcome.final.dataset, outcome.read, outcome.after
     nothing = np.full(dataset.point_time.size, np.nan)
     columns = (
         dataset.average(dataset.joined('position')), dataset.average(dataset.speed),
-        read, *((nothing, nothing) if after is None else (after.gap, after.std)),
+        read, nothing if held is None else held.gap if outcome.writes_davis else read,
+        nothing if held is None else held.std,
     )  # fmt: skip
     traces = []
     for k, run in enumerate(dataset.runs):

@@ -151,7 +151,7 @@ def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
 
 def davis_rows(explanation: Explanation, train_file: TrainFile) -> list[tuple[str, str, str, str]]:
     """Return a, b, c: name, train file's value, estimate with standard deviation, unit."""
-    before, after = train_file.resistance, explanation.train_file.resistance
+    before, after = train_file.resistance, explanation.davis
     return [
         (name, number(getattr(before, name)), plus_minus(getattr(after, name), std), unit)
         for name, std, unit in zip('abc', explanation.davis_std, DAVIS_UNITS, strict=True)
