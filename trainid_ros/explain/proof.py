@@ -59,8 +59,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
-    residual, base = model.columns @ neutral[:, 0], model.without_terms
-    stated = ~base
+    residual, stated = model.columns @ neutral[:, 0], ~model.without_terms
     stated[DAVIS] = True  # in a train file, unlike the nuisances
     gap, deviation, fitted = np.zeros((3, model.residual.size))
     likelihood = 0.0
@@ -68,16 +67,14 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
-        # Second moments of the errors of a, b, c and of the nuisances, without those of the effects.
-        unstated = np.where(stated, 0.0, mean)[base]
-        expected = covariance[np.ix_(base, base)] + np.outer(unstated, unstated)
+        # Second moments of the errors of a, b, c and the effects, and of the nuisances.
+        unstated = np.where(stated, 0.0, mean)
+        expected = covariance + np.outer(unstated, unstated)
         for run in fold.tolist():
             at = model.dataset.point_run == run
             columns, noise = model.nuisance_columns[at], _noise(model, hyper, at)
-            known = columns[:, base]
-            gap[at], deviation[at] = _started(
-                model, at, residual[at] - columns @ np.where(stated, mean, 0.0), noise + known @ expected @ known.T
-            )
+            left = residual[at] - columns @ np.where(stated, mean, 0.0)
+            gap[at], deviation[at] = _started(model, at, left, noise + columns @ expected @ columns.T)
             left = residual[at] - columns @ mean
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
             likelihood += _log_likelihood(model, at, left, noise + columns @ covariance @ columns.T)
