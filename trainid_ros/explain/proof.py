@@ -8,8 +8,8 @@ Davis ``a``, which is fitted anyway, so each part is given as its deviation from
 
 Proof: runs held out are simulated from their initial speed, with the train file read and with the one written, whose
 a, b, c and effects are fitted to the other runs. What a user cannot know of a run, such as payload and map errors, is
-zero in both; the gap is compared with that of a correct train file. With all nuisances as fitted to the other runs too,
-the likelihoods of the runs held out, without and with the effects, give an evidence that no fit to them has raised.
+zero in both; the gap is compared with that of a correct train file. The likelihoods of the runs held out, without and
+with the effects and with the priors of all nuisances, give an evidence that no fit to these runs has raised.
 
 The set of effects, their positions and the noise level come from all runs, but an effect that shows in the held-out run
 only gets no amplitude from the others and does not reduce the gap there. Products of whitened columns are kept by run,
@@ -48,7 +48,7 @@ class HeldOut:
     gap: Array  # With a, b, c and the effects as fitted: the train file written [m/s]
     std: Array  # Standard deviation that a correct train file leaves [m/s]
     fitted: Array  # With all nuisances as fitted [m/s]
-    likelihood: float  # 2 ln of the likelihood of the runs held out, with all nuisances as fitted
+    likelihood: float  # 2 ln of the likelihood of the runs held out, each alone, given a, b, c and the effects
 
 
 def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
@@ -59,7 +59,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
-    residual, stated = model.columns @ neutral[:, 0], ~model.without_terms
+    residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
     stated[DAVIS] = True  # in a train file, unlike the nuisances
     gap, deviation, fitted = np.zeros((3, model.residual.size))
     likelihood = 0.0
@@ -67,17 +67,18 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
-        # Second moments of the errors of a, b, c and the effects, and of the nuisances.
+        # Second moments of the errors of a, b, c and the effects, and of the nuisances; the same with their priors.
         unstated = np.where(stated, 0.0, mean)
         expected = covariance + np.outer(unstated, unstated)
+        beforehand = np.where(np.outer(stated, stated), covariance, np.where(np.outer(~stated, ~stated), prior, 0.0))
         for run in fold.tolist():
             at = model.dataset.point_run == run
             columns, noise = model.nuisance_columns[at], _noise(model, hyper, at)
             left = residual[at] - columns @ np.where(stated, mean, 0.0)
             gap[at], deviation[at] = _started(model, at, left, noise + columns @ expected @ columns.T)
+            likelihood += _log_likelihood(model, at, left, noise + columns @ beforehand @ columns.T)
             left = residual[at] - columns @ mean
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
-            likelihood += _log_likelihood(model, at, left, noise + columns @ covariance @ columns.T)
     return HeldOut(gap, deviation, fitted, likelihood)
 
 
