@@ -130,11 +130,22 @@ def test_traction_before_the_brake_is_released_counts() -> None:
         for change in changes[k]['brake_changes']:
             actuator.commands.push(change)
         mean = actuator.advance(stamp - NS_PER_S // 5, stamp) / 0.2
-        changes[k]['force_mean'] = nominal * mean + (60e3 if k > 72 else 0.0)
+        changes[k]['force_mean'] = nominal * mean + (100e3 if k > 72 else 0.0)
     (run,) = collect(samples([15.0] * 135, changes))
-    pull = specific_force(60e3, FILE.train.mass)
+    pull = specific_force(100e3, FILE.train.mass)
     assert not run.traction[:72].any()  # braking, with the sum of the forces as far negative as after it
     np.testing.assert_allclose(run.traction[73:84], pull)
+
+
+def test_a_load_that_is_not_weighed_is_no_traction() -> None:
+    """A train a fifth lighter than stated: its reported brake force lacks a fifth until the brake is released."""
+    changes: dict[int, dict[str, Any]] = {32: {'brake_changes': (APPLIED,)}, 72: {'brake_changes': (RELEASED,)}}
+    nominal = FILE.train.mass * (1.0 + FILE.train.rotary_mass)
+    for k in range(36, 76):
+        changes.setdefault(k, {})['force_mean'] = -0.8 * nominal
+    (run,) = collect(samples([15.0] * 135, changes))
+    assert run.brake[70] < -50.0
+    assert not run.traction[36:76].any()
 
 
 def test_run_starts_after_the_brake_is_released() -> None:

@@ -40,6 +40,7 @@ BRAKING: Final = -1.0
 """Brake force below this is taken as braking [N/kN]."""
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
+_UNWEIGHED: Final = 0.3  # Load that is not weighed, as a share of the mass [1]
 _MIN_SPEED: Final = 0.3  # Speed below which the brake may hold the train, so the force balance is not valid [m/s]
 
 
@@ -123,10 +124,11 @@ class RunCollector:
         traction = specific_force(sample.force_mean, mass)
         # While the brake acts, its force follows from its command, and the reported force is the sum of traction and a
         # brake of rate 1. There is traction where the sum is positive, and where a driver pulls before the brake is
-        # released; elsewhere the difference is an error of the reported brake.
+        # released. Other differences are errors of the reported brake, as by a load that is not weighed.
         if braking:
-            pull = traction - braking / self._train_file.brake.rate_at(sample.speed)
-            traction = pull if traction > PULLING or (self._releasing and pull > PULLING) else 0.0
+            nominal = braking / self._train_file.brake.rate_at(sample.speed)
+            pull, least = traction - nominal, max(PULLING, -_UNWEIGHED * nominal)
+            traction = pull if traction > PULLING or (self._releasing and pull > least) else 0.0
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
