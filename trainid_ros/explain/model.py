@@ -218,6 +218,7 @@ class Model:
         self._gap = dataset.average(dataset.gap)
         self.odometry = Odometry.of(dataset, train_file.line.stops)
         self._kept: dict[tuple[Noise, Spread], tuple[Whitening, Array]] = {}
+        self._knows_davis = False
         self._set(terms, train_file.resistance)
 
     @classmethod
@@ -232,6 +233,13 @@ class Model:
         """Return the same model with other effects, linearised about another a, b, c if given."""
         other = copy(self)
         other._set(terms, davis or self.davis)
+        return other
+
+    def with_known_davis(self) -> Model:
+        """Return the same model, but with a, b, c as in the train file."""
+        other = copy(self)
+        other._knows_davis = True
+        other._set(self.terms, self.train_file.resistance)
         return other
 
     def without(self, k: int) -> Model:
@@ -268,6 +276,8 @@ class Model:
         of_terms = [self.dataset.column(np.stack(derivatives, axis=1))] if derivatives else []
         self.nuisance_columns = np.concatenate([common, *of_terms, self._map], axis=1)
         self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
+        if self._knows_davis:
+            self.common_std[DAVIS] *= 1e-6  # not zero, which would make matrices singular
 
     def _derivative(self, term: EffectTerm, name: str, step: float) -> Array:
         """Return the derivative of an effect's resistance by one of its parameters, shape (n,)."""

@@ -9,7 +9,8 @@ Davis ``a``, which is fitted anyway, so each part is given as its deviation from
 Proof: runs held out are simulated from their initial speed, with the train file read and with the one written, whose
 a, b, c and effects are fitted to the other runs. What a user cannot know of a run, such as payload and map errors, is
 zero in both; the gap is compared with that of a correct train file. The likelihoods of the runs held out, without and
-with the effects and with the priors of all nuisances, give an evidence that no fit to these runs has raised.
+with the effects, give an evidence that no fit to these runs has raised. It is the larger of two: by the train file,
+with the priors of all nuisances, and by the fit to the other runs.
 
 The set of effects, their positions and the noise level come from all runs, but an effect that shows in the held-out run
 only gets no amplitude from the others and does not reduce the gap there. Products of whitened columns are kept by run,
@@ -27,12 +28,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
+from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import DAVIS, Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.probability import probabilities
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
 from trainid_ros.explain.search import Selection, with_onsets
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 # Share of the evidence that may remain after the effects named: equations of real effects differ slightly [1].
 _LEFT_OVER: Final = 0.15
@@ -49,6 +51,7 @@ class HeldOut:
     std: Array  # Standard deviation that a correct train file leaves [m/s]
     fitted: Array  # With all nuisances as fitted [m/s]
     likelihood: float  # 2 ln of the likelihood of the runs held out, each alone, given a, b, c and the effects
+    fitted_likelihood: float  # The same given all nuisances as fitted
 
 
 def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
@@ -62,7 +65,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
     stated[DAVIS] = True  # in a train file, unlike the nuisances
     gap, deviation, fitted = np.zeros((3, model.residual.size))
-    likelihood = 0.0
+    likelihood = fitted_likelihood = 0.0
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
@@ -79,7 +82,8 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
             likelihood += _log_likelihood(model, at, left, noise + columns @ beforehand @ columns.T)
             left = residual[at] - columns @ mean
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
-    return HeldOut(gap, deviation, fitted, likelihood)
+            fitted_likelihood += _log_likelihood(model, at, left, noise + columns @ covariance @ columns.T)
+    return HeldOut(gap, deviation, fitted, likelihood, fitted_likelihood)
 
 
 def read_gap(model: Model) -> Array:
@@ -137,7 +141,9 @@ def gap_of(read: Array, before: HeldOut | None, after: HeldOut | None, model: Mo
     squares = (np.mean(np.square(x[known])) for x in (read, after.gap, after.std, before.fitted, after.fitted))
     first, last, floor, *fitted = (float(square) for square in squares)
     without, with_effects = np.sqrt(fitted).tolist()
-    evidence = after.likelihood - before.likelihood
+    # The distances between stops are a measurement of the wheel.
+    of_file, of_fit = after.likelihood - before.likelihood, after.fitted_likelihood - before.fitted_likelihood
+    evidence = max(of_file, of_fit) + model.odometry.precision * model.odometry.excess**2 - model.odometry_cost
     return Gap(
         math.sqrt(first + bursts), math.sqrt(last), math.sqrt(floor), len(model.dataset.runs), without, with_effects,
         evidence,
@@ -164,15 +170,11 @@ class Outcome:
     hyper: Hyperparameters
     base: Model  # Model without effects, of all runs compared
     final: Model  # Model with the effects that are reported
+    terms: tuple[EffectTerm, ...]  # Effects that are written
+    davis: Davis  # a, b, c that are written
     read: Array  # Gap of the train file read, from the initial speeds [m/s], shape (m,)
-    after: HeldOut | None  # Gaps with a, b, c and effects fitted on runs held out; None with too few runs
+    after: HeldOut | None  # Gaps of the train file written on runs held out; None with too few runs
     gap: Gap | None  # Gap of the train file read and of the one written
-
-    @property
-    def writes_davis(self) -> bool:
-        """Whether a, b, c of the fit go into the train file: if they are better, and nothing unknown bends them."""
-        is_better = self.gap is None or self.gap.after < self.gap.before
-        return self.verdict is not Verdict.UNEXPLAINED and is_better
 
 
 def assess(
@@ -189,21 +191,53 @@ def assess(
     if len(base.dataset.runs) < len(runs):
         base = Model.of(runs, train_file)
         final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
-    before, after = hold_out(base, hyper), hold_out(final, hyper)
     read = read_gap(base if stated is train_file else Model.of(runs, stated))
     bursts = float(np.mean(np.square(base.dataset.deviation))) if slipping else 0.0
-    gap = gap_of(read, before, after, final, bursts)
-    if gap is None or not final.terms or (gap.after < gap.before and gap.evidence > SHOWN):
-        if gap is not None and not final.terms and (verdict is Verdict.UNEXPLAINED or gap.after > gap.before):
-            gap = replace(gap, after=gap.before)  # the train file stays as it was read
-        return Outcome(verdict, _remaining(selection, verdict), hyper, base, final, read, after, gap)
-    # Their evidence is that of a fit: runs that it has not seen do not show the effects.
-    remaining = (
-        f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed on runs left '
-        f'out of the fit: gap {gap.before:.3f} m/s before, {gap.after:.3f} m/s after, evidence {gap.evidence:.0f}.'
-    )
-    gap = replace(gap, after=gap.before, fitted_after=gap.fitted_before, evidence=0.0)
-    return Outcome(Verdict.UNEXPLAINED, remaining, hyper, base, base, read, before, gap)
+    davis = final.found_davis(final.posterior(hyper)[0])
+    written = _Written(final.terms, davis, hold_out(base, hyper), hold_out(final, hyper))
+    # a, b, c of the train file stay where they are as good, and where something unknown bends those of the fit.
+    known = _with_known_davis(base, final, hyper)
+    if verdict is Verdict.UNEXPLAINED or known.square < written.square:
+        written = known
+    gap = gap_of(read, written.before, written.after, final, bursts)
+    remaining = _remaining(selection, verdict)
+    if gap is not None and final.terms and not _is_confirmed(gap):
+        # Their evidence is that of a fit: runs that it has not seen do not show the effects.
+        remaining = (
+            f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed on runs '
+            f'left out of the fit: gap {gap.before:.3f} m/s before, {gap.after:.3f} m/s after, '
+            f'evidence {gap.evidence:.0f}.'
+        )
+        verdict, final, written = Verdict.UNEXPLAINED, base, _with_known_davis(base, base, hyper)
+        gap = gap_of(read, written.before, written.after, final, bursts)
+    return Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
+
+
+def _is_confirmed(gap: Gap) -> bool:
+    """Return whether runs held out show the effects: they are nearer and more likely with them."""
+    return (gap.after < gap.before or gap.fitted_after < gap.fitted_before) and gap.evidence > SHOWN
+
+
+class _Written(NamedTuple):
+    """What a train file could get, and the gaps on runs held out without and with the effects."""
+
+    terms: tuple[EffectTerm, ...]
+    davis: Davis
+    before: HeldOut | None
+    after: HeldOut | None
+
+    @property
+    def square(self) -> float:
+        """Mean square of the gap with the effects [(m/s)^2], 0 if unknown."""
+        return 0.0 if self.after is None else float(np.mean(np.square(self.after.gap)))
+
+
+def _with_known_davis(base: Model, final: Model, hyper: Hyperparameters) -> _Written:
+    """Return the effects as fitted with a, b, c of the train file, with the standard deviations of a free fit."""
+    known = final.with_known_davis().fit(hyper)
+    terms = (replace(one, covariance=free.covariance) for one, free in zip(known.terms, final.terms, strict=True))
+    before, after = hold_out(base.with_known_davis(), hyper), hold_out(known, hyper)
+    return _Written(tuple(terms), final.train_file.resistance, before, after)
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:

@@ -90,14 +90,13 @@ def explain(
         found.append(_effect(*slip, causes, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
     davis, davis_std = _davis(outcome.final, outcome.hyper)
-    written = davis if outcome.writes_davis else train_file.resistance
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
         gap=outcome.gap,
         remaining=outcome.remaining + _odd_runs(selection, locations),
-        train_file=replace(train_file, resistance=written, effects=merged(train_file.effects, added)),
+        train_file=replace(train_file, resistance=outcome.davis, effects=merged(train_file.effects, added)),
         davis=davis,
         davis_std=davis_std,
         locations=locations,
@@ -148,7 +147,7 @@ def _found(
     """Return the effects of the model, the most evident first."""
     model, found = outcome.final, []
     fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
-    rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
+    rows = sorted(zip(outcome.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     for term, evidence, twins in rows:
         alternatives = []
         for name in twins:
@@ -193,8 +192,7 @@ def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     nothing = np.full(dataset.point_time.size, np.nan)
     columns = (
         dataset.average(dataset.joined('position')), dataset.average(dataset.speed),
-        read, nothing if held is None else held.gap if outcome.writes_davis else read,
-        nothing if held is None else held.std,
+        read, *((nothing, nothing) if held is None else (held.gap, held.std)),
     )  # fmt: skip
     traces = []
     for k, run in enumerate(dataset.runs):
