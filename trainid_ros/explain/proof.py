@@ -201,7 +201,7 @@ def assess(
         written = known
     gap = gap_of(read, written.before, written.after, final, bursts)
     remaining = _remaining(selection, verdict)
-    if gap is not None and final.terms and not _is_confirmed(gap):
+    if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN):
         # Their evidence is that of a fit: runs that it has not seen do not show the effects.
         remaining = (
             f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed on runs '
@@ -211,11 +211,6 @@ def assess(
         verdict, final, written = Verdict.UNEXPLAINED, base, _with_known_davis(base, base, hyper)
         gap = gap_of(read, written.before, written.after, final, bursts)
     return Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
-
-
-def _is_confirmed(gap: Gap) -> bool:
-    """Return whether runs held out show the effects: they are nearer and more likely with them."""
-    return (gap.after < gap.before or gap.fitted_after < gap.fitted_before) and gap.evidence > SHOWN
 
 
 class _Written(NamedTuple):
