@@ -42,7 +42,8 @@ LAYERS = (
     ('setup',),
     ('bag', 'monitor'),
     ('inspection', 'fleet', 'ros'),
-    ('client', 'report'),
+    ('client',),
+    ('report',),
     ('cli',),
 )
 # Loaded only where needed, not by the core.

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow  # drawing takes seconds
 
 Make = Callable[..., Explanation]
 FIGURES = (
-    'Gap before and after, with the noise floor',
+    'Measured and simulated speed of the run with the largest gap',
     'Missing resistance by position',
     'Speed gap by position in both directions',
     'Missing resistance by speed, driving mode and so on',
@@ -38,15 +38,17 @@ def text(make_explanation: Make, stated: TrainFile) -> str:
     return render(make_explanation(ambiguous=True), stated)
 
 
-def test_findings_come_first_then_all_figures(text: str) -> None:
-    heads = re.findall(r'<h[23]>(.*?)</h[23]>', text)
-    assert 'ambiguous' in heads[0]
-    findings = ['Missing effects', 'Where', 'Probability of each cause', 'Evidence']
-    assert heads[1:6] == [*findings, 'Alternatives, and test runs to distinguish them']
-    assert 'local_drag 97%, gradient_error 2%' in text
-    for label in FIGURES:
-        assert text.count(f'aria-label="{label}"') == 1
-    assert text.index('Remaining gap') < text.index('<svg')
+def test_the_answer_comes_first_then_what_follows_from_it_then_the_evidence(text: str) -> None:
+    verdict, evidence = re.findall(r'<h2>(.*?)</h2>', text)
+    assert 'ambiguous' in verdict
+    assert 'local_drag (probability 97%)' in verdict
+    answers = ['What', 'Where', 'How sure', 'What next', 'Drive', 'Bags', 'Train file']
+    assert re.findall(r'<dt>(.*?)</dt>', text) == answers
+    figures = [f'aria-label="{label}"' for label in FIGURES]
+    assert all(text.count(label) == 1 for label in figures)
+    order = ['<dt>What next', figures[0], 'Other causes', 'What the new train file changes', '<h2>Evidence', figures[1]]
+    assert evidence == 'Evidence'
+    assert [text.index(part) for part in order] == sorted(text.index(part) for part in order)
 
 
 def test_page_loads_and_runs_nothing_and_text_is_escaped(text: str) -> None:
@@ -58,8 +60,11 @@ def test_page_loads_and_runs_nothing_and_text_is_escaped(text: str) -> None:
 
 def test_table_values(text: str) -> None:
     cells = re.findall(r'<td[^>]*>(.*?)</td>', text)
-    at = cells.index('local_drag')
-    assert cells[at : at + 5] == ['local_drag', 'start', 'm', '300 ± 12', '48']
+    other = cells.index('other')
+    assert cells[other : other + 4] == ['other', 'something outside the library', '&lt;1%', '240']
+    energy = cells.index('traction energy, rising positions')
+    assert cells[energy + 1] == 'kWh'
+    assert float(cells[energy + 3]) > float(cells[energy + 2]) > 0.0  # the file written states a drag
     a = cells.index('a')
     assert cells[a : a + 4] == ['a', 'N/kN', '1.5', '1.61 ± 0.12']
 
@@ -71,10 +76,9 @@ def test_figures_use_the_colours_of_the_page(text: str) -> None:
 @pytest.mark.parametrize('verdict', [Verdict.UNEXPLAINED, Verdict.NO_GAP])
 def test_without_effects(make_explanation: Make, stated: TrainFile, verdict: Verdict) -> None:
     text = render(make_explanation(verdict=verdict, effects=()), stated)
-    assert 'Missing effects' not in text
+    assert '<dd>What is left is noise.</dd>' in text
     assert '>with the effects<' not in text  # no legend for a line that would hide the other
     assert 'more resistance than modelled' in text
-    assert 'Effects added' not in text
 
 
 def test_little_data_causes_no_error(make_explanation: Make, stated: TrainFile) -> None:
@@ -89,8 +93,9 @@ def test_little_data_causes_no_error(make_explanation: Make, stated: TrainFile) 
         make_explanation(traces=(unknown,), gap=None),
     ):
         page = render(explanation, bare)
-        assert 'Remaining gap' in page
-        assert ('Speed gap along the line' in page) == any(np.isfinite(t.before).any() for t in explanation.traces)
+        assert 'What next' in page
+        known = any(np.isfinite(t.before).any() for t in explanation.traces)
+        assert ('Speed gap along the line' in page, FIGURES[0] in page) == (known, known)
         assert not re.search(r'\b1 runs', page)
         assert 'nan' not in words(page)
 

@@ -11,9 +11,17 @@ import pytest
 
 from trainid_ros.explain.result import Explanation, Gap, Verdict
 from trainid_ros.report import words
-from trainid_ros.report.words import alternatives, drive_text, gap_sentence, headline, how_sure, parameters_text
+from trainid_ros.report.words import (
+    alternatives,
+    drive_text,
+    gap_sentence,
+    headline,
+    how_sure,
+    next_steps,
+    parameters_text,
+)
 from trainid_ros.train.effects import Twin
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 Make = Callable[..., Explanation]
 
@@ -38,19 +46,25 @@ def test_enumerations() -> None:
     assert [words.join('abc'[:count]) for count in range(4)] == ['', 'a', 'a and b', 'a, b and c']
 
 
-def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
-    assert headline(make_explanation()) == 'The current model lacks local_drag.'
-    assert 'local_drag fits best, but gradient_error fits equally well' in headline(make_explanation(ambiguous=True))
-    drag, wind = make_explanation().effects[0], replace(make_explanation().effects[0], name='headwind')
-    assert headline(make_explanation(effects=(drag, wind, drag))).endswith('lacks local_drag twice and headwind.')
-    assert headline(make_explanation(effects=(drag, drag, drag))).endswith('lacks local_drag three times.')
-    both = tuple(replace(effect, twins=(Twin('gradient_error', ''),)) for effect in (drag, wind))
-    ambiguous = make_explanation(verdict=Verdict.AMBIGUOUS, effects=both)
-    assert 'local_drag and headwind fit best, but' in headline(ambiguous)
-    assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))
+def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make) -> None:
+    assert headline(make_explanation()) == 'The current model lacks local_drag (probability 97%).'
+    ambiguous = 'local_drag (probability 97%) fits best, but gradient_error (2%) fits equally well.'
+    assert headline(make_explanation(ambiguous=True)).endswith(ambiguous)
+    drag = make_explanation().effects[0]
+    wind = replace(drag, name='headwind', probability=1.0)
+    both = '(probability 97%) and headwind (>99%).'
+    assert headline(make_explanation(effects=(drag, wind, drag))).endswith(f'lacks local_drag twice {both}')
+    assert 'lacks local_drag three times (' in headline(make_explanation(effects=(drag, drag, drag)))
+    pair = tuple(replace(effect, twins=(Twin('gradient_error', ''),)) for effect in (drag, wind))
+    assert 'fit best, but gradient_error (2%) fits' in headline(
+        make_explanation(verdict=Verdict.AMBIGUOUS, effects=pair)
+    )
+    unknown = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), probabilities=(('other', 0.96),)))
+    assert unknown == 'The current model lacks something outside the library (probability 96%).'
     # Slip is reported whatever else is missing.
-    assert 'lacks local_drag, and something that no' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
-    assert 'lacks no effect' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
+    assert 'lacks local_drag (probability 97%), and some' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
+    none = headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
+    assert none == 'The data show no missing effect (probability that none is missing <1%).'
 
 
 def test_effect_is_reported_with_units_and_evidence(make_explanation: Make) -> None:
@@ -59,7 +73,7 @@ def test_effect_is_reported_with_units_and_evidence(make_explanation: Make) -> N
     # e^24 to one, and 1.5 over 0.05
     assert how_sure(effect).startswith('evidence 48: the data are more than a million times')
     assert how_sure(effect).endswith('; its amplitude is 30.0 std from zero effect')
-    assert 'are 4e+02 times' in how_sure(replace(effect, evidence=12.0))
+    assert 'are 400 times' in how_sure(replace(effect, evidence=12.0))
     unknown = replace(effect, name='snow')  # not in the library
     assert parameters_text(unknown).endswith('permille = 1.500 ± 0.050')
     assert 'std' not in how_sure(unknown)
@@ -74,13 +88,58 @@ def test_alternatives_name_the_test_run_that_distinguishes_them(make_explanation
     assert len(alternatives(twice)) == 1
 
 
+def test_what_to_do_next_follows_from_verdict_and_probabilities(make_explanation: Make) -> None:
+    assert ['Use the train file' in text for text in next_steps(make_explanation())] == [True]
+    lacks = 'The data should also contain 6 runs or more.'
+    assert next_steps(make_explanation(ambiguous=True)) == [*alternatives(make_explanation(ambiguous=True)), lacks]
+    kept = replace(make_explanation().train_file, resistance=Davis(1.0, 0.0, 0.0))  # a, b and c are not written
+    shares = (('other', 0.94), ('headwind', 0.05), ('mass_error', 0.01))
+    unexplained = make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), train_file=kept, probabilities=shares)
+    wind = 'Otherwise likeliest: headwind (5%). To see it: runs in both directions, at different speeds.'
+    assert next_steps(unexplained) == next_steps(replace(unexplained, verdict=Verdict.NO_GAP)) == [wind, lacks]
+    # What was found needs no other drive.
+    slipping = replace(unexplained, effects=(replace(make_explanation().effects[0], name='headwind'),))
+    assert 'mass_error (1%)' in next_steps(slipping)[0]
+    certain = replace(unexplained, probabilities=(('none', 1.0),))
+    assert next_steps(certain) == [lacks]
+    fitted = replace(certain, train_file=replace(kept, resistance=certain.davis))
+    assert next_steps(fitted) == ['Use the train file beside this page, with a, b and c as fitted.', lacks]
+
+
+def test_data_lack_what_would_make_an_answer_certain(make_explanation: Make, stated: TrainFile) -> None:
+    made = make_explanation(verdict=Verdict.NO_GAP, effects=(), probabilities=(), weighed=False, train_file=stated)
+    powered = replace(made.locations[1], places=made.locations[1].places[:1])
+    texts = next_steps(replace(made, locations=(powered,)))
+    assert texts == ['The data should also contain 6 runs or more, coasting and the weighed mass.']
+    enough = replace(made, traces=made.traces * 3, weighed=True)
+    assert next_steps(enough) == []
+    assert next_steps(replace(enough, traces=made.traces[:1] * 6)) == ['The data should also contain both directions.']
+
+
+def test_rejected_causes_are_compared_with_the_answer(make_explanation: Make) -> None:
+    assert words.rejected_rows(make_explanation()) == [
+        ('gradient_error', 'wrong gradient in the map', '2%', '39'),
+        ('other', 'something outside the library', '<1%', '240'),
+        ('none', 'nothing is missing', '<1%', '970'),
+    ]
+    # An alternative that fits as well is not rejected.
+    assert [row[0] for row in words.rejected_rows(make_explanation(ambiguous=True))] == ['other', 'none']
+    # What nothing explains is more likely than any effect, by a ratio that is not a number of fifteen digits.
+    tiny = make_explanation(
+        effects=(), verdict=Verdict.UNEXPLAINED, probabilities=(('other', 1.0), ('headwind', 1e-310))
+    )
+    assert words.rejected_rows(tiny) == [('headwind', 'wind along the line', '<1%', 'more than a million')]
+
+
 def test_gap_sentence(make_explanation: Make) -> None:
     text = gap_sentence(make_explanation())
-    assert all(part in text for part in ('2 runs', '0.400 m/s (rms) without', '0.050 m/s with', '0.049 m/s'))
-    assert 'above the noise' not in text
-    assert '100% above the noise' in gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 2, 0.3, 0.1, 25.0)))
-    assert 'with them' not in gap_sentence(make_explanation(effects=()))
-    assert gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 1, 0.3, 0.1, 25.0))).startswith('On 1 run, ')
+    both = 'differ by 0.400 m/s (rms) with the train file read and 0.050 m/s with the one written; a correct one'
+    assert both in text
+    assert text.endswith('would leave 0.049 m/s. The evidence of these runs for the effects is 25.')
+    assert gap_sentence(make_explanation(effects=())).endswith('would leave 0.049 m/s.')
+    same = gap_sentence(make_explanation(effects=(), gap=Gap(0.4, 0.4, 0.05, 1, 0.3, 0.3, 0.0)))
+    assert same.endswith('0.400 m/s (rms) with the train file read; a correct one would leave 0.050 m/s.')
+    assert same.startswith('On 1 run, ')
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
 
 

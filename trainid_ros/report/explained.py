@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of an explanation: the findings as text, then the figures of the gap, then the tables."""
+"""Report of an explanation: the answer and what follows from it, then the figures and tables that show it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from matplotlib.patches import Patch
 
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.report import page, words
+from trainid_ros.report.what_if import what_if_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -32,6 +33,7 @@ _TAGS: Final = {
 }
 BEFORE: Final = page.BRAKE
 AFTER: Final = page.ESTIMATE
+NOISE_BAND: Final = Patch(color=page.STAND, alpha=0.35, linewidth=0, label='±2 std of noise')
 _RUNS_ACROSS: Final = 3
 _SIGMAS: Final = 2.0
 Stretches = tuple[tuple[float, float], ...]
@@ -53,24 +55,35 @@ def render_explained(
     return page.render(
         'explained.html.j2',
         title,
-        facts=(
-            ('Bags', ', '.join(bags)),
-            ('Train file', train_file_name),
-            ('Drive', words.drive_text(explanation)),
-        ),
         status=_TAGS[explanation.verdict],
         verdict=explanation.verdict.value.replace('_', ' '),
         headline=words.headline(explanation),
         notes=notes,
-        findings=_findings(explanation),
+        facts=(
+            *((name, '\n'.join(lines)) for name, lines in _answers(explanation) if lines),
+            ('Drive', words.drive_text(explanation)),
+            ('Bags', ', '.join(bags)),
+            ('Train file', train_file_name),
+        ),
+        worst_run=worst_run(explanation),
+        consequences=(
+            page.Table(
+                'Other causes', ('', '', 'probability', 'times less likely'), words.rejected_rows(explanation), 2
+            ),
+            page.Table(
+                'What the new train file changes: fastest drive along the line without dwells; '
+                'stopping distance on the level with full service brake, bound at 95 %',
+                ('', 'unit', 'train file read', 'train file written', 'change'),
+                what_if_rows(train_file, explanation.train_file),
+                2,
+            ),
+        ),
         runs=len(explanation.traces),
-        gap=gap_bars(explanation),
         missing_along_line=missing_along_line(explanation, line, found),
         gap_along_line=gap_along_line(explanation, line, found),
         missing_by_part=missing_by_part(explanation),
         gap_of_runs=gap_of_runs(explanation),
         tables=(
-            _effects_table(explanation),
             page.Table(
                 'Running resistance w(v) = a + b v + c v²', ('', 'unit', 'train file', 'estimate ± std'), davis, 2
             ),
@@ -79,22 +92,19 @@ def render_explained(
     )
 
 
-def _findings(explanation: Explanation) -> tuple[tuple[str, list[str]], ...]:
+def _answers(explanation: Explanation) -> tuple[tuple[str, list[str]], ...]:
     sides = {'sensor': 'This is a sensor error.', 'physics': 'This is physical, not a sensor error.'}
     effects = explanation.effects
     what = [
-        f'{one.name}, {one.title}: {one.equation}, with {words.parameters_text(one)}. {sides[one.origin]}'
-        for one in effects
+        f'{one.name}, {one.title}: {words.parameters_text(one)}. {sides[one.origin]} {one.equation}' for one in effects
     ]
     where = [f'{effect.name}: {effect.where}' for effect in effects]
+    sure = [*(f'{effect.name}: {words.how_sure(effect)}' for effect in effects), words.gap_sentence(explanation)]
     return (
-        ('Missing effects', what),
+        ('What', what or [explanation.remaining]),
         ('Where', where or words.strongest(explanation)),
-        ('Probability of each cause', [words.causes_text(explanation)]),
-        ('Evidence', [f'{effect.name}: {words.how_sure(effect)}' for effect in effects]),
-        ('Alternatives, and test runs to distinguish them', words.alternatives(explanation)),
-        ('Gap before and after', [words.gap_sentence(explanation)]),
-        ('Remaining gap', [explanation.remaining]),
+        ('How sure', [*sure, explanation.remaining] if what else sure),
+        ('What next', words.next_steps(explanation)),
     )
 
 
@@ -104,35 +114,26 @@ def _stretches(explanation: Explanation) -> Stretches:
     return tuple((values['start'], values['end']) for values in given if {'start', 'end'} <= values.keys())
 
 
-def _effects_table(explanation: Explanation) -> page.Table:
-    rows = []
-    for effect in explanation.effects:
-        std = dict(effect.std)
-        for k, (name, value) in enumerate(effect.parameters):
-            title, evidence = (effect.name, f'{effect.evidence:.0f}') if k == 0 else ('', '')
-            unit = words.unit_of(effect.name, name) or words.DASH
-            rows.append((title, name, unit, words.plus_minus(value, std.get(name, 0.0)), evidence))
-    caption = 'Effects added to the model; evidence is 2 ln of the Bayes factor'
-    return page.Table(caption, ('effect', 'parameter', 'unit', 'value ± std', 'evidence'), rows, 3)
-
-
-def gap_bars(explanation: Explanation) -> str:
-    """Plot the gap before and after, with the noise floor."""
-    gap = explanation.gap
-    if gap is None:
+def worst_run(explanation: Explanation) -> str:
+    """Plot measured and simulated speed of the run with the largest gap, and the gap with the noise band."""
+    traces = _worst(explanation.traces, 1)
+    if not traces:
         return ''
-    after = [('with the effects', gap.after, AFTER)] if explanation.effects else []
-    before = ('current model', gap.before, BEFORE if explanation.effects else AFTER)
-    bars = [('noise alone', gap.noise_floor, page.STAND), *after, before]
-    names, values, colours = zip(*bars, strict=True)
-    with page.styled_figure(0.7 + 0.4 * len(bars)) as figure:
-        axes = figure.subplots()
-        drawn = axes.barh(names, values, color=colours)
-        axes.bar_label(drawn, [f'{value:.3f}' for value in values], padding=4)
-        axes.set_xlabel('RMS of simulated less measured speed on held-out runs [m/s]')
-        axes.set_xlim(0.0, 1.12 * max(values) or 1.0)
-        axes.grid(visible=False, axis='y')
-        return page.to_svg(figure, 'Gap before and after, with the noise floor')
+    ((index, trace),) = traces
+    kept = page.pick(len(trace.time))
+    with page.styled_figure(4.4) as figure:
+        speeds, gaps = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        for colour, gap in ((BEFORE, trace.before), (AFTER, trace.after)):
+            speeds.plot(trace.time[kept], (trace.speed - gap)[kept], color=colour)
+        speeds.plot(trace.time[kept], trace.speed[kept], color=page.INK, linestyle=page.DASHES)
+        speeds.set_title('Measured and simulated speed')
+        speeds.set_ylabel('speed [m/s]')
+        speeds.set_ylim(bottom=0.0)  # a train that stands is held
+        _draw_run(gaps, index, trace)
+        gaps.set_ylabel('gap [m/s]')
+        measured = Line2D([], [], color=page.INK, linestyle=page.DASHES, label='measured')
+        page.legend_above(figure, [measured, *file_lines(explanation), NOISE_BAND])
+        return page.to_svg(figure, 'Measured and simulated speed of the run with the largest gap')
 
 
 def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
@@ -158,15 +159,26 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
         room = 0.01 * (high - low) + 1.0
         panels[-1].set_xlim(low - room, high + room)
         panels[-1].set_xlabel('position [m], dotted: stops')
-        page.legend_above(figure, [*model_lines(explanation), *line_handles(line, found)])
+        page.legend_above(figure, [*file_lines(explanation), *line_handles(line, found)])
         return page.to_svg(figure, 'Speed gap by position in both directions')
 
 
+def file_lines(explanation: Explanation) -> list[Line2D]:
+    """Return the legend entries of the gaps by both train files; they are one line if nothing was changed."""
+    gap, read = explanation.gap, (BEFORE, 'train file read')
+    if gap is not None and gap.after == gap.before:
+        return _lines([(AFTER, 'train file read and written')])
+    return _lines([read, (AFTER, 'train file written')] if gap else [read])
+
+
 def model_lines(explanation: Explanation) -> list[Line2D]:
-    """Return the legend entries of the lines before and after; without an effect they are one line."""
-    both = ((BEFORE, 'current model'), (AFTER, 'with the effects'))
-    lines = both if explanation.effects else ((AFTER, 'current model'),)
-    return [Line2D([], [], color=colour, label=label, linewidth=1.5) for colour, label in lines]
+    """Return the legend entries of what a model lacks before and after; without an effect they are one line."""
+    both = ((BEFORE, 'without the effects'), (AFTER, 'with the effects'))
+    return _lines(both if explanation.effects else ((AFTER, 'a, b and c fitted'),))
+
+
+def _lines(named: Iterable[tuple[str, str]]) -> list[Line2D]:
+    return [Line2D([], [], color=colour, label=label, linewidth=1.5) for colour, label in named]
 
 
 def line_handles(line: Line, found: Stretches) -> list[Patch]:
@@ -196,20 +208,18 @@ def draw_place(axes: Axes, line: Line, found: Stretches) -> None:
 
 def gap_of_runs(explanation: Explanation) -> str:
     """Plot speed gaps by time with the noise band, for the runs with the largest gaps."""
-    traces = _worst(explanation.traces)
+    traces = _worst(explanation.traces, 12)
     if not traces:
         return ''
     with page.styled_figure(0.7 + 1.75 * math.ceil(len(traces) / _RUNS_ACROSS)) as figure:
         panels = _grid(figure, len(traces), _RUNS_ACROSS, sharey=True)
         for axes, (index, trace) in zip(panels, traces, strict=False):
-            way = f'{trace.position[0] / 1000.0:.1f} → {trace.position[-1] / 1000.0:.1f} km'
-            _draw_run(axes, trace, f'run {index + 1}, {way}')
+            _draw_run(axes, index, trace)
         for axes in panels[::_RUNS_ACROSS]:
             axes.set_ylabel('gap [m/s]')
         shown = [part for _, trace in traces for part in (trace.before, trace.after, 2.0 * trace.band)]
         page.limit(panels[0], shown)
-        noise = Patch(color=page.STAND, alpha=0.35, linewidth=0, label='±2 std of noise')
-        page.legend_above(figure, [*model_lines(explanation), noise])
+        page.legend_above(figure, [*file_lines(explanation), NOISE_BAND])
         return page.to_svg(figure, 'Speed gap of single runs by time')
 
 
@@ -226,21 +236,22 @@ def _has_gap(trace: RunTrace) -> bool:
     return bool(trace.time.size and np.isfinite(trace.before).any())
 
 
-def _worst(traces: Sequence[RunTrace]) -> list[tuple[int, RunTrace]]:
-    """Return the runs with the largest gaps, in the order in which they were driven."""
+def _worst(traces: Sequence[RunTrace], count: int) -> list[tuple[int, RunTrace]]:
+    """Return a number of runs with the largest gaps, in the order in which they were driven."""
     seen = [(k, trace) for k, trace in enumerate(traces) if _has_gap(trace)]
     sizes = {k: float(np.sqrt(np.nanmean(np.square(trace.before)))) for k, trace in seen}
-    chosen = sorted(sizes, key=lambda k: -sizes[k])[:12]
+    chosen = sorted(sizes, key=lambda k: -sizes[k])[:count]
     return [(k, trace) for k, trace in seen if k in chosen]
 
 
-def _draw_run(axes: Axes, trace: RunTrace, title: str) -> None:
+def _draw_run(axes: Axes, index: int, trace: RunTrace) -> None:
     kept = page.pick(len(trace.time))
     time, band = trace.time[kept], 2.0 * trace.band[kept]
     axes.fill_between(time, -band, band, color=page.STAND, alpha=0.35, linewidth=0)
     axes.plot(time, trace.before[kept], color=BEFORE)
     axes.plot(time, trace.after[kept], color=AFTER)
-    axes.set_title(title, fontsize=9, fontweight='normal')
+    way = f'{trace.position[0] / 1000.0:.1f} → {trace.position[-1] / 1000.0:.1f} km'
+    axes.set_title(f'Gap of run {index + 1}, {way}', fontsize=9, fontweight='normal')
     axes.set_xlabel('time since departure [s]')
 
 

@@ -17,6 +17,10 @@ from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import TrainFile
 
 DASH: Final = '–'
+# Causes that are no effects, as in ``explain.probability``.
+_CAUSES: Final = {'none': 'nothing is missing', 'other': 'something outside the library'}
+_MIN_RUNS: Final = 6  # Runs from which on effects of usual size are mostly found, see docs/explain.md
+_REJECTED: Final = 6  # Rejected causes shown at most
 DAVIS_UNITS: Final = tuple(quantities(ResistanceEstimate)[name].unit.replace('^2', '²') for name in 'abc')
 
 
@@ -26,22 +30,35 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def headline(explanation: Explanation) -> str:
-    """Return the outcome in one sentence."""
+    """Return the outcome in one sentence, with probabilities."""
     times = {1: '', 2: ' twice', 3: ' three times'}
-    counts = Counter(effect.name for effect in explanation.effects)
-    names = join([f'{name}{times.get(n, f" {n} times")}' for name, n in counts.items()])
+    counts, shares = Counter(effect.name for effect in explanation.effects), dict(explanation.probabilities)
+    chances = {effect.name: effect.probability for effect in explanation.effects}
+    listed = [f'{name}{times.get(n, f" {n} times")} ({percent(chances[name])})' for name, n in counts.items()]
+    names = join(listed).replace('(', '(probability ', 1)
+    none, other = (percent(shares.get(name, 0.0)) for name in ('none', 'other'))
     match explanation.verdict:
         case Verdict.EXPLAINED:
             return f'The current model lacks {names}.'
         case Verdict.AMBIGUOUS:
-            twins = [*dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)]
+            twins = [f'{name} ({percent(shares.get(name, 0.0))})' for name in _twins(explanation)]
             best, also = ('fits' if len(found) == 1 else 'fit' for found in (explanation.effects, twins))
             return f'The current model lacks an effect: {names} {best} best, but {join(twins)} {also} equally well.'
         case Verdict.UNEXPLAINED:
             named = f'{names}, and ' if names else ''
-            return f'The current model lacks {named}something that no effect of the library fits.'
+            return f'The current model lacks {named}something outside the library (probability {other}).'
         case Verdict.NO_GAP:
-            return 'The current model lacks no effect detectable in the data, once a, b and c are fitted.'
+            return f'The data show no missing effect (probability that none is missing {none}).'
+
+
+def percent(p: float) -> str:
+    """Return a probability as text that states no certainty."""
+    return '>99%' if p > 0.995 else '<1%' if p < 0.005 else f'{p:.0%}'
+
+
+def _twins(explanation: Explanation) -> list[str]:
+    """Return the names of all alternatives."""
+    return [*dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)]
 
 
 def join(words: Sequence[str]) -> str:
@@ -72,17 +89,15 @@ def parameters_text(effect: FoundEffect) -> str:
 
 def causes_text(explanation: Explanation) -> str:
     """Return the probabilities of causes as text, those of less than one per cent together."""
-    words = {'none': 'nothing is missing', 'other': 'something outside the library'}
     shown = [(name, p) for name, p in explanation.probabilities if p >= 0.01]
     rest = 1.0 - sum(p for _, p in shown)
-    texts = [f'{words.get(name, name)} {p:.0%}' for name, p in shown]
+    texts = [f'{_CAUSES.get(name, name)} {p:.0%}' for name, p in shown]
     return ', '.join([*texts, *([f'all else {rest:.0%}'] if rest >= 0.01 else [])])
 
 
 def how_sure(effect: FoundEffect) -> str:
     """Return the evidence for an effect as text."""
-    digits = effect.evidence / (2.0 * math.log(10.0))
-    odds = 'more than a million' if digits > 6.0 else f'{10.0**digits:.2g}'
+    odds = _times(math.exp(min(0.5 * effect.evidence, 20.0)))  # more than a million from 14 on
     text = f'evidence {effect.evidence:.0f}: the data are {odds} times as likely with it as without'
     kind, std = EFFECTS.get(effect.name), dict(effect.std)
     if kind is None or kind.amplitude not in dict(effect.parameters) or not std.get(kind.amplitude, 0.0) > 0.0:
@@ -92,19 +107,59 @@ def how_sure(effect: FoundEffect) -> str:
 
 
 def gap_sentence(explanation: Explanation) -> str:
-    """Return the gap before and after, and the noise floor, as text."""
+    """Return the gap by the train files read and written, and the noise floor, as text."""
     gap = explanation.gap
     if gap is None:
         return 'There are too few runs to hold one out, so the gap cannot be measured.'
-    held_out = f'{pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
-    head = f'On {held_out}, simulated and measured speed '
-    noise = f'the estimated noise alone would leave {gap.noise_floor:.3f} m/s'
-    if not explanation.effects:
-        return f'{head}differ by {gap.before:.3f} m/s (rms); {noise}.'
-    text = f'{head}differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; {noise}.'
-    if gap.noise_floor > 0.0 and gap.after > 1.1 * gap.noise_floor:
-        text += f' The rest is {gap.after / gap.noise_floor - 1.0:.0%} above the noise.'
-    return text
+    written = '' if gap.after == gap.before else f' and {gap.after:.3f} m/s with the one written'
+    proof = f' The evidence of these runs for the effects is {gap.evidence:.0f}.' if explanation.effects else ''
+    return (
+        f'On {pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it, simulated and measured '
+        f'speed differ by {gap.before:.3f} m/s (rms) with the train file read{written}; a correct one would leave '
+        f'{gap.noise_floor:.3f} m/s.{proof}'
+    )
+
+
+def next_steps(explanation: Explanation) -> list[str]:
+    """Return as sentences what to do next: the drive that would tell, and what the data lack."""
+    if explanation.verdict is Verdict.EXPLAINED:
+        return ['Use the train file beside this page, and explain further drives with it: they should show no gap.']
+    steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
+    if not found and explanation.train_file.resistance == explanation.davis:
+        steps.append('Use the train file beside this page, with a, b and c as fitted.')
+    if explanation.verdict is not Verdict.AMBIGUOUS:
+        others = [(name, p) for name, p in explanation.probabilities if name in EFFECTS and name not in found]
+        steps += [f'Otherwise likeliest: {x} ({percent(p)}). To see it: {EFFECTS[x].needs}.' for x, p in others[:1]]
+    return [*steps, *_lacking(explanation)]
+
+
+def _lacking(explanation: Explanation) -> list[str]:
+    """Return as a sentence what data of this kind should contain but do not; none if they are complete."""
+    traces = explanation.traces
+    modes = {place.label for location in explanation.locations if location.axis == 'mode' for place in location.places}
+    absent = (
+        (len(traces) < _MIN_RUNS, f'{_MIN_RUNS} runs or more'),
+        (len({trace.direction for trace in traces}) < 2, 'both directions'),
+        (bool(modes) and 'coasting' not in modes, 'coasting'),
+        (not explanation.weighed, 'the weighed mass'),
+    )
+    texts = [text for is_absent, text in absent if is_absent]
+    return [f'The data should also contain {join(texts)}.'] if texts else []
+
+
+def rejected_rows(explanation: Explanation) -> list[tuple[str, str, str, str]]:
+    """Return the likeliest causes beside the answer: name, meaning, probability, ratio of the answer's to it."""
+    answers = {effect.name for effect in explanation.effects}.union(_twins(explanation))
+    answers |= {Verdict.UNEXPLAINED: {'other'}, Verdict.NO_GAP: {'none'}}.get(explanation.verdict, set())
+    best = max((p for name, p in explanation.probabilities if name in answers), default=0.0)
+    rejected = [(name, p) for name, p in explanation.probabilities if name not in answers and p > 0.0]
+    titles = {**{name: kind.title for name, kind in EFFECTS.items()}, **_CAUSES}
+    return [(name, titles.get(name, DASH), percent(p), _times(best / p)) for name, p in rejected[:_REJECTED]]
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio of probabilities with two significant digits."""
+    return 'more than a million' if ratio > 1e6 else f'{float(f"{ratio:.2g}"):g}'
 
 
 def alternatives(explanation: Explanation) -> list[str]:
