@@ -141,6 +141,8 @@ def test_gap_sentence(make_explanation: Make) -> None:
     assert same.endswith('0.400 m/s (rms) with the train file read; a correct one would leave 0.050 m/s.')
     assert same.startswith('On 1 run, ')
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
+    noisy = make_explanation(gap=Gap(0.4, 0.4, 0.5, 8, 0.3, 0.3, 0.0), verdict=Verdict.UNEXPLAINED, effects=())
+    assert gap_sentence(noisy).endswith('more than the gap, so these data cannot tell what is missing.')
 
 
 def test_parts_with_most_missing_resistance_and_table_rows(make_explanation: Make, stated: TrainFile) -> None:

@@ -111,8 +111,11 @@ def gap_sentence(explanation: Explanation) -> str:
     gap = explanation.gap
     if gap is None:
         return 'There are too few runs to hold one out, so the gap cannot be measured.'
-    written = '' if gap.after == gap.before else f' and {gap.after:.3f} m/s with the one written'
+    is_same = math.isclose(gap.after, gap.before, rel_tol=1e-6)  # nothing was written
+    written = '' if is_same else f' and {gap.after:.3f} m/s with the one written'
     proof = f' The evidence of these runs for the effects is {gap.evidence:.0f}.' if explanation.effects else ''
+    if explanation.verdict is Verdict.UNEXPLAINED and gap.noise_floor > gap.before:
+        proof = ' That is more than the gap, so these data cannot tell what is missing.'
     return (
         f'On {pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it, simulated and measured '
         f'speed differ by {gap.before:.3f} m/s (rms) with the train file read{written}; a correct one would leave '
