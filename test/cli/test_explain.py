@@ -26,7 +26,7 @@ from trainid_ros.explain.likelihood import DAVIS
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.result import Explanation, Gap, Verdict
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.records import GradientRecord
+from trainid_ros.interface.records import BrakeRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.effects import parse_effects
@@ -36,7 +36,7 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 Make = Callable[..., Explanation]
 BAGS = Path(__file__).parents[2] / 'bags'
 ALTRIOS = BAGS / 'altrios_manifest'  # a freight run of another simulator
-KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at', 'probabilities'}
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'error', 'gradient_read_at', 'probabilities'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'probability', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out', 'fitted', 'evidence'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
@@ -58,6 +58,7 @@ def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
     expected = {'before': 0.4, 'after': 0.05, 'noise_floor': 0.049, 'runs_held_out': 2, 'evidence': 25.0}
     fitted = {'before': 0.3, 'after': 0.04}
     assert answer['gap'] == {'metric': 'rms speed', 'unit': 'm/s', 'fitted': fitted, **expected}
+    assert answer['error'] is None
     json.dumps(answer, allow_nan=False)
 
 
@@ -71,7 +72,7 @@ def test_verdicts_have_the_agreed_names_and_unknown_values_are_null(make_explana
     assert to_json(make_explanation(gap=Gap(float('nan'), 0.1, 0.1, 3, 0.1, 0.1, 0.0)))['gap']['before'] is None
     nothing = to_json(None, 'too little')
     assert set(nothing) == KEYS
-    assert (nothing['verdict'], nothing['effects'], nothing['remaining']) == (None, [], 'too little')
+    assert (nothing['verdict'], nothing['effects'], nothing['error']) == (None, [], 'too little')
 
 
 def test_text_shows_effects_evidence_and_gap(make_explanation: Make, stated: TrainFile) -> None:
@@ -138,6 +139,30 @@ def test_without_runs_there_is_no_answer(tmp_path: Path, driven_bag: Path, capsy
     out, err = capsys.readouterr()
     assert json.loads(out)['verdict'] is None
     assert ('short: ' in err, err.count('\n')) == (True, 1)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'field', 'factor', 'said'),
+    [
+        (SpeedRecord, 'speed', 3.6, 'ato/speed is in km/h'),
+        (BrakeRecord, 'target_acceleration', -1.0, 'ato/brake_command has the wrong sign'),
+    ],
+)
+def test_inputs_that_contradict_each_other_are_the_answer(
+    tmp_path: Path, driven_bag: Path, changed: Change, capsys: pytest.CaptureFixture[str], kind: type[Record],
+    field: str, factor: float, said: str,
+) -> None:  # fmt: skip
+    wrong = changed(lambda r: replace(r, **{field: factor * getattr(r, field)}) if isinstance(r, kind) else r)
+    options = ('--json', '--out', str(tmp_path / 'out'))
+    assert call(driven_bag, wrong, train=driven_bag / 'train.yaml', options=options) == 1
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert set(answer) == KEYS
+    assert (answer['verdict'], answer['effects'], answer['gap']['before']) == (None, [], None)
+    assert answer['error'].startswith(f'{wrong}: inputs contradict each other')
+    assert said in answer['error']
+    assert err == f'trainid: error: {answer["error"]}\n'
+    assert not (tmp_path / 'out').exists()
 
 
 Stub = Callable[[Callable[[], Explanation]], None]

@@ -22,6 +22,16 @@ def test_each_row_names_what_it_condemns_and_corrects_something(row: Row) -> Non
     assert factors != {1.0} or row.late or row.ignores or row.unusual or row.wheel_std != TABLE[0].wheel_std
 
 
+def test_what_an_effect_or_another_train_can_look_like_is_not_misread() -> None:
+    misread = {row.sentence for row in TABLE if row.misread}
+    assert all(row.misread for row in TABLE if ' is in ' in row.sentence or 'wrong sign' in row.sentence)
+    assert {'ato/speed is stuck or follows nothing', 'ato/speed and its position are stuck'} <= misread
+    for row in TABLE:
+        if row.unusual or row.late is not None or row.wheel_std != TABLE[0].wheel_std:
+            assert row.sentence not in misread
+    assert not any('line.gradient' in text or 'too large' in text or 'too small' in text for text in misread)
+
+
 def test_no_two_rows_are_the_same() -> None:
     assert len(set(TABLE)) == len(TABLE)
 

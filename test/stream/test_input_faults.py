@@ -79,6 +79,27 @@ def test_a_contradiction_from_the_first_message_is_named(
     assert next(when for when, finding in found if text in finding) <= within_s
 
 
+@pytest.mark.parametrize(
+    ('change', 'text'),
+    [
+        (speed(3.6), 'ato/speed is in km/h'),
+        (force(-1.0), 'ato/force has the wrong sign'),
+        (force(1e3), 'ato/mass, or ato/force in traction, is off'),  # by more than any load
+        (force(0.8), ''),
+        (speed(1.05), ''),
+        (position(lambda _: 1500.0), ''),
+    ],
+)
+def test_what_an_effect_can_look_like_is_found_but_not_misread(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, text: str
+) -> None:
+    stream = SampleStream(StreamConfig(metro))
+    for record in day[:2500]:
+        stream.push(change(record))
+    assert stream.finding
+    assert (text in stream.faults.misread) if text else stream.faults.misread == ''
+
+
 def second_publisher(records: Iterable[Record]) -> list[Record]:
     """Return records with a second publisher of the brake command."""
     mixed: list[Record] = []
@@ -97,6 +118,7 @@ def test_a_second_publisher_of_the_brake_command_is_named_and_holds_back_the_bra
     events = [event for record in second_publisher(day[:1500]) for event in stream.push(record)]
     samples = [event for event in events if isinstance(event, Sample)]
     assert 'two publishers' in stream.finding
+    assert 'two publishers' in stream.faults.misread
     assert samples[-1].rejection is None
     assert samples[-1].brake_rejection is not None
     assert stream.faults.resistance.finding == stream.faults.resistance.doubt == ''

@@ -94,6 +94,9 @@ def test_a_load_that_is_not_weighed_any_more_is_named_until_it_is() -> None:
     check = MassCheck()
     check.add(190e3, 200e3, is_overdue=True)
     assert check.finding == 'ato/mass is missing since the last stop: the load may have changed'
+    assert check.misread == ''  # it was right before
+    check.add(190.0, 200e3, is_overdue=True)
+    assert check.misread == 'ato/mass is 190, the train file says 200000 kg: it looks like tonnes'
     check.add(190e3, 200e3, is_overdue=False)
     assert check.finding == ''
 

@@ -34,7 +34,7 @@ _NAMED_BAGS: Final = 3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain the gap between bags and train file; NoAnswerError if the bags hold too little motion."""
+    """Explain the gap between bags and train file; NoAnswerError with too little motion, or wrong units or signs."""
     train_file = load_train_file(args.train)
     notes: list[str] = []
 
@@ -43,7 +43,12 @@ def run(args: argparse.Namespace) -> int:
         notes.append(f'Warning: {line}')
 
     with _outputs(args.out, args.train):
-        explanation = _explain(args, train_file, note)
+        try:
+            explanation = _explain(args, train_file, note)
+        except NoAnswerError as error:
+            if args.json:
+                print_json(to_json(None, str(error)))
+            raise
         if args.out is not None:
             # Written before printing, which a closed pipe may interrupt.
             write_all(args.out, explanation, train_file, str(args.train), args.bags, tuple(notes))
@@ -77,8 +82,6 @@ def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[st
     try:
         return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
-        if args.json:
-            print_json(to_json(None, str(error)))
         raise NoAnswerError(f'{name}: {error}') from None
 
 
@@ -162,6 +165,7 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
                 'evidence': gap and gap.evidence,
             },
             'remaining': e.remaining if e else reason,
+            'error': None if e else reason,
             'gradient_read_at': e and e.gradient_point,
         }
     )

@@ -87,6 +87,7 @@ class Row:
     unusual: tuple[tuple[int, float, float], ...] = ()  # Places, means and standard deviations instead of the usual
     wheel_std: float = WHEEL.std  # Standard deviation of the wheel instead of the usual [1]
     asks: float = 0.0  # Evidence asked for beforehand, for a row that explains much [nats]
+    misread: bool = False  # True for a unit, a sign or a stuck speed: no train and no train file looks like it
 
     @property
     def holds_resistance(self) -> bool:
@@ -129,7 +130,7 @@ def _only(*inputs: Input) -> frozenset[Input]:
 
 
 def _nothing(sentence: str, *inputs: Input, asks: float = _FOLLOWS_NOTHING) -> Row:
-    return Row(sentence, _only(*inputs), ignores=_only(*inputs), asks=asks)
+    return Row(sentence, _only(*inputs), ignores=_only(*inputs), asks=asks, misread=Input.SPEED in inputs)
 
 
 _FOLLOWS: Final = 'the train follows {gain:.2g} times it'
@@ -137,19 +138,19 @@ _WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows 
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
-    Row('the position in ato/speed is twice what it should be', _only(Input.POSITION), position=0.5),
-    Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / KM_H),
-    Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH),
-    Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0),
+    Row('the position in ato/speed is twice what it should be', _only(Input.POSITION), position=0.5, misread=True),
+    Row('ato/speed is in km/h', _only(Input.SPEED), speed=1.0 / KM_H, misread=True),
+    Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH, misread=True),
+    Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0, misread=True),
     Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
     _nothing('ato/speed is stuck or follows nothing', Input.SPEED, asks=_SLIDES),
     _nothing('ato/speed and its position are stuck', Input.SPEED, Input.POSITION),
     _nothing('the position in ato/speed follows nothing', Input.POSITION),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
-    Row('ato/force is in kN', _only(Input.FORCE), force=1e3),
-    Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF),
-    Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0),
+    Row('ato/force is in kN', _only(Input.FORCE), force=1e3, misread=True),
+    Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF, misread=True),
+    Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0, misread=True),
     Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
     Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=1.35, unusual=((GAIN, 1.0, 0.1),)),
     Row(f'ato/force is too large: {_FOLLOWS}', _only(Input.FORCE), force=0.5, unusual=((GAIN, 1.0, 0.2),)),
@@ -164,7 +165,7 @@ TABLE: Final[tuple[Row, ...]] = (
     *_late(Input.FORCE, 'ato/force is late', _LATE_S),
     *_late(Input.SPEED, 'ato/speed is late', _LATE_S),
     *_late(Input.FORCE, 'ato/force is early', _LATE_S[:3], early=True),
-    Row('ato/brake_command is in g', _only(Input.COMMAND), command=G),
+    Row('ato/brake_command is in g', _only(Input.COMMAND), command=G, misread=True),
     Row('ato/brake_command is too small by 2', _only(Input.COMMAND), command=2.0),
     Row('ato/brake_command is too small by 4', _only(Input.COMMAND), command=4.0),
     Row('ato/brake_command is too large by 2', _only(Input.COMMAND), command=0.5),
@@ -172,8 +173,8 @@ TABLE: Final[tuple[Row, ...]] = (
     _nothing('ato/brake_command is stuck or follows nothing', Input.COMMAND),
     *_late(Input.COMMAND, 'ato/brake_command is late', _LATE_S[1:]),
     *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[2:]),
-    Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0),
-    Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0),
+    Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0, misread=True),
+    Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0, misread=True),
     _nothing('ato/gradient does not fit line.gradient of the train file', Input.GRADIENT, asks=0.0),
 )
 """All hypotheses; the first one is that all is well."""

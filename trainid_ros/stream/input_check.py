@@ -151,6 +151,11 @@ class InputCheck:
         return ''
 
     @property
+    def gain(self) -> float:
+        """Traction over what force and mass give [1]."""
+        return PRIORS[self._accepted.row].row.force * self._accepted.x[GAIN]
+
+    @property
     def is_speed_odd(self) -> bool:
         """True while the wheels seem to slip or slide, and for twice as long after it."""
         return self._accepted.odd_s > 0.0

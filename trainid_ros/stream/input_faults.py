@@ -24,6 +24,7 @@ from trainid_ros.stream.input_blocks import MIN_SPEED, MOVING
 from trainid_ros.stream.input_check import InputCheck
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import (
+    MAX_MASS,
     CommandCheck,
     ExcursionCheck,
     MassCheck,
@@ -151,6 +152,13 @@ class InputFaults:
         verdict = self.check.verdict
         is_of_brake = Input.BRAKE in TABLE[verdict.row].condemns
         return verdict.finding if is_of_brake else self.shape.warning(self._max_speed)
+
+    @property
+    def misread(self) -> str:
+        """Which input has a wrong unit or sign, is stuck, or has two publishers, empty if none: no train does that."""
+        verdict, stuck = self.check.verdict, 'ato/speed is stuck' if self._repeats.is_stuck else ''
+        is_misread = TABLE[verdict.row].misread or not 1.0 / MAX_MASS < self.check.gain < MAX_MASS
+        return self._mass.misread or self._commands.finding or (verdict.finding if is_misread else stuck)
 
     def take(self, sample: Sample) -> None:
         """Take in a sample; set why estimators must not use it."""

@@ -111,22 +111,28 @@ class CommandCheck(MessageCheck):
             self.finding = ''
 
 
-# Largest plausible ratio of weighed to stated mass (full over empty wagon); the smallest is its reciprocal [1].
-_MAX_MASS: Final = 5.0
+MAX_MASS: Final = 5.0
+"""Largest plausible ratio of weighed to stated mass (full over empty wagon); the smallest is its reciprocal [1]."""
 _TONNE: Final = 1000.0
+_OVERDUE: Final = 'ato/mass is missing since the last stop: the load may have changed'
 
 
 @dataclass(slots=True)
 class MassCheck(MessageCheck):
     """Weighed mass against that of the train file, and whether the present load was weighed."""
 
+    @property
+    def misread(self) -> str:
+        """What is wrong with the mass that was weighed, empty if nothing is."""
+        return '' if self.finding == _OVERDUE else self.finding
+
     def add(self, mass: float, stated: float, *, is_overdue: bool) -> None:
         """Compare the weighed mass, NaN if there is none, with that of the train file [kg]."""
         ratio = mass / stated if is_finite(mass) else 1.0
-        if 1.0 / _MAX_MASS <= ratio <= _MAX_MASS:
-            self.finding = 'ato/mass is missing since the last stop: the load may have changed' if is_overdue else ''
+        if 1.0 / MAX_MASS <= ratio <= MAX_MASS:
+            self.finding = _OVERDUE if is_overdue else ''
             return
-        in_tonnes = 1.0 / _MAX_MASS < ratio * _TONNE < _MAX_MASS
+        in_tonnes = 1.0 / MAX_MASS < ratio * _TONNE < MAX_MASS
         unit = ': it looks like tonnes' if in_tonnes else ''
         self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
