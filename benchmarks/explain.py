@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The discrepancy workflow on hidden cases of two generators: which effects are found, and how often it is wrong.
+"""The discrepancy workflow on hidden cases of three generators: which effects are found, and how often it is wrong.
 
 The workflow gets the bags and the assumed train file; only the scoring reads the truth.
 """
@@ -13,12 +13,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from types import ModuleType
 from typing import Final, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import hidden_cases, hidden_cases_b
+from benchmarks import hidden_cases, hidden_cases_b, hidden_cases_c
 from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
@@ -31,8 +32,8 @@ from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import NamedValues, TrainFile, parse_train_file
 
 Outcomes = Sequence['Outcome']
-Generator = Literal['A', 'B']
-GENERATORS: Final[tuple[Generator, ...]] = ('A', 'B')
+Generator = Literal['A', 'B', 'C']
+GENERATORS: Final[Mapping[Generator, ModuleType]] = {'A': hidden_cases, 'B': hidden_cases_b, 'C': hidden_cases_c}
 CRASHED: Final = 'crashed'
 """Verdict of a case on which the workflow raised an exception."""
 VISIBLE: Final = 20.0
@@ -43,7 +44,7 @@ _Z95: Final = 1.959964
 _WITHOUT_NAME: Final = frozenset({'no_gap', 'unexplained', CRASHED})
 _SLIP: Final = 'wheel_slip'
 _SEED: Final = 7001
-_CASES_PER_SEED: Final[Mapping[Generator, float]] = {'A': 5.0, 'B': 2.5}
+_CASES_PER_SEED: Final[Mapping[Generator, float]] = {'A': 5.0, 'B': 2.5, 'C': 2.5}
 _JOBS: Final = 2
 _SLACK: Final = 1.1
 _EDGES: Final = (0.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float('inf'))
@@ -60,13 +61,13 @@ class Spec:
 
 
 def draw_specs(generator: Generator, seed: int, count: int) -> tuple[Spec, ...]:
-    draw = hidden_cases.draw_cases if generator == 'A' else hidden_cases_b.draw_cases
-    return tuple(Spec(generator, name, of_case) for name, of_case in draw(seed, count))
+    drawn = GENERATORS[generator].draw_cases(seed, count)
+    return tuple(Spec(generator, name, of_case) for name, of_case in drawn)
 
 
 def open_case(spec: Spec) -> Case:
-    make = hidden_cases.make_case if spec.generator == 'A' else hidden_cases_b.make_case
-    return make(spec.name, spec.seed)
+    case: Case = GENERATORS[spec.generator].make_case(spec.name, spec.seed)
+    return case
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,10 +283,10 @@ def seconds_for_eight(outcome: Outcome) -> float:
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Score five cases of generator A and 2.5 of generator B per seed."""
+    """Score five cases of generator A and 2.5 of each other one per seed."""
     by_generator = {generator: _scored(generator, round(each * seeds)) for generator, each in _CASES_PER_SEED.items()}
     everything = [outcome for of_one in by_generator.values() for outcome in of_one]
-    tables: list[Table | Plot] = [targets(everything, 'both generators'), reliability(everything)]
+    tables: list[Table | Plot] = [targets(everything, 'all generators'), reliability(everything)]
     for generator, of_one in by_generator.items():
         title = f'generator {generator}'
         tables += [targets(of_one, title), *tables_of(of_one, title)]
@@ -585,7 +586,7 @@ def visibility_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.set_ylim(0.0, 105.0)
     axes.set_ylabel('of the cases, %')
     axes.legend()
-    note = 'Single effects of both generators, 95 % intervals. The targets count cases to the right of the dotted line.'
+    note = 'Single effects of all generators, 95 % intervals. The targets count cases to the right of the dotted line.'
     return Plot('explain_visibility', 'Correctly named effects by visibility', figure, note)
 
 
@@ -606,5 +607,5 @@ def gap_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.set_xlabel('held-out gap / noise floor')
     axes.set_ylabel('of the cases below, %')
     axes.legend()
-    note = 'Correctly named single effects of both generators. Dotted: 10 % above the floor.'
+    note = 'Correctly named single effects of all generators. Dotted: 10 % above the floor.'
     return Plot('explain_gap', 'Held-out gap before and after the effect is added', figure, note)

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.hidden_cases.world import World, log_uniform
+from benchmarks.hidden_case import log_uniform
+from benchmarks.hidden_cases.world import World
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-
-G = 9.81
 
 
 @dataclass(slots=True)
@@ -46,8 +45,7 @@ class Hidden:
     """One effect with its size, as it acts in the ride."""
 
     name: str  # Name in the interface, or a name of this generator for an effect outside the library
-    parameters: tuple[tuple[str, float], ...]  # In the form of the interface, or of this generator
-    comparable: bool = True  # Whether law and parameters are those of the interface
+    parameters: tuple[tuple[str, float], ...] = ()  # In the form of the interface, if the law is that one
     near: tuple[str, ...] = ()  # Acceptable generic names for an effect outside the library
     drag: Law | None = None  # Additional resistance [N/kN]
     pull_gain: Law | None = None  # True over reported traction
@@ -122,7 +120,7 @@ def brake_fade(_: World, rng: Generator) -> Hidden:
     def gain(m: Moment) -> float:
         return 1.0 - loss * (min(1.0, m.heat / energy) if bends else 1.0 - math.exp(-m.heat / energy))
 
-    return Hidden('brake_fade', (('loss', loss), ('energy', energy)), comparable=bends, brake_gain=gain)
+    return Hidden('brake_fade', (('loss', loss), ('energy', energy)) if bends else (), brake_gain=gain)
 
 
 def brake_delay(_: World, rng: Generator) -> Hidden:
@@ -148,7 +146,7 @@ def starting_resistance(_: World, rng: Generator) -> Hidden:
         # Stribeck curve of a bearing.
         return value / (1.0 + (m.speed / speed) ** 2)
 
-    return Hidden('starting_resistance', (('value', value), ('speed', speed)), comparable=steep, drag=drag)
+    return Hidden('starting_resistance', (('value', value), ('speed', speed)) if steep else (), drag=drag)
 
 
 def bearing_warmup(_: World, rng: Generator) -> Hidden:
@@ -217,29 +215,22 @@ COUNTS_FROM_START = frozenset({'bearing_warmup', 'resistance_step', 'growing_dra
 def wavy_drag(_: World, rng: Generator) -> Hidden:
     """Varying track stiffness: resistance that oscillates along the line, equal in both directions."""
     size, wave, phase = log_uniform(rng, 0.8, 6.0), float(rng.uniform(300.0, 900.0)), float(rng.uniform(0.0, 6.28))
-    parameters = (('size', size), ('wave', wave), ('phase', phase))
     near = ('local_drag', 'gradient_error')
-    return Hidden(
-        'wavy_drag', parameters, near=near, drag=lambda m: size * math.sin(2.0 * math.pi * m.front / wave + phase)
-    )
+    return Hidden('wavy_drag', near=near, drag=lambda m: size * math.sin(2.0 * math.pi * m.front / wave + phase))
 
 
 def growing_drag(world: World, rng: Generator) -> Hidden:
     """Overheating bearing: drag that grows all day."""
     rate = log_uniform(rng, 0.6, 5.0) / world.duration
     near = ('resistance_step', 'bearing_warmup')
-    return Hidden('growing_drag', (('rate', rate),), near=near, drag=lambda m: rate * m.time)
+    return Hidden('growing_drag', near=near, drag=lambda m: rate * m.time)
 
 
 def brake_speed_rate(world: World, rng: Generator) -> Hidden:
     """Cast-iron brake blocks: friction falls with speed."""
     loss, top = log_uniform(rng, 0.05, 0.45), world.vehicle.top_speed
-    return Hidden(
-        'brake_speed_rate',
-        (('loss', loss),),
-        near=('brake_scale', 'brake_fade'),
-        brake_gain=lambda m: 1.0 - loss * m.speed / top,
-    )
+    near = ('brake_scale', 'brake_fade')
+    return Hidden('brake_speed_rate', near=near, brake_gain=lambda m: 1.0 - loss * m.speed / top)
 
 
 def field_weakening(world: World, rng: Generator) -> Hidden:
@@ -248,7 +239,6 @@ def field_weakening(world: World, rng: Generator) -> Hidden:
     span = world.vehicle.top_speed - knee
     return Hidden(
         'field_weakening',
-        (('loss', loss), ('knee', knee)),
         near=('traction_scale', 'higher_order_drag'),
         pull_gain=lambda m: 1.0 - loss * max(0.0, m.speed - knee) / span,
     )
@@ -258,26 +248,25 @@ def sagging_voltage(world: World, rng: Generator) -> Hidden:
     """Voltage drop: on a section of the line the drive gives less than it reports."""
     loss, stops = log_uniform(rng, 0.05, 0.35), world.route.stops
     middle, width = float(rng.uniform(0.15, 0.85)) * stops[-1], float(rng.uniform(400.0, 1200.0))
-    parameters = (('loss', loss), ('place', middle), ('width', width))
 
     def gain(m: Moment) -> float:
         return 1.0 - loss * math.exp(-0.5 * ((m.front - middle) / width) ** 2)
 
-    return Hidden('sagging_voltage', parameters, near=('traction_scale', 'local_drag'), pull_gain=gain)
+    return Hidden('sagging_voltage', near=('traction_scale', 'local_drag'), pull_gain=gain)
 
 
 def rotary_mass(world: World, rng: Generator) -> Hidden:
     gamma = world.vehicle.rotary
     wrong = gamma * float(rng.uniform(0.1, 0.6) if rng.random() < 0.5 else rng.uniform(1.5, 2.4))
     near = ('mass_error', 'traction_scale', 'wheel_diameter')
-    return Hidden('rotary_mass', (('gamma', wrong),), near=near, inertia_ratio=(1.0 + wrong) / (1.0 + gamma))
+    return Hidden('rotary_mass', near=near, inertia_ratio=(1.0 + wrong) / (1.0 + gamma))
 
 
 def jerked_drag(_: World, rng: Generator) -> Hidden:
     """Resistance proportional to |acceleration|, as by couplers and suspension."""
     size = log_uniform(rng, 0.8, 8.0)
     near = ('mass_error', 'traction_scale', 'brake_scale')
-    return Hidden('jerked_drag', (('size', size),), near=near, drag=lambda m: size * min(1.2, abs(m.acceleration)))
+    return Hidden('jerked_drag', near=near, drag=lambda m: size * min(1.2, abs(m.acceleration)))
 
 
 def pull_drag_one_way(_: World, rng: Generator) -> Hidden:
@@ -286,7 +275,6 @@ def pull_drag_one_way(_: World, rng: Generator) -> Hidden:
     near = ('traction_scale', 'headwind', 'gradient_error')
     return Hidden(
         'pull_drag_one_way',
-        (('size', size), ('heading', heading)),
         near=near,
         drag=lambda m: size if m.pull > 0.5 and m.heading == heading else 0.0,
     )
@@ -296,39 +284,28 @@ def random_runs(world: World, rng: Generator) -> Hidden:
     """Random resistance in each run."""
     size, runs = log_uniform(rng, 0.3, 2.0), sum(len(legs) for legs in world.bags)
     levels: list[float] = np.clip(size * rng.standard_normal(runs), -0.7, None).tolist()
-    return Hidden('random_runs', (('size', size),), near=('resistance_step',), drag=lambda m: levels[m.run])
+    return Hidden('random_runs', near=('resistance_step',), drag=lambda m: levels[m.run])
 
 
 def speed_band_drag(world: World, rng: Generator) -> Hidden:
     """Resonance of the running gear: drag in a speed band."""
     size, width = log_uniform(rng, 0.8, 7.0), float(rng.uniform(0.8, 2.0))
     centre = world.vehicle.top_speed * float(rng.uniform(0.35, 0.65))
-    parameters = (('size', size), ('centre', centre), ('width', width))
-    return Hidden(
-        'speed_band_drag', parameters, drag=lambda m: size * math.exp(-0.5 * ((m.speed - centre) / width) ** 2)
-    )
+    return Hidden('speed_band_drag', drag=lambda m: size * math.exp(-0.5 * ((m.speed - centre) / width) ** 2))
 
 
 def wet_brake(_: World, rng: Generator) -> Hidden:
     """Wet discs: reduced friction at the start of each braking."""
     loss, seconds = log_uniform(rng, 0.08, 0.5), float(rng.uniform(3.0, 8.0))
     near = ('brake_delay', 'brake_scale')
-
-    def gain(m: Moment) -> float:
-        return 1.0 - loss * math.exp(-m.applied_for / seconds)
-
-    return Hidden('wet_brake', (('loss', loss), ('seconds', seconds)), near=near, brake_gain=gain)
+    return Hidden('wet_brake', near=near, brake_gain=lambda m: 1.0 - loss * math.exp(-m.applied_for / seconds))
 
 
 def crowded_drag(_: World, rng: Generator) -> Hidden:
     """Specific resistance that falls with the load."""
     slope = log_uniform(rng, 2.0, 15.0)
     near = ('resistance_step', 'mass_error')
-
-    def drag(m: Moment) -> float:
-        return slope * (1.0 - m.load)
-
-    return Hidden('crowded_drag', (('slope', slope),), near=near, drag=drag)
+    return Hidden('crowded_drag', near=near, drag=lambda m: slope * (1.0 - m.load))
 
 
 OUTSIDE: dict[str, Draw] = {

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.hidden_cases.effects import G, Moment
+from benchmarks.hidden_cases.effects import Moment
+from benchmarks.hidden_log import STEP, G, Log
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 HOLD = -0.4
 _JERK = 0.6
-STEP = 0.02
 _WEIGHT = G / 1000.0
 _TICK = 10
 _APPLIED = -0.03
@@ -103,21 +103,6 @@ def slew(now: float, wanted: float, step: float) -> float:
     """Return the traction one step later, limited by jerk [m/s^2]."""
     most = _JERK * step
     return min(now + most, max(now - 2.0 * most, wanted))
-
-
-@dataclass(frozen=True, slots=True)
-class Log:
-    """Truth of one bag, one row per 20 ms from time 0."""
-
-    front: Array  # Position of the front [m]
-    heading: Array  # +1 or -1
-    run: Array  # Number of the run, -1 at standstill
-    speed: Array  # Speed [m/s]
-    force: Array  # Force reported by the drive, without noise [N]
-    command: Array  # Brake command [m/s^2]
-    weighed: Array  # Weighed mass [kg]
-    noise: Array  # Contribution of the nuisances to dv/dt [m/s^2]
-    added: Array  # Contribution of each effect to dv/dt, shape (effects, n) [m/s^2]
 
 
 @dataclass(slots=True)

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.hidden_case import Pairs, log_uniform
+from benchmarks.hidden_log import Sensors
+
 if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
-Pairs = tuple[tuple[float, float], ...]
 _MARGIN = 400
 
 
@@ -63,22 +65,15 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class Nuisance:
-    """Sizes of unmodelled errors: gusts [N/kN, s], map error [per mille, m], weighing [1], sensors."""
+class Nuisance(Sensors):
+    """Sizes of unmodelled errors: gusts [N/kN, s], map error [per mille, m], weighing [1], lag of the force [s]."""
 
     gust: float
     gust_time: float
     map_error: float
     map_length: float
     weighing: float
-    mass_topic: bool
-    speed_noise: float
-    speed_step: float
-    force_noise: float
     force_lag: float
-    jitter: float
-    period: float
-    contamination: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +93,6 @@ class World:
         """Approximate duration of the day [s]."""
         legs = [leg for bag in self.bags for leg in bag]
         return sum(leg.dwell + 40.0 + abs(leg.end - leg.start) / (0.8 * leg.cruise) for leg in legs)
-
-
-def log_uniform(rng: Generator, low: float, high: float) -> float:
-    return math.exp(float(rng.uniform(math.log(low), math.log(high))))
 
 
 def draw_world(rng: Generator, *, one_bag: bool = False) -> World:
@@ -142,16 +133,12 @@ def _draw_vehicle(rng: Generator, *, fast: bool) -> Vehicle:
     davis = (float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.05)), c)
     start = float(rng.uniform(0.6, 1.1))
     return Vehicle(
-        tare=tare,
-        length=round(min(200.0, max(60.0, tare / 2000.0 * float(rng.uniform(0.8, 1.4))))),
-        rotary=round(float(rng.uniform(0.05, 0.12)), 3),
-        davis=davis,
-        brake_lag=round(float(rng.uniform(0.25, 0.8)), 2),
-        brake_dead=0.02 * int(rng.integers(10, 46)),
-        start_acceleration=start,
-        power=tare * 1.2 * start * float(rng.uniform(8.0, 14.0)),
+        tare=tare, length=round(min(200.0, max(60.0, tare / 2000.0 * float(rng.uniform(0.8, 1.4))))),
+        rotary=round(float(rng.uniform(0.05, 0.12)), 3), davis=davis,
+        brake_lag=round(float(rng.uniform(0.25, 0.8)), 2), brake_dead=0.02 * int(rng.integers(10, 46)),
+        start_acceleration=start, power=tare * 1.2 * start * float(rng.uniform(8.0, 14.0)),
         top_speed=float(rng.uniform(110.0, 160.0) if fast else rng.uniform(60.0, 105.0)) / 3.6,
-    )
+    )  # fmt: skip
 
 
 def _draw_route(rng: Generator, count: int, spacing: tuple[int, int]) -> Route:
@@ -193,31 +180,20 @@ def _draw_nuisance(rng: Generator) -> Nuisance:
     drawn = float(rng.random())
     contamination = (kinds[int(drawn / 0.06)],) if drawn < 0.18 else ()
     return Nuisance(
-        gust=float(rng.uniform(0.05, 0.25)),
-        gust_time=float(rng.uniform(3.0, 20.0)),
-        map_error=float(rng.uniform(0.1, 0.4)),
-        map_length=float(rng.uniform(100.0, 400.0)),
-        weighing=log_uniform(rng, 0.002, 0.02),
-        mass_topic=bool(rng.random() < 0.8),
-        speed_noise=float(rng.uniform(0.01, 0.05)),
-        speed_step=float(rng.choice([0.01, 0.03, 0.05, 0.1])) / 3.6,
-        force_noise=float(rng.uniform(0.05, 0.4)),
-        force_lag=float(rng.uniform(0.0, 0.06)),
-        jitter=float(rng.uniform(0.0, 0.002)),
-        period=0.1 if rng.random() < 0.15 else 0.2,
+        gust=float(rng.uniform(0.05, 0.25)), gust_time=float(rng.uniform(3.0, 20.0)),
+        map_error=float(rng.uniform(0.1, 0.4)), map_length=float(rng.uniform(100.0, 400.0)),
+        weighing=log_uniform(rng, 0.002, 0.02), mass_topic=bool(rng.random() < 0.8),
+        speed_noise=float(rng.uniform(0.01, 0.05)), speed_step=float(rng.choice([0.01, 0.03, 0.05, 0.1])) / 3.6,
+        force_noise=float(rng.uniform(0.05, 0.4)), force_lag=float(rng.uniform(0.0, 0.06)),
+        jitter=float(rng.uniform(0.0, 0.002)), period=0.1 if rng.random() < 0.15 else 0.2,
         contamination=contamination,
-    )
+    )  # fmt: skip
 
 
 def _draw_leg(
-    rng: Generator,
-    vehicle: Vehicle,
-    nuisance: Nuisance,
-    mean: float,
-    full: float,
-    ends: tuple[float, float],
+    rng: Generator, vehicle: Vehicle, nuisance: Nuisance, mean: float, full: float, ends: tuple[float, float],
     crawls: bool,
-) -> Leg:
+) -> Leg:  # fmt: skip
     start, end = ends
     span, heading = abs(end - start), 1 if end > start else -1
     if nuisance.mass_topic:
@@ -235,18 +211,12 @@ def _draw_leg(
             float(rng.uniform(3.0, 5.5)) if crawls else vehicle.top_speed * float(rng.uniform(0.4, 0.75)),
         )
     return Leg(
-        start=start,
-        end=end,
-        heading=heading,
-        mass=mass,
-        weighed=mass * (1.0 + nuisance.weighing * float(rng.standard_normal())),
-        dwell=float(rng.uniform(18.0, 35.0)),
-        cruise=vehicle.top_speed * float(rng.uniform(0.75, 1.0)),
-        on_off=bool(rng.random() < 0.3),
+        start=start, end=end, heading=heading, mass=mass,
+        weighed=mass * (1.0 + nuisance.weighing * float(rng.standard_normal())), dwell=float(rng.uniform(18.0, 35.0)),
+        cruise=vehicle.top_speed * float(rng.uniform(0.75, 1.0)), on_off=bool(rng.random() < 0.3),
         coast_from=span * float(rng.uniform(0.3, 0.75)) if rng.random() < 0.6 else 0.0,
-        brake=float(rng.uniform(0.6, 1.0)),
-        restriction=restriction,
-    )
+        brake=float(rng.uniform(0.6, 1.0)), restriction=restriction,
+    )  # fmt: skip
 
 
 class Track:

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from benchmarks.hidden_case import Answer, Case, HiddenEffect, assumed_yaml
+from benchmarks.hidden_case import Answer, Case, HiddenEffect, assumed_yaml, kind_of
 from benchmarks.hidden_cases_b.menu import LIBRARY, MENU, NEAR, OUTSIDE, SENSOR_EXTRA, Context, Draw, wish_for
 from benchmarks.hidden_cases_b.motion import (
     CMD,
@@ -77,24 +77,18 @@ def draw_instruments(rng: np.random.Generator, scene: Scene, quirks: Quirks) -> 
     corrected = bool(rng.random() < 0.65)
     slips = rng.random() < 0.1 and quirks.slip_share == 0.0
     return Instruments(
-        period=scene.stocks[0].tick * 0.02,
-        speed_noise=float(rng.uniform(0.01, 0.05)),
-        quantum=float(rng.choice([0.01, 0.03, 0.1])) / 3.6,
-        force_noise=float(rng.uniform(0.1, 0.4)),
-        stamp_jitter=float(rng.uniform(0.0, 0.002)),
-        corrected=corrected,
+        period=scene.stocks[0].tick * 0.02, speed_noise=float(rng.uniform(0.01, 0.05)),
+        quantum=float(rng.choice([0.01, 0.03, 0.1])) / 3.6, force_noise=float(rng.uniform(0.1, 0.4)),
+        stamp_jitter=float(rng.uniform(0.0, 0.002)), corrected=corrected,
         odo_scale=float(rng.standard_normal()) * (0.001 if corrected else 0.0002),
-        odo_walk=float(rng.uniform(0.01, 0.05)),
-        lookup_measured=bool(corrected and rng.random() < 0.5),
+        odo_walk=float(rng.uniform(0.01, 0.05)), lookup_measured=bool(corrected and rng.random() < 0.5),
         point_gradient=bool(rng.random() < 0.15),
         flags_late=float(rng.uniform(0.0, 8.0)) if rng.random() < 0.6 else 0.0,
-        force_carries_delay=bool(rng.random() < 0.5),
-        outliers=0.05 if rng.random() < 0.1 else 0.0,
-        dropouts=0.03 if rng.random() < 0.1 else 0.0,
-        slip_share=float(rng.uniform(0.005, 0.02)) if slips else 0.0,
+        force_carries_delay=bool(rng.random() < 0.5), outliers=0.05 if rng.random() < 0.1 else 0.0,
+        dropouts=0.03 if rng.random() < 0.1 else 0.0, slip_share=float(rng.uniform(0.005, 0.02)) if slips else 0.0,
         slip_speed=float(rng.uniform(0.5, 2.5)) if slips else 0.0,
         base_ns=1_700_000_000_000_000_000 + int(rng.integers(0, 10**15)),
-    )
+    )  # fmt: skip
 
 
 def contamination_of(kit: Instruments) -> tuple[str, ...]:
@@ -365,7 +359,7 @@ def make_case(name: str, seed: int) -> Case:
             draws = {each: make(rng, at) for each, make in zip(names, makers, strict=True)}
             quirks = _with(draws.values())
             log = drive(scene, quirks) if names else plain
-            return _observe(name, scene, quirks, draws, log, np.random.default_rng([root, attempt, 7]))
+            return _observe(scene, quirks, draws, log, np.random.default_rng([root, attempt, 7]))
         except RuntimeError:
             continue
     raise RuntimeError(f'{name} {seed}: no drivable scene found')
@@ -396,9 +390,7 @@ def _with(draws: Iterable[Draw]) -> Quirks:
     return quirks
 
 
-def _observe(
-    name: str, scene: Scene, quirks: Quirks, draws: Mapping[str, Draw], log: Array, rng: np.random.Generator
-) -> Case:
+def _observe(scene: Scene, quirks: Quirks, draws: Mapping[str, Draw], log: Array, rng: np.random.Generator) -> Case:
     kit = draw_instruments(rng, scene, quirks)
     bags = sense(rng, scene, quirks, kit, log)
     percent, floor = visible(scene, quirks, kit, log)
@@ -407,11 +399,8 @@ def _observe(
         for key, draw in draws.items():
             alone = _with([draw])
             each[key], _ = visible(scene, alone, kit, drive(scene, alone))
-    kind = 'none' if not draws else 'pair' if len(draws) > 1 else 'outside' if name in OUTSIDE else 'single'
-    effects = tuple(
-        HiddenEffect(key, tuple((of, draw.parameters[of]) for of in draw.exact), NEAR.get(key, ()), each[key])
-        for key, draw in draws.items()
-    )
+    kind = kind_of(list(draws), OUTSIDE)
+    effects = tuple(HiddenEffect(key, draw.parameters, NEAR.get(key, ()), each[key]) for key, draw in draws.items())
     flags = scene.service, *scene.flags, *flags_of(kit, quirks)
     answer = Answer(kind, effects, percent, floor, scene.one_way, contamination_of(kit), flags)
     return Case(_assumed_file(scene, rng), tuple(tuple(bag) for bag in bags), answer)

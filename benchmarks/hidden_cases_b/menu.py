@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,11 +19,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """Quirks to set, the parameters in the form of the interface, and those that can be compared exactly."""
+    """Quirks to set, and those parameters in the form of the interface that can be compared exactly."""
 
     quirks: Mapping[str, float]
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    exact: tuple[str, ...] = ()
+    parameters: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ def _sign(rng: Rng) -> float:
 def _plain(quirk: str, parameter: str, size: Callable[[Rng, Context], float]) -> Maker:
     def make(rng: Rng, at: Context) -> Draw:
         value = size(rng, at)
-        return Draw({quirk: value}, {parameter: value}, (parameter,))
+        return Draw({quirk: value}, ((parameter, value),))
 
     return make
 
@@ -74,36 +73,26 @@ def _place(rng: Rng, at: Context, low: float, high: float) -> tuple[float, float
 def _gradient_error(rng: Rng, at: Context) -> Draw:
     start, end = _place(rng, at, 200.0, 2000.0)
     size = _sign(rng) * _log(rng, 0.6, 7.0)
-    return Draw(
-        {'slope_from': start, 'slope_to': end, 'slope_miss': size},
-        {'start': start, 'end': end, 'permille': size},
-        ('permille', 'start', 'end'),
-    )
+    quirks = {'slope_from': start, 'slope_to': end, 'slope_miss': size}
+    return Draw(quirks, (('permille', size), ('start', start), ('end', end)))
 
 
 def _local_drag(rng: Rng, at: Context) -> Draw:
     start, end = _place(rng, at, 200.0, 2000.0)
     size = _log(rng, 0.5, 6.0)
-    return Draw(
-        {'rub_from': start, 'rub_to': end, 'rub': size},
-        {'start': start, 'end': end, 'permille': size},
-        ('permille', 'start', 'end'),
-    )
+    return Draw({'rub_from': start, 'rub_to': end, 'rub': size}, (('permille', size), ('start', start), ('end', end)))
 
 
 def _brake_fade(rng: Rng, at: Context) -> Draw:
     loss = _log(rng, 0.02, 0.45)
     stop = 0.5 * float(np.quantile(at.log[:, V], 0.95)) ** 2
     heat = stop * _log(rng, 0.3, 1.5)
-    return Draw(
-        {'fade_loss': loss, 'fade_heat': heat, 'fade_cool': float(rng.uniform(120.0, 500.0))},
-        {'loss': loss, 'energy': heat},
-    )
+    return Draw({'fade_loss': loss, 'fade_heat': heat, 'fade_cool': float(rng.uniform(120.0, 500.0))})
 
 
 def _dragging_brake(rng: Rng, _: Context) -> Draw:
     size, time = _log(rng, 0.3, 7.0), _log(rng, 6.0, 35.0)
-    return Draw({'drag_after': size, 'drag_for': time}, {'permille': size, 'time': time}, ('permille', 'time'))
+    return Draw({'drag_after': size, 'drag_for': time}, (('permille', size), ('time', time)))
 
 
 def _strength(at: Context) -> float:
@@ -114,7 +103,7 @@ def _strength(at: Context) -> float:
 
 def _starting(rng: Rng, at: Context) -> Draw:
     value, speed = min(_log(rng, 4.0, 40.0), _strength(at)), _log(rng, 1.5, 9.0)
-    return Draw({'stiction': value, 'stiction_v': speed}, {'value': value, 'speed': speed}, ('value', 'speed'))
+    return Draw({'stiction': value, 'stiction_v': speed}, (('value', value), ('speed', speed)))
 
 
 def _warmup(rng: Rng, at: Context) -> Draw:
@@ -123,10 +112,8 @@ def _warmup(rng: Rng, at: Context) -> Draw:
     total = moving * float(at.log[-1, T])
     distance = _log(rng, 0.08, 0.35) * total
     if rng.random() < 0.5:
-        return Draw(
-            {'cold': value, 'cold_run': distance}, {'value': value, 'distance': distance}, ('value', 'distance')
-        )
-    return Draw({'cold': value, 'cold_time': distance / moving}, {'value': value, 'distance': distance}, ('value',))
+        return Draw({'cold': value, 'cold_run': distance}, (('value', value), ('distance', distance)))
+    return Draw({'cold': value, 'cold_time': distance / moving}, (('value', value),))
 
 
 def _step(rng: Rng, at: Context) -> Draw:
@@ -134,12 +121,12 @@ def _step(rng: Rng, at: Context) -> Draw:
     if size < 0.0:
         size = max(size, -0.6 * at.scene.stocks[0].a)
     when = float(at.log[-1, T]) * float(rng.uniform(0.25, 0.75))
-    return Draw({'jump': size, 'jump_at': when}, {'a': size, 'time': when}, ('a', 'time'))
+    return Draw({'jump': size, 'jump_at': when}, (('a', size), ('time', when)))
 
 
 def _slip(rng: Rng, _: Context) -> Draw:
     share, speed = _log(rng, 0.01, 0.1), _log(rng, 0.5, 4.0)
-    return Draw({'slip_share': share, 'slip_speed': speed}, {'share': share, 'speed': speed})
+    return Draw({'slip_share': share, 'slip_speed': speed})
 
 
 def _top(at: Context) -> float:

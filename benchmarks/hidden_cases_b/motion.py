@@ -164,20 +164,9 @@ def _overlap(front: float, rear: float, low: float, high: float, length: float) 
 
 @njit(cache=True)
 def drags(
-    q: Quirks,
-    s: Stock,
-    track: Track,
-    x: float,
-    way: float,
-    v: float,
-    now: float,
-    gone: float,
-    freed: float,
-    since: float,
-    pulling: float,
-    gust_v: float,
-    gust_w: float,
-) -> tuple[float, float, float, float]:
+    q: Quirks, s: Stock, track: Track, x: float, way: float, v: float, now: float, gone: float, freed: float,
+    since: float, pulling: float, gust_v: float, gust_w: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Return the total resistance without brake and inertia, then gradient, gust and map error [N/kN]."""
     rear, origin = x - way * s.length, track.origin
     slope = (_read(track.climb, origin, x) - _read(track.climb, origin, rear)) / s.length
@@ -245,17 +234,9 @@ def rate(
 
 @njit(cache=True)
 def decide(
-    s: Stock,
-    v: float,
-    left: float,
-    covered: float,
-    slope: float,
-    arrived: bool,
-    mode: int,
-    cmd: float,
-    demand: float,
-    brake_wait: int,
-) -> tuple[int, float, float, int]:
+    s: Stock, v: float, left: float, covered: float, slope: float, arrived: bool, mode: int, cmd: float,
+    demand: float, brake_wait: int,
+) -> tuple[int, float, float, int]:  # fmt: skip
     """Return mode, brake command [m/s^2], demanded traction [N] and ticks until the brake may change."""
     limit = s.cruise
     plan_w = s.a + s.b * v + s.c * v * v + slope
@@ -355,18 +336,9 @@ class Gusts(NamedTuple):
 
 @njit(cache=True)
 def run_leg(
-    q: Quirks,
-    s: Stock,
-    track: Track,
-    gusts: Gusts,
-    state: Array,
-    way: float,
-    leg: float,
-    target: float,
-    dwell: float,
-    log: Array,
-    row: int,
-) -> int:
+    q: Quirks, s: Stock, track: Track, gusts: Gusts, state: Array, way: float, leg: float, target: float,
+    dwell: float, log: Array, row: int,
+) -> int:  # fmt: skip
     """Drive to ``target`` and stand for ``dwell`` seconds.
 
     Args:
@@ -475,18 +447,9 @@ def _actuate(
 
 @njit(cache=True)
 def _move(
-    q: Quirks,
-    s: Stock,
-    track: Track,
-    gusts: Gusts,
-    state: Array,
-    way: float,
-    start: float,
-    w: float,
-    push: float,
-    real: float,
-    arrived: bool,
-) -> None:
+    q: Quirks, s: Stock, track: Track, gusts: Gusts, state: Array, way: float, start: float, w: float, push: float,
+    real: float, arrived: bool,
+) -> None:  # fmt: skip
     """Advance the motion by a step with the midpoint rule; ``w`` is the resistance at its begin."""
     x, v, heat = state[S_PLACE], state[S_SPEED], state[S_HEAT]
     a1, _ = rate(q, s, push, real, heat, v, w, x)

@@ -57,16 +57,9 @@ class Ground:
 
 
 def draw_ground(
-    rng: np.random.Generator,
-    gaps: list[float],
-    *,
-    steepest: float,
-    tightest: float,
-    curves: bool,
-    tunnels: bool,
-    flaw_std: float,
-    flaw_length: float,
-) -> Ground:
+    rng: np.random.Generator, gaps: list[float], *, steepest: float, tightest: float, curves: bool, tunnels: bool,
+    flaw_std: float, flaw_length: float,
+) -> Ground:  # fmt: skip
     """Draw a line with these distances between its stops."""
     first = float(rng.uniform(0.0, 3000.0))
     stops = tuple(round(float(first + s), 1) for s in np.concatenate([[0.0], np.cumsum(gaps)]))
@@ -77,16 +70,11 @@ def draw_ground(
     nodes = np.arange(low, high + CELL, CELL)
     middle = nodes[:-1] + 0.5 * CELL
     return Ground(
-        stops,
-        gradient,
-        curve,
-        tunnel,
-        float(low),
-        _integral(_steps(gradient, middle)),
+        stops, gradient, curve, tunnel, float(low), _integral(_steps(gradient, middle)),
         _integral(_coloured(rng, len(middle), flaw_std, flaw_length)),
         _integral(np.where(_steps(curve, middle) > 0.0, 1.0 / np.maximum(_steps(curve, middle), 1.0), 0.0)),
         _integral(np.array([sum(1.0 for s, e in tunnel if s <= x < e) for x in middle])),
-    )
+    )  # fmt: skip
 
 
 def _gradients(
@@ -234,18 +222,10 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
         stocks.append(_for_leg(rng, base, leg, loaded=loaded, weighed=weighed, walk=walk, zoned=zoned))
     air, force = _winds(rng, base, len(legs))
     return Scene(
-        service=service,
-        ground=ground,
-        legs=legs,
-        stocks=tuple(stocks),
-        assumed_mass=round(assumed, -1),
-        mass_topic=mass_topic,
-        cars=cars,
-        gust_air=air,
-        gust_force=force,
-        one_way=one_way,
+        service=service, ground=ground, legs=legs, stocks=tuple(stocks), assumed_mass=round(assumed, -1),
+        mass_topic=mass_topic, cars=cars, gust_air=air, gust_force=force, one_way=one_way,
         flags=_flags(base, mass_topic=mass_topic, zoned=zoned),
-    )
+    )  # fmt: skip
 
 
 def _flags(base: Stock, *, mass_topic: bool, zoned: bool) -> tuple[str, ...]:
@@ -289,15 +269,10 @@ def drive(scene: Scene, quirks: Quirks) -> Array:
 def _ground(rng: np.random.Generator, service: str, gaps: list[float], wish: Wish) -> Ground:
     steepest = SERVICES[service].steepest * rng.uniform(0.5, 1.0)
     return draw_ground(
-        rng,
-        gaps,
-        steepest=float(steepest),
-        tightest=float(rng.uniform(250.0, 600.0)),
-        curves=wish.curves or rng.random() < 0.75,
-        tunnels=wish.tunnels or rng.random() < 0.6,
-        flaw_std=float(rng.uniform(0.1, 0.4)),
-        flaw_length=float(rng.uniform(100.0, 400.0)),
-    )
+        rng, gaps, steepest=float(steepest), tightest=float(rng.uniform(250.0, 600.0)),
+        curves=wish.curves or rng.random() < 0.75, tunnels=wish.tunnels or rng.random() < 0.6,
+        flaw_std=float(rng.uniform(0.1, 0.4)), flaw_length=float(rng.uniform(100.0, 400.0)),
+    )  # fmt: skip
 
 
 def _route(
@@ -338,37 +313,19 @@ def _vehicle(rng: np.random.Generator, service: str, wish: Wish) -> tuple[Stock,
     area = float(rng.uniform(10.0, 20.0) if service == 'freight' else rng.uniform(6.0, 14.0))
     style = int(rng.choice(3, p=[0.35, 0.15, 0.5]))
     stock = Stock(
-        length=round(length, 1),
-        gamma=round(float(rng.uniform(0.05, 0.12)), 3),
-        a=float(rng.uniform(0.7, 2.2)),
-        b=float(rng.uniform(0.004, 0.04)),
-        c=0.6 * area / (mass * 9.81 / 1000.0),
-        lag=round(float(rng.uniform(0.25, 0.8)), 2),
-        delay=round(float(rng.uniform(0.3, 1.2)) / 0.02) * 0.02,
-        weighed=mass,
-        loaded=mass,
-        crowding=0.0,
-        whim=0.0,
-        pull_max=pull,
-        power=pull * cruise * float(rng.uniform(0.35, 0.6)),
-        jerk=float(rng.uniform(0.25, 0.9)),
-        serve=float(rng.uniform(0.35, 0.5) if service == 'freight' else rng.uniform(0.5, 0.95)),
-        cruise=cruise,
-        band=float(rng.uniform(1.0, 3.5)) if style == 2 else 0.5,
-        style=float(style),
-        last_coast=0.0,
-        zone_from=-1.0,
-        zone_to=-1.0,
-        zone_speed=0.0,
-        notch=float(rng.choice([0.02, 0.05, 0.1])),
-        beat=int(rng.integers(2, 7)),
-        tick=10 if rng.random() < 0.8 else 5,
-        hold=-0.5 if wish.hold or rng.random() < 0.6 else 0.0,
+        length=round(length, 1), gamma=round(float(rng.uniform(0.05, 0.12)), 3), a=float(rng.uniform(0.7, 2.2)),
+        b=float(rng.uniform(0.004, 0.04)), c=0.6 * area / (mass * 9.81 / 1000.0),
+        lag=round(float(rng.uniform(0.25, 0.8)), 2), delay=round(float(rng.uniform(0.3, 1.2)) / 0.02) * 0.02,
+        weighed=mass, loaded=mass, crowding=0.0, whim=0.0, pull_max=pull,
+        power=pull * cruise * float(rng.uniform(0.35, 0.6)), jerk=float(rng.uniform(0.25, 0.9)),
+        serve=float(rng.uniform(0.35, 0.5) if service == 'freight' else rng.uniform(0.5, 0.95)), cruise=cruise,
+        band=float(rng.uniform(1.0, 3.5)) if style == 2 else 0.5, style=float(style), last_coast=0.0, zone_from=-1.0,
+        zone_to=-1.0, zone_speed=0.0, notch=float(rng.choice([0.02, 0.05, 0.1])), beat=int(rng.integers(2, 7)),
+        tick=10 if rng.random() < 0.8 else 5, hold=-0.5 if wish.hold or rng.random() < 0.6 else 0.0,
         electric=float(service == 'freight' and rng.random() < 0.5),
-        filter=float(rng.uniform(0.02, 0.06)) if rng.random() < 0.5 else 0.0,
-        wind_gust=1.0,
+        filter=float(rng.uniform(0.02, 0.06)) if rng.random() < 0.5 else 0.0, wind_gust=1.0,
         still=float(rng.random() < 0.8),
-    )
+    )  # fmt: skip
     return stock, mass, max(2, round(length / 22.0))
 
 
@@ -385,17 +342,10 @@ def _for_leg(
         start = float(rng.uniform(0.35, 0.55)) * gap
         zone = (start, start + float(rng.uniform(0.05, 0.12)) * gap, cruise * float(rng.uniform(0.45, 0.75)))
     return base._replace(
-        loaded=loaded,
-        weighed=weighed,
-        crowding=100.0 * walk,
-        whim=float(rng.standard_normal()),
-        cruise=cruise,
-        last_coast=coast,
-        zone_from=zone[0],
-        zone_to=zone[1],
-        zone_speed=zone[2],
+        loaded=loaded, weighed=weighed, crowding=100.0 * walk, whim=float(rng.standard_normal()), cruise=cruise,
+        last_coast=coast, zone_from=zone[0], zone_to=zone[1], zone_speed=zone[2],
         serve=base.serve * float(rng.uniform(0.9, 1.1)),
-    )
+    )  # fmt: skip
 
 
 def _winds(rng: np.random.Generator, base: Stock, legs: int) -> tuple[Array, Array]:
