@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.explain import runs_of
 from benchmarks.measured_car import (
     FOLDER,
     MASS,
@@ -21,6 +22,7 @@ from benchmarks.measured_car import (
     trip_names,
     wheel_force,
 )
+from trainid_ros.explain.workflow import explain
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.forces import G, davis
 
@@ -122,3 +124,15 @@ def test_regression_on_the_real_trips_matches_the_reference(season: str, referen
         pytest.skip(f'the measured trips are not in {FOLDER}: they are not part of the repository')
     found = regress([load_trip(FOLDER, name) for name in trip_names(FOLDER, season)])
     assert found.force == pytest.approx(reference, abs=10.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('trip', 'is_loaded'), [('TripB33', True), ('TripB24', True), ('TripB26', False)])
+def test_explain_names_the_load_of_a_trip(trip: str, is_loaded: bool) -> None:
+    if not (FOLDER / 'trips.csv').is_file():
+        pytest.skip('the measured trips are not part of the repository')
+    found = explain(runs_of([list(records(load_trip(FOLDER, trip)))], stated_car()), stated_car())
+    names = {effect.name for effect in found.effects} | {twin.name for effect in found.effects for twin in effect.twins}
+    assert ('mass_error' in names) == is_loaded
+    assert found.gap is not None
+    assert not is_loaded or found.gap.after < 0.6 * found.gap.before

@@ -40,6 +40,7 @@ from trainid_ros.interface.errors import NoAnswerError
 
 Array = NDArray[np.float64]
 ROWS, NUISANCES, CANDIDATES = 40, 4, 3
+MASS, NOISE, LOSSES = 8, 9, 10  # Columns of nuisances
 
 
 # y, nuisances and candidates: unit noise, and one candidate in y.
@@ -292,14 +293,46 @@ def test_train_lies_behind_its_front(dataset: Dataset) -> None:
 
 
 def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset) -> None:
-    columns = common_columns(dataset)
+    columns = common_columns(dataset, 0.2)
     unweighed, weighed = common_std(TRAIN, weighed=False), common_std(TRAIN, weighed=True)
     assert columns.shape == (dataset.time.size, unweighed.size)
     assert np.isfinite(columns).all()
     assert np.all(unweighed > 0.0)
-    assert weighed[-1] < unweighed[-1]
+    assert weighed[MASS] < unweighed[MASS]
     # A mass error is equivalent to a common gain error of both forces.
-    np.testing.assert_allclose(columns[:, -1], run_columns(dataset).sum(axis=1))
+    np.testing.assert_allclose(columns[:, MASS], run_columns(dataset).sum(axis=1))
+
+
+def test_noise_of_gradients_returns_to_their_mean(dataset: Dataset) -> None:
+    gradient = dataset.joined('gradient')
+    rms = float(np.sqrt(np.mean(np.square(gradient))))
+    exact, noisy, known = (common_columns(dataset, std)[:, NOISE] for std in (0.0, rms, 0.01 * rms))
+    np.testing.assert_allclose(noisy, 0.5 * gradient)
+    assert not exact.any()
+    assert np.abs(known).max() < 0.001 * np.abs(gradient).max()
+    level = assemble([replace(run, gradient=np.zeros_like(run.gradient)) for run in dataset.runs], TRAIN)
+    assert not common_columns(level, 0.0)[:, NOISE].any()
+
+
+def test_losses_show_only_in_a_drive_that_feeds_back(dataset: Dataset) -> None:
+    assert not common_columns(dataset, 0.2)[:, LOSSES].any()
+    runs = [replace(run, traction=run.traction - 0.25 * run.traction.max()) for run in dataset.runs]
+    fed_back = assemble(runs, TRAIN)
+    losses, traction = common_columns(fed_back, 0.2)[:, LOSSES], fed_back.joined('traction')
+    assert np.all(losses >= 0.0)
+    assert np.corrcoef(losses, np.abs(traction))[0, 1] == pytest.approx(1.0)
+
+
+def test_stated_noise_of_gradients_is_usual() -> None:
+    rng = np.random.default_rng(5)
+    runs = [
+        replace(run, gradient=run.gradient + 5.0 * np.repeat(rng.standard_normal(run.time.size), 5)[: run.time.size])
+        for run in Maker().runs(4, 5)
+    ]
+    usual, stated = (replace(TRAIN, line=replace(TRAIN.line, gradient_std=std)) for std in (0.2, 5.0))
+    excess = [(evidence := Model.of(runs, file).evidence()).excess(evidence.maximise()[1]) for file in (usual, stated)]
+    assert excess[0] > 10.0
+    assert excess[1] < 2.0
 
 
 def test_prior_covariance(dataset: Dataset) -> None:

@@ -273,23 +273,32 @@ class Bins:
         return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / 200.0))
 
 
-def common_columns(dataset: Dataset) -> Array:
-    """Return the resistances [N/kN per unit] of nuisances that all runs share, shape (n, 9); see :func:`common_std`."""
-    v, traction, brake = dataset.speed, dataset.joined('traction'), dataset.joined('brake')
-    slope = _rate(dataset.joined('gradient'), dataset) / np.maximum(v, 1.0)
+def common_columns(dataset: Dataset, gradient_std: float) -> Array:
+    """Return the resistances [N/kN per unit] of nuisances that all runs share, shape (n, 11); see :func:`common_std`.
+
+    Gradients have a noise of ``gradient_std`` [per mille], of which the share to be expected returns to their mean.
+    """
+    v, traction, brake, gradient = dataset.speed, *map(dataset.joined, ('traction', 'brake', 'gradient'))
+    slope = _rate(gradient, dataset) / np.maximum(v, 1.0)
     rates = _rate(traction, dataset), _rate(brake, dataset)
     gains = -traction, -brake, -(traction + brake)
-    return np.stack((np.ones_like(v), v, v * v, *rates, slope, *gains), axis=1)
+    noise = gradient_std**2 / max(gradient_std**2 + float(np.mean(np.square(gradient))), 1e-9) * gradient
+    # Losses between motor and wheel oppose both signs of its force; without energy fed back they are a gain.
+    size = np.abs(traction)
+    fed_back = 1.0 - abs(float(traction.sum())) / max(float(size.sum()), 1e-9)
+    return np.stack((np.ones_like(v), v, v * v, *rates, slope, *gains, noise, fed_back * size), axis=1)
 
 
 def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
-    """Return the prior standard deviations of :func:`common_columns`, shape (9,).
+    """Return the prior standard deviations of :func:`common_columns`, shape (11,).
 
-    They are a, b, c; skew of traction and of brake [s]; shift of the map [m]; gains of traction, brake and mass [1].
+    They are a, b, c; skew of traction and of brake [s]; shift of the map [m]; gains of traction, brake and mass [1];
+    share of the expected noise of gradients [1]; losses of a motor that feeds back [1].
     """
     davis = train_file.resistance
     std = 0.4 * np.abs(np.array([davis.a, davis.b, davis.c])) + np.array([0.15, 0.02, 0.0004])
-    return np.concatenate([std, (0.1, 0.04, 15.0, 0.003, 0.004), [0.003 if weighed else 0.015]])
+    gains = 0.003, 0.004, 0.003 if weighed else 0.015
+    return np.concatenate([std, (0.1, 0.04, 15.0), gains, (1.0, train_file.train.force_std)])
 
 
 def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
@@ -427,10 +436,11 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
 
 
 # Prior median of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
-# payload [1], brake [1], map [per mille]; the payload is that of weighed trains.
+# payload [1], brake [1], map [per mille]; payload is that of weighed trains, gusts and map go with usual gradients.
 _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
 _WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])  # Prior std of these logs [1]
-_GUST, _GUST_TIME, _PAYLOAD = 1, 2, 4  # Indices among the hyperparameters
+_USUAL_GRADIENT_STD: Final = 0.2  # The default of the train file [per mille]
+_GUST, _GUST_TIME, _PAYLOAD, _MAP = 1, 2, 4, 6  # Indices among the hyperparameters
 _OF_RUN: Final = 4  # Number of hyperparameters of the noise along a run, which come first: others need no new whitening
 _STEP: Final = 0.05  # Step of the logs for curvature by central differences [1]
 _SMALL: Final = 1e-3  # Step of the logs for the gradient by forward differences [1]
@@ -457,17 +467,21 @@ class MarginalLikelihood:
         common_std: Prior std of the common nuisances, shape (q,).
         map_root: Cholesky factor of the correlation of map errors, shape (k, k).
         weighed: True if the mass is measured.
+        gradient_std: Stated noise of gradients [per mille].
     """
 
     def __init__(
-        self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool
-    ) -> None:
+        self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool,
+        gradient_std: float = _USUAL_GRADIENT_STD,
+    ) -> None:  # fmt: skip
         self._grid, self._factors = grid, factors.shape[1]
         self._columns = np.concatenate([columns, factors], axis=1)
         self._common, self._root = common_std, map_root
         self._median = _MEDIAN.copy()
         if not weighed:
             self._median[_PAYLOAD] = math.log(0.03)  # relative error of the mass if it is not measured [1]
+        # Errors of gradients are errors of the map where they repeat, and gusts where they do not.
+        self._median[[_GUST, _MAP]] += math.log(max(gradient_std / _USUAL_GRADIENT_STD, 1.0))
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:

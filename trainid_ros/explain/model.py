@@ -209,7 +209,7 @@ class Model:
         self.evaluator, self.dataset, self.train_file = evaluator, evaluator.dataset, train_file
         dataset, length = self.dataset, train_file.train.length
         bins = Bins.of(dataset, length)
-        self._common = dataset.column(common_columns(dataset))
+        self._common = dataset.column(common_columns(dataset, train_file.line.gradient_std))
         self._map = dataset.column(dataset.direction[:, None] * bins.shares(dataset, length))
         self._map_root = np.asarray(np.linalg.cholesky(bins.covariance() + 1e-9 * np.eye(bins.count)))
         self.factor_columns = dataset.column(run_columns(dataset))
@@ -295,8 +295,9 @@ class Model:
     def evidence(self) -> MarginalLikelihood:
         """Return the marginal likelihood as a function of the hyperparameters."""
         return MarginalLikelihood(
-            self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
-        )
+            self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed,
+            gradient_std=self.train_file.line.gradient_std,
+        )  # fmt: skip
 
     def _whitened(self, hyper: Hyperparameters) -> tuple[Whitening, Array]:
         """Return the whitening and the whitened map errors, which models with other effects share."""
