@@ -194,7 +194,7 @@ def assess(
     read = read_gap(base if stated is train_file else Model.of(runs, stated))
     bursts = float(np.mean(np.square(base.dataset.deviation))) if slipping else 0.0
     davis = final.found_davis(final.posterior(hyper)[0])
-    written = _Written(final.terms, davis, hold_out(base, hyper), hold_out(final, hyper))
+    written = _Written(final.terms, davis, *_both_held_out(base, final, hyper))
     # a, b, c of the train file stay where they are as good, and where something unknown bends those of the fit.
     known = _with_known_davis(base, final, hyper)
     if verdict is Verdict.UNEXPLAINED or known.square < written.square:
@@ -231,8 +231,14 @@ def _with_known_davis(base: Model, final: Model, hyper: Hyperparameters) -> _Wri
     """Return the effects as fitted with a, b, c of the train file, with the standard deviations of a free fit."""
     known = final.with_known_davis().fit(hyper)
     terms = (replace(one, covariance=free.covariance) for one, free in zip(known.terms, final.terms, strict=True))
-    before, after = hold_out(base.with_known_davis(), hyper), hold_out(known, hyper)
-    return _Written(tuple(terms), final.train_file.resistance, before, after)
+    held = _both_held_out(base.with_known_davis(), known, hyper)
+    return _Written(tuple(terms), final.train_file.resistance, *held)
+
+
+def _both_held_out(base: Model, final: Model, hyper: Hyperparameters) -> tuple[HeldOut | None, HeldOut | None]:
+    """Return the gaps of held-out runs without and with the effects; without effects they are the same."""
+    before = hold_out(base, hyper)
+    return before, hold_out(final, hyper) if final.terms else before
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
