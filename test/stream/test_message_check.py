@@ -159,6 +159,17 @@ def test_pulses_of_traction_rise_and_fall_in_more_than_one_report() -> None:
     assert not check.suspicion
 
 
+@pytest.mark.parametrize(
+    'swing', [(26.0, 35.0, 79.0, 80.0, 41.0, 43.0, 84.0, 83.0, 42.0), (2.5, 9.3, 33.9, 21.5, 13.1, 7.8, 4.6)]
+)
+def test_a_controller_that_hunts_sends_no_spikes(swing: tuple[float, ...]) -> None:
+    """Forces as reported by a tram, and by a metro with a relay and a lag."""
+    check = SpikeCheck(topic='ato/force')
+    for force in swing * 20:
+        check.add(force, force, math.nan, STD, PERIOD_S)
+        assert not check.suspicion
+
+
 def test_a_spike_is_counted_once() -> None:
     check = SpikeCheck(topic='ato/force')
     for force in (40.0, 40.0, 40.0, 40.0, 100.0, 40.0, 40.0, 40.0, 40.0):
@@ -243,7 +254,7 @@ def dropped(follows: float, width: int = 1, drops: int = 4, force: float = -60.0
     """Return the check after a command that is released for some samples, and a force that follows it to a share."""
     check = ReleaseCheck(topic='ato/brake_command')
     for _ in range(drops):
-        for k in range(20):
+        for k in range(25):
             released = 10 <= k < 10 + width
             # The force of a brake with a lag falls less, but for longer.
             falls = 10 <= k < 10 + 4 * width
@@ -271,9 +282,9 @@ def test_a_release_for_good_is_no_spike() -> None:
 
 def test_drops_that_the_force_follows_count_against_those_before() -> None:
     check = dropped(0.0, drops=2)
-    for k in range(60):
-        released = k % 20 == 10
-        falls = 10 <= k % 20 < 14
+    for k in range(75):
+        released = k % 25 == 10
+        falls = 10 <= k % 25 < 14
         check.add(0.0 if released else -0.6, -45.0 if falls else -60.0, FOLLOWED_S, PERIOD_S)
     assert check.spikes == 0.0
 

@@ -222,6 +222,8 @@ _BRAKING: Final = -0.15
 _EFFORT: Final = -10.0
 # Largest difference of equal commands, as a share of them [1].
 _EQUAL: Final = 0.1
+# Time by which healthy brakes and their reports may be later than stated [s].
+_LATE_S: Final = 0.6
 # Share of a release above which the force has followed it [1].
 _FOLLOWED: Final = 0.7
 # Share below which the force has ignored it [1].
@@ -267,7 +269,7 @@ class ReleaseCheck(SpikeCount):
         self.since_s += dt
         self.released += dt * (1.0 - command / self.level)
         self.followed += dt * (1.0 - force / self.force)
-        if self.since_s > followed_s:
+        if self.since_s > followed_s + _LATE_S:
             self._count(same=same)
 
     def _hold(self, command: float, force: float, dt: float, *, same: bool) -> None:
@@ -296,8 +298,8 @@ _MAX_EVIDENCE: Final = 2.0
 _NO_CUT: Final = 1.0
 # Memory of the log-likelihood [s].
 _EVIDENCE_MEMORY_S: Final = 120.0
-# Number of samples that are compared, from a spike on.
-_SAMPLES: Final = 3
+# Number of samples without a large step before a spike: a controller that hunts has fewer.
+_CALM: Final = 3
 
 
 @dataclass(slots=True)
@@ -318,7 +320,7 @@ class SpikeCheck(SpikeCount):
     specific_impulse_before: float = math.nan  # That over the one before
     dt: float = stored(0.0, may_be_nan=True)  # Length of the last interval [s]
     dt_before: float = stored(0.0, may_be_nan=True)  # That of the one before
-    passed: int = 0  # Number of samples since the last spike, up to those that may still hold it
+    calm: int = 0  # Number of samples without a large step before those that may hold a spike
     evidence: float = 0.0  # Log-likelihood of spikes against cuts of traction, with forgetting
 
     @property
@@ -340,9 +342,8 @@ class SpikeCheck(SpikeCount):
         self.evidence *= math.exp(-dt / _EVIDENCE_MEMORY_S)
         force = self.last if math.isnan(force) else force
         area = mean * dt
-        self.passed = min(self.passed + 1, _SAMPLES)
-        if self.passed == _SAMPLES:
-            self._find(force, area, specific_impulse, std, dt)
+        self.calm = self.calm + 1 if abs(self.earlier - self.first) <= _SPIKE else 0
+        self._find(force, area, specific_impulse, std, dt)
         self.first, self.earlier, self.before, self.last = self.earlier, self.before, self.last, force
         self.area_before, self.area = self.area, area
         self.specific_impulse_before, self.specific_impulse = self.specific_impulse, specific_impulse
@@ -354,9 +355,9 @@ class SpikeCheck(SpikeCount):
         earlier, before, last = self.earlier, self.before, self.last
         peak = before if abs(before - earlier) > abs(last - earlier) else last
         height = abs(peak - earlier)
-        if height <= _SPIKE or max(abs(force - earlier), abs(earlier - self.first)) >= _SAME * height:
+        if height <= _SPIKE or self.calm < _CALM or abs(force - earlier) + abs(earlier - self.first) >= _SAME * height:
             return
-        self.passed = 0
+        self.calm = 0
         base = 0.5 * (earlier + force)
         rest = base * (self.dt_before + self.dt + dt)
         area = self.area_before + self.area + area - rest
