@@ -12,11 +12,12 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.state import encode, restore
-from trainid_ros.stream.fault_filter import BRAKES, ForceLead, Forces, Prior, Trial, student_t
+from trainid_ros.stream.fault_filter import BRAKES, Forces, Lasting, Prior, Trial, force_lead, learn_lead, student_t
 from trainid_ros.stream.fault_table import BRAKE, GAIN, OFFSET, TABLE, USUAL, Input, Row
 from trainid_ros.stream.input_blocks import MOVING, Block
 from trainid_ros.stream.input_check import InputCheck, Verdict
@@ -147,6 +148,8 @@ def faulty(row: Row) -> Drive:
         drive.position[half:] = drive.position[half]
     if Input.FORCE in row.ignores:
         drive.force[half:] = drive.force[half]
+    if Input.BRAKING in row.ignores:
+        drive.force = np.maximum(drive.force, 0.0)
     if Input.COMMAND in row.ignores:
         drive.command[half:] = 0.0
     if Input.GRADIENT in row.ignores:
@@ -215,6 +218,25 @@ def test_a_quantity_at_the_limit_of_what_is_usual_is_named() -> None:
     assert check.at_limit((BRAKE,)) == ''
 
 
+def test_a_resistance_that_no_healthy_train_has_is_told() -> None:
+    """The force is 6 N/kN too large, which looks like that; the drag in the train file is a quarter too small."""
+    for drive, is_told in ((driven(300.0), False), (driven(300.0, offset=6.0), True)):
+        check, told = InputCheck(KnownForce(FILE)), ''
+        for sample in samples_of(drive):
+            check.take(sample)
+            told = told or check.resistance_objection()
+        assert ('off that of the train file' in told) is is_told, told
+
+
+def test_a_speed_behind_a_low_pass_is_not_off_its_position() -> None:
+    drive, gain = driven(900.0), 1.0 - math.exp(-DT / 0.4)
+    drive.speed = lfilter([gain], [1.0, gain - 1.0], drive.speed)
+    check = InputCheck(KnownForce(FILE))
+    verdicts = {check.take(sample) for sample in samples_of(drive)}
+    assert not [said for said in verdicts if 'position' in said.finding + said.suspicion]
+    assert check._lag.mean == pytest.approx(0.4, abs=0.1)
+
+
 @pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, '')])
 def test_a_force_that_brakes_before_its_command_is_told(late_s: float, expected: str) -> None:
     """The balance of forces is the same for all three: the reported force is right."""
@@ -229,22 +251,22 @@ def test_a_force_that_brakes_before_its_command_is_told(late_s: float, expected:
 
 def test_the_lead_of_a_force_against_regression_and_with_braking_without_a_command() -> None:
     """Without outliers nearly the mean of least squares with the prior; blocks without a command change nothing."""
-    rng, lead, used = np.random.default_rng(1), 0.8, ForceLead(0.5)
+    rng, lead, used = np.random.default_rng(1), 0.8, Lasting(force_lead(0.5))
     prior = used.variance
     brakes = np.repeat(rng.uniform(-90.0, -20.0, 60), 4)
     blocks = [Block(seconds=0.5, state=MOVING, brake=b) for b in brakes]
-    sum_HH, sum_Hy = 1.0 / prior, used.usual / prior
+    sum_HH, sum_Hy = 1.0 / prior, used.usual.mean / prior
     for before, block, after in zip(blocks, blocks[1:], blocks[2:], strict=False):
         H = after.brake - before.brake
         block.force = block.brake + lead * H + rng.normal(0.0, 1.0)
         weight = (3.0 + 0.25 * max(abs(block.brake), abs(block.force))) ** -2
         if abs(H) >= BRAKES and block.force <= 0.0:
             sum_HH, sum_Hy = sum_HH + weight * H * H, sum_Hy + weight * H * (block.force - block.brake)
-        used.add(before, block, after)
+        learn_lead(used, before, block, after)
     assert used.mean == pytest.approx(sum_Hy / sum_HH, abs=0.05)
     assert 1.0 / sum_HH < used.variance < prior / 4.0
     mean, free = used.mean, Block(seconds=0.5, state=MOVING)
-    used.add(free, Block(seconds=0.5, state=MOVING, force=-60.0), free)
+    learn_lead(used, free, Block(seconds=0.5, state=MOVING, force=-60.0), free)
     assert used.mean == mean
 
 

@@ -6,7 +6,7 @@ and lag as a force, r the brake rate and (a, b, c) the resistance of the train f
 
     (1)  m dv/dt = gain (T + force_late dT/dt) + brake r (B - brake_late (delay + lag) dB/dt)
                    - i - (a + b v + c v (v + 2 wind)) - offset + noise,     T = F - B
-    (2)  distance by position = distance by speed / (1 + wheel) + noise
+    (2)  distance by position = distance by speed / (1 + wheel) + lag * step of the speed + noise
 
 Traction and brake act together: power braking, and dynamic braking without a command, are no exceptions. The states
 [v, offset, wind, gain, brake, force_late, brake_late] and the wheel return to what is usual, and stop at ``_RANGE``
@@ -32,6 +32,7 @@ from trainid_ros.stream.fault_table import (
     WIND,
     Input,
     Row,
+    Usual,
     V,
 )
 from trainid_ros.stream.input_blocks import KEPT, MOVING, UNKNOWN, Block
@@ -47,7 +48,7 @@ _APPLICATION: Final = 5.0  # nats: the most that one application of the brake co
 
 # Scores
 
-ODD: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
+MOST: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
 
 # Noise
 
@@ -60,9 +61,10 @@ _BRAKE_SHARE: Final = 0.10  # the same of the brake
 _OVERLAP_SHARE: Final = 0.1  # share of traction beside a brake, which is the difference of two forces
 _JITTER_S: Final = 0.12  # s: error of the times of a force that changes
 _TIMING_SHARE: Final = 0.2  # share of dead time and lag: the same of a brake that changes
-_ANY_FORCE: Final = 40.0  # N/kN: traction that is not known
+_ANY_FORCE: Final = 40.0  # N/kN: traction that is not known ...
+_ANY_FORCE_BRAKED: Final = 8.0  # ... and beside a brake
 _MIN_POSITION_STD: Final = 0.1  # m: least such noise
-_POSITION_LAG: Final = 0.1  # s by which position and speed are apart
+_LAG_STD: Final = 0.1  # s, white: by which position and speed are apart at random
 _DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
 BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
@@ -75,6 +77,7 @@ _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rar
 
 _RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
 LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
+_DRAG_WIND: Final = 0.2  # the same in the open: drag 40 % off, by tunnels that no file states, gusts or the file
 _TUNNEL_WIND: Final = 0.5  # std of the wind in a tunnel over the speed [1]: drag up to 3.5 times that in the open
 
 
@@ -111,6 +114,7 @@ class Prior:
         self.ignores_position = Input.POSITION in row.ignores
         self.ignores_force = Input.FORCE in row.ignores
         self.ignores_command = Input.COMMAND in row.ignores
+        self.ignores_braking = Input.BRAKING in row.ignores
         self.ignores_gradient = Input.GRADIENT in row.ignores
         # Inputs that are read from an earlier block: all but the late one, or the early one alone.
         late, others = row.late, row.late is not None and not row.early and row.late is not Input.BRAKE
@@ -135,7 +139,12 @@ def student_t(z2: float, spread: float) -> tuple[float, float]:
         spread: That variance over the one of the measurement alone [1].
     """
     score = -0.5 * (_NU + 1.0) * math.log(1.0 + z2 / _NU) - 0.5 * math.log(spread)
-    return max(score, -ODD), min((_NU + 1.0) / (_NU + z2), 1.0)
+    return max(score, -MOST), min((_NU + 1.0) / (_NU + z2), 1.0)
+
+
+def wind_std(speed: float, tunnel: bool) -> float:
+    """Return the standard deviation of the wind over healthy trains at a speed [m/s]."""
+    return max((_TUNNEL_WIND if tunnel else _DRAG_WIND) * speed, USUAL[WIND - 1].std)
 
 
 class Trial:
@@ -260,8 +269,8 @@ class Trial:
             s = std[i]
             if own[i] > 0.0 and accepted:
                 s = min(s, PRIORS[0].std[i])
-            elif i == WIND and block.tunnel:
-                s = max(s, _TUNNEL_WIND * x[V])
+            elif i == WIND:
+                s = wind_std(x[V], block.tunnel)
             P[k] = d[i] * d[i] * P[k] + (1.0 - d[i] * d[i]) * s * s
             k += 1
             for j in range(i + 1, STATES):
@@ -299,10 +308,10 @@ class Trial:
         for i in range(1, STATES):
             if accepted and prior.own[i] > 0.0:
                 continue
-            most = _RANGE * (max(_TUNNEL_WIND * self.x[V], prior.std[i]) if i == WIND and tunnel else prior.std[i])
+            most = _RANGE * (wind_std(self.x[V], tunnel) if i == WIND else prior.std[i])
             self.x[i] = min(max(self.x[i], prior.mean[i] - most), prior.mean[i] + most)
 
-    def compare_distances(self, block: Block, learned: float, *, accepted: bool) -> float:
+    def compare_distances(self, block: Block, lag: Lasting, learned: float, *, accepted: bool) -> float:
         """Correct the wheel with the distance by position, by (2); return its log likelihood [nats]."""
         prior, std = PRIORS[self.row], PRIORS[self.row].row.wheel_std
         by_speed = prior.row.speed * block.by_speed
@@ -315,8 +324,9 @@ class Trial:
         self.wheel += share * (self.wheel_centre - self.wheel)
         self.wheel_var += 2.0 * share * (std * std - self.wheel_var)
         scale = prior.row.position
-        R = scale * scale * position_variance(block, learned)
-        nu, H = scale * block.by_position - by_speed / (1.0 + self.wheel), -by_speed
+        step = prior.row.speed * block.speed_step
+        R = scale * scale * position_variance(block, learned) + lag.variance * step * step
+        nu, H = scale * block.by_position - by_speed / (1.0 + self.wheel) - lag.mean * step, -by_speed
         S = R + H * H * self.wheel_var
         score, weight = student_t(nu * nu / S, S / R)
         K = H * self.wheel_var / (H * H * self.wheel_var + R / weight)
@@ -328,52 +338,67 @@ class Trial:
         return score
 
 
-class ForceLead:
-    """How far the reported force is ahead of the brake that the command gives, in braking.
+class Lasting:
+    """A lasting quantity that all rows share, as the one state of a Kalman filter.
+
+    Attributes:
+        mean: Its mean.
+        variance: Its variance.
+        usual: What is usual: a first-order Gauss-Markov process about its mean.
+    """
+
+    STATE: ClassVar[State] = declare('mean', 'variance')
+
+    def __init__(self, usual: Usual) -> None:
+        self.usual = usual
+        self.mean, self.variance = usual.mean, usual.std * usual.std
+
+    def correct(self, y: float, H: float, R: float, seconds: float) -> None:
+        """Correct with a measurement y = H times the quantity + noise of variance R, so long after the last one [s]."""
+        usual = self.usual
+        d = math.exp(-seconds / usual.time_s)
+        self.mean = usual.mean + d * (self.mean - usual.mean)
+        self.variance = d * d * self.variance + (1.0 - d * d) * usual.std * usual.std
+        nu, P = y - H * self.mean, self.variance
+        _, weight = student_t(nu * nu / (H * H * P + R), 1.0)
+        K = H * P / (H * H * P + R / weight)
+        self.mean += K * nu
+        self.variance -= K * H * P
+
+    @property
+    def excess(self) -> float:
+        """How far its mean is above what is usual, in standard deviations of healthy trains."""
+        return (self.mean - self.usual.mean) / self.usual.std
+
+
+def force_lead(timing: float) -> Usual:
+    """Return how far the force is usually ahead of a brake with a dead time and lag together [s]."""
+    late, brake = USUAL[FORCE_LATE - 1], USUAL[BRAKE_LATE - 1]
+    std = math.hypot(late.std, brake.std * timing)
+    return Usual('ato/force ahead of the brake', -late.mean, std, brake.time_s)
+
+
+def learn_lead(lead: Lasting, before: Block, block: Block, after: Block) -> None:
+    """Learn how far the reported force is ahead of the brake that the command gives, in braking, between two blocks.
 
     With m the mean over a block, and the steps of B to the blocks beside it:
 
         (3)  F_m - B_m = lead dB/dt + noise,    lead = brake earlier than stated - force_late
 
     The balance (1) does not show it, since F = T + B is right also where B is not.
-
-    Attributes:
-        mean: Its mean [s].
-        variance: Its variance [s^2].
-        usual: Its usual mean [s], by the delay of a reported force.
-        std: Standard deviation over healthy trains [s].
     """
-
-    STATE: ClassVar[State] = declare('mean', 'variance')
-
-    def __init__(self, timing: float) -> None:
-        """Prepare for dead time and lag of a brake together [s]."""
-        late, brake = USUAL[FORCE_LATE - 1], USUAL[BRAKE_LATE - 1].std * timing
-        self.usual, self.std = -late.mean, math.sqrt(late.std * late.std + brake * brake)
-        self.mean, self.variance = self.usual, self.std * self.std
-
-    def add(self, before: Block, block: Block, after: Block) -> None:
-        """Learn from a block between two others."""
-        if before.state != MOVING or block.state != MOVING or after.state == UNKNOWN or block.force > 0.0:
-            return
-        H = (after.brake - before.brake) / (block.seconds + 0.5 * (before.seconds + after.seconds))
-        if abs(H) < BRAKES:
-            return
-        # First-order Gauss-Markov process about what is usual, and Student's t for braking without a command.
-        d = math.exp(-block.seconds / USUAL[BRAKE_LATE - 1].time_s)
-        self.mean = self.usual + d * (self.mean - self.usual)
-        self.variance = d * d * self.variance + (1.0 - d * d) * self.std * self.std
+    if before.state != MOVING or block.state != MOVING or after.state == UNKNOWN or block.force > 0.0:
+        return
+    H = (after.brake - before.brake) / (block.seconds + 0.5 * (before.seconds + after.seconds))
+    if abs(H) >= BRAKES:
+        # Student's t is for braking without a command.
         noise = _REPORTED_STD + _REPORTED_SHARE * max(abs(block.brake), abs(block.force))
-        R, nu, H2 = noise * noise, block.force - block.brake - H * self.mean, H * H
-        _, weight = student_t(nu * nu / (H2 * self.variance + R), 1.0)
-        K = H * self.variance / (H2 * self.variance + R / weight)
-        self.mean += K * nu
-        self.variance -= K * H * self.variance
+        lead.correct(block.force - block.brake, H, noise * noise, block.seconds)
 
 
 def position_variance(block: Block, learned: float) -> float:
     """Return the variance of the distance by position over a block [m^2]."""
-    lag = _POSITION_LAG * block.speed_step
+    lag = _LAG_STD * block.speed_step
     drift = _DISTANCE_SHARE * block.by_speed
     return max(learned, _MIN_POSITION_STD * _MIN_POSITION_STD) + lag * lag + drift * drift
 
@@ -432,6 +457,10 @@ class Forces:
         # No row may seem sharper because it makes an input small.
         effort = max(max(abs(B), abs(command.brake)), -T)  # noqa: PLW3301 - of two numbers it is compiled
         effort_rate = max(abs(dB), abs(command.brake_step) / command.seconds)
+        if prior.ignores_braking and (B < 0.0 or dB != 0.0):
+            # What is reported beside a brake is that brake; what is released pulls no more than it says.
+            T, dT = max(F, 0.0), 0.0
+            effort = max(abs(B), abs(F))
         slow = max(1.0 - at.speed / _SLACK_SPEED, 0.0)
         pull, overlap = _TRACTION_SHARE * max(T, force.force), _OVERLAP_SHARE * min(abs(T), abs(B))
         slack, share = _SLACK * slow, (_BRAKE_SHARE + _SLACK_SHARE * slow) * effort
@@ -439,6 +468,6 @@ class Forces:
         q = _FORCE_STD * _FORCE_STD + slack * slack + share * share + overlap * overlap + brake_jitter * brake_jitter
         if prior.ignores_force:
             T = dT = 0.0
-            q += _ANY_FORCE * _ANY_FORCE * (0.04 if is_braked else 1.0)
+            pull = _ANY_FORCE_BRAKED if is_braked else _ANY_FORCE
         self.traction, self.traction_rate, self.variance = T, dT, q + pull * pull + jitter * jitter
         self.brake, self.brake_rate = command.rate * B, command.rate * dB

@@ -25,13 +25,14 @@ class Input(Enum):
     COMMAND = 'ato/brake_command'
     MASS = 'ato/mass'
     GRADIENT = 'ato/gradient'
+    BRAKING = 'ato/force in braking'
     BRAKE = 'brake.delay of the train file'
 
 
 NOTHING: Final[frozenset[Input]] = frozenset()
 RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.MASS, Input.GRADIENT})
 """Inputs of resistance and speed model: while one of them is condemned, neither learns."""
-BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKE})
+BRAKE_RATE_USES: Final = frozenset({*RESISTANCE_USES, Input.COMMAND, Input.BRAKING, Input.BRAKE})
 """Inputs of the brake rate. No estimator depends on the position."""
 
 
@@ -65,8 +66,10 @@ USUAL: Final = (
     Usual('the delay of the brake', 0.0, 0.25, 300.0),  # How much later it acts, as a share of dead time and lag [1]
 )
 """What is usual, in the order of the places from ``OFFSET`` on."""
-WHEEL: Final = Usual('the wheel', 0.0, 0.01, 3000.0)
+WHEEL: Final = Usual('ato/speed over its position', 0.0, 0.01, 3000.0)
 """Measured over true speed, minus one [1]: wear of a wheel between two turnings."""
+LAG: Final = Usual('the lag of ato/speed', 0.0, 0.25, 3000.0)
+"""Time by which a speed is behind the position beside it [s]: filters of tachometers, and of odometers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +120,7 @@ _RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
 _MPH: Final = 2.236936
 _LBF: Final = 4.448222  # [N]
+_KGF: Final = 9.80665  # [N]
 
 
 def _late(what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False) -> tuple[Row, ...]:
@@ -133,8 +137,7 @@ def _nothing(sentence: str, *inputs: Input, asks: float = _FOLLOWS_NOTHING) -> R
     return Row(sentence, _only(*inputs), ignores=_only(*inputs), asks=asks, misread=Input.SPEED in inputs)
 
 
-_FOLLOWS: Final = 'the train follows {gain:.2g} times it'
-_WEIGHT: Final = 'ato/mass, or ato/force in traction, is off: the train follows {gain:.2g} times the force'
+_WEIGHT: Final = 'ato/force or ato/mass is off: the train follows {gain:.2g} times the force'
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
@@ -146,17 +149,19 @@ TABLE: Final[tuple[Row, ...]] = (
     _nothing('ato/speed is stuck or follows nothing', Input.SPEED, asks=_SLIDES),
     _nothing('ato/speed and its position are stuck', Input.SPEED, Input.POSITION),
     _nothing('the position in ato/speed follows nothing', Input.POSITION),
+    _nothing('ato/force in braking is not that of a nominal brake under ato/brake_command', Input.BRAKING, asks=_RARE),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 0.5, 0.15),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3, misread=True),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF, misread=True),
+    Row('ato/force is in kgf', _only(Input.FORCE), force=_KGF, misread=True),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0, misread=True),
-    Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
-    Row(f'ato/force is too small: {_FOLLOWS}', _only(Input.FORCE), force=1.35, unusual=((GAIN, 1.0, 0.1),)),
-    Row(f'ato/force is too large: {_FOLLOWS}', _only(Input.FORCE), force=0.5, unusual=((GAIN, 1.0, 0.2),)),
-    Row(f'ato/force is too large: {_FOLLOWS}', _only(Input.FORCE), force=0.75, unusual=((GAIN, 1.0, 0.1),)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=1.35, unusual=((GAIN, 1.0, 0.1),)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=0.5, unusual=((GAIN, 1.0, 0.2),)),
+    Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=0.75, unusual=((GAIN, 1.0, 0.1),)),
     Row(
-        'ato/force or ato/gradient is off by {offset:+.0f} N/kN',
+        'ato/force or ato/gradient is off by {offset:+.0f} N/kN, if no tunnel is missing in the train file',
         _only(Input.FORCE, Input.GRADIENT),
         unusual=((OFFSET, 0.0, 12.0),),
         asks=_RARE,

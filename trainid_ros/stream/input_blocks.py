@@ -14,6 +14,7 @@ from typing import ClassVar, Final
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, several, stored, unknown
 from trainid_ros.interface.vectors import vec
+from trainid_ros.stream.fault_table import WHEEL
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator
@@ -23,8 +24,9 @@ _BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
 _GAP_S: Final = 1.6  # s: samples further apart are no neighbours
 MIN_SPEED: Final = 1.0  # m/s: slower trains stand, shunt, or stop with a jerk
 KEPT: Final = 8  # blocks kept: the longest delay, and the one before
-_DRIVEN: Final = 0.3  # m/s: a train whose position changes faster moves, ...
+_DRIVEN: Final = 1.5  # m/s: a train whose position changes faster moves (sensors see none below 1 m/s), ...
 _SURE: Final = 32.0  # times the variance of a position: ... if it has moved by four standard deviations of a difference
+_SAME: Final = 1e-9  # share of a constant force by which rounding changes its mean
 _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise
@@ -37,7 +39,7 @@ GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themsel
 _GRADIENT_MEMORY_M: Final = 1000.0  # m: distance over which that error is learned: ten such lengths
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
-_PLACE_SHARE: Final = 0.006  # ... and by which share of the distance it grows, by worn wheels
+_PLACE_SHARE: Final = WHEEL.std  # ... and by which share of the distance it grows
 _FITS: Final = 4.0  # variances within which a gradient is one of the line, and tells the place
 _LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: 100 blocks ...
 _FIRST: Final = 10.0  # blocks ... of which its first value counts for so many
@@ -201,7 +203,7 @@ class InputBlocks:
         self._look_up(block, sample)
         block.state = self._state(block, force)
         if block.seconds > 0.0:
-            self._count_still(block, last)
+            self._count_still(block, last, force)
         self._force, self.brake, self.is_weighed = force, brake, sample.weighed
         self.count += 1
         self._filling = self._blocks[self.count % KEPT]
@@ -220,12 +222,13 @@ class InputBlocks:
         is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self.position_var
         return MOVING if is_driven else AT_STOP
 
-    def _count_still(self, block: Block, last: Block) -> None:
+    def _count_still(self, block: Block, last: Block, force: float) -> None:
         """Count for how long speed and position of a moving train, and any force, have not changed."""
         still, moved_s = self.still, block.seconds if block.state == MOVING else 0.0
         still[0] = still[0] + moved_s if self._speed == last.speed else 0.0
         still[1] = still[1] + moved_s if block.by_position == 0.0 else 0.0
-        still[2] = still[2] + block.seconds if block.force == last.force else 0.0
+        is_held = force == self._force and abs(block.force - force) <= _SAME * abs(force)
+        still[2] = still[2] + block.seconds if is_held else 0.0
 
     def _look_up(self, block: Block, sample: Sample) -> None:
         """Look up the line in the middle of the block, and on either side of it where that may be."""

@@ -30,17 +30,20 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.fault_filter import (
     BRAKES,
     LASTING_S,
-    ODD,
+    MOST,
     PRIORS,
     STATES,
-    ForceLead,
     Forces,
+    Lasting,
     Prior,
     Trial,
+    force_lead,
+    learn_lead,
     position_variance,
+    wind_std,
 )
-from trainid_ros.stream.fault_table import GAIN, OFFSET, TABLE, USUAL, WHEEL, V
-from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, UNKNOWN, Block, InputBlocks
+from trainid_ros.stream.fault_table import GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, V
+from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
@@ -60,6 +63,7 @@ _GIVE_UP: Final = -2.0  # nats: a row that is this improbable starts afresh
 _FOLLOWED_S: Final = 5.0  # s: a shorter application of the brake confirms nothing ...
 _AGREES: Final = 2.0  # nats: ... nor does one that another row explains better by more
 _START: Final = -0.6  # nats: a block that the accepted row explains worse starts the others
+_START_OFFSET: Final = -1.2  # nats: the same for a force or gradient that is off, which explains most of them
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
 _START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
 _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one nat starts afresh
@@ -73,6 +77,8 @@ _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stu
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then the speed is taken as measured), and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
+_ODD: Final = -2.0  # nats: half of the most that a block can cost: its speed is odd
+_NOISE_SIGMAS: Final = 4.0  # standard deviations of a speed: the most that noise changes it
 _JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
 _SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
 _LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
@@ -108,13 +114,13 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         'blocks', '_accepted', several('_others', Trial), '_waited_s', '_usual_s', unknown('_braked_s'),
-        'is_brake_confirmed', '_lead', 'verdict',
+        'is_brake_confirmed', '_lead', '_lag', 'verdict',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
         self.blocks = InputBlocks(known)
         self._forces = Forces(known)
-        self._lead = ForceLead(self._forces.timing)
+        self._lead, self._lag = Lasting(force_lead(self._forces.timing)), Lasting(LAG)
         self._decay = vec[float]([0.0] * STATES)
         self._decay_s = 0.0
         self._spare = [Trial(row) for row in range(len(TABLE))]
@@ -143,12 +149,26 @@ class InputCheck:
     def at_limit(self, places: tuple[int, ...]) -> str:
         """Return which of some quantities is as far from usual as a healthy train can have it, empty if none is."""
         trial = self._accepted
+        if abs(trial.wheel) > _LIMIT * WHEEL.std and not PRIORS[trial.row].has_speed:
+            return f'{WHEEL.name} is at the limit of what is usual'
         for place in places:
             usual = USUAL[place - 1]
             is_own = PRIORS[trial.row].own[place] > 0.0
             if not is_own and abs(trial.x[place] - usual.mean) > _LIMIT * usual.std:
                 return f'{usual.name} is at the limit of what is usual'
         return ''
+
+    def resistance_objection(self) -> str:
+        """Return by how much the resistance is not that of a healthy train, empty if it may be.
+
+        A constant error of force or gradient looks like it. Rain, wind and tunnels differ by less.
+        """
+        trial, drag = self._accepted, 2.0 * self._forces.drag * self._accepted.x[V]
+        excess = trial.x[OFFSET] + drag * trial.x[WIND]
+        std = math.hypot(PRIORS[0].std[OFFSET], drag * wind_std(trial.x[V], self._now.tunnel))
+        if abs(excess) < _LIMIT * std:
+            return ''
+        return f'the resistance is {excess:+.0f} N/kN off that of the train file: is ato/force or ato/gradient off?'
 
     @property
     def gain(self) -> float:
@@ -165,10 +185,9 @@ class InputCheck:
 
         Brakes later than stated are frequent, and states of the filter. None acts before its command.
         """
-        lead = self._lead
-        if lead.mean - lead.usual < _CREDIBLE * lead.std:
+        if self._lead.excess < _CREDIBLE:
             return ''
-        return f'ato/force brakes {lead.mean:.1f} s before it should by ato/brake_command and brake.delay'
+        return f'ato/force brakes {self._lead.mean:.1f} s before it should by ato/brake_command and brake.delay'
 
     # Scores
 
@@ -202,7 +221,8 @@ class InputCheck:
         force = then if prior.delays_force else now
         command = then if prior.delays_command else now
         slope = then if prior.delays_gradient else now
-        if at.state != MOVING or max(max(now.state, then.state), before.state) == UNKNOWN:  # noqa: PLW3301
+        # Sensors that see no slow motion jump as the train departs.
+        if max(max(now.state, then.state), max(at.state, before.state)) != MOVING:  # noqa: PLW3301
             return None
         forces = self._forces
         forces.correct(prior, at, force, command)
@@ -223,12 +243,12 @@ class InputCheck:
         if prior.has_speed or prior.row.ignores:
             is_line_off = prior.is_of_line and self._line_score < _START
             is_distance_off = (prior.has_speed or prior.ignores_position) and self._distance_score < _START
-            is_braked_off = prior.ignores_command and self._mismatch > _START_MISMATCH
-            return is_line_off or is_distance_off or is_braked_off or (score < -0.5 * ODD and not prior.is_of_line)
+            is_braked_off = (prior.ignores_command or prior.ignores_braking) and self._mismatch > _START_MISMATCH
+            return is_line_off or is_distance_off or is_braked_off or (score < _ODD and not prior.is_of_line)
         if self._accepted.row > 0:
             return True
         if prior.own[OFFSET] > 0.0:
-            return score < 2.0 * _START
+            return score < _START_OFFSET
         at = self._correct(prior, shift)
         if at is None or prior.is_of_line:
             return at is not None and self._line_score < _START
@@ -253,7 +273,7 @@ class InputCheck:
         most = math.inf
         if accepted:
             at.miss, self._mismatch = self._miss(prior, trial.x, at, back), abs(mismatch)
-            most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + 4.0 * math.sqrt(at.variance)
+            most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
         says_nothing = not accepted and self._says_nothing(trial, prior, at, back)
         trial.predict(forces, at, self._decay, accepted=accepted)
         score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
@@ -263,7 +283,7 @@ class InputCheck:
         if says_nothing:
             return math.nan
         if mismatch != 0.0:
-            is_stuck = prior.ignores_command and self.blocks.still[3] > _STILL_S
+            is_stuck = prior.ignores_braking or (prior.ignores_command and self.blocks.still[3] > _STILL_S)
             is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
@@ -280,7 +300,7 @@ class InputCheck:
         """
         if prior.is_of_brake and min(self._forces.brake, at.brake) > -BRAKES:
             return True
-        jump = at.seconds * _SLIPS / self._forces.inertia + 4.0 * math.sqrt(at.variance)
+        jump = at.seconds * _SLIPS / self._forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
         if prior.ignores_speed or prior.ignores_force or not abs(at.miss) > jump:
             return False
         return abs(self._miss(prior, trial.x, at, back)) > max(jump, _JUMP_SHARE * abs(at.miss))
@@ -289,7 +309,7 @@ class InputCheck:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
         # A position that is ignored costs the same in every block, odd or not.
         blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
-        is_odd = score + blank < -0.5 * ODD
+        is_odd = score + blank < _ODD
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         speed = at.speed * PRIORS[trial.row].row.speed
@@ -319,9 +339,9 @@ class InputCheck:
         if prior.ignores_position:
             return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
         # Slip shows in both alike.
-        distance_score = trial.compare_distances(at, self.blocks.distance_var(), accepted=accepted)
+        distance_score = trial.compare_distances(at, self._lag, self.blocks.distance_var(), accepted=accepted)
         self._distance_score = distance_score if accepted else self._distance_score
-        return max(score + distance_score, -ODD)
+        return max(score + distance_score, -MOST)
 
     def _rest(self, trial: Trial, at: Block) -> None:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
@@ -366,10 +386,15 @@ class InputCheck:
         trial, blocks = self._accepted, self.blocks
         prior = PRIORS[trial.row]
         if trial.row == 0:
-            self._lead.add(blocks.block(2), self._last, block)
+            learn_lead(self._lead, blocks.block(2), self._last, block)
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
-            blocks.learn_position(block, prior.row.position * block.by_position, by_speed)
+            by_position, step = prior.row.position * block.by_position, prior.row.speed * block.speed_step
+            if block.state == MOVING and is_finite(by_position) and not self._slips:
+                slack = by_speed * WHEEL.std
+                R = position_variance(block, blocks.distance_var()) + slack * slack
+                self._lag.correct(by_position - by_speed, step, R, block.seconds)
+            blocks.learn_position(block, by_position - self._lag.mean * step, by_speed)
         if is_finite(block.line) and not prior.is_of_line:
             # What may be a fault is not learned as noise.
             is_line_odd = any(PRIORS[other.row].is_of_line and other.sum > 1.0 for other in self._others)
@@ -391,7 +416,7 @@ class InputCheck:
             place = (self.blocks.count - max(later, other.shift if prior.delays_speed else 0)) % KEPT
             gain = other.scores[place] - accepted.scores[place]
             other.age_s += block.seconds
-            if is_finite(gain) and not (is_stuck and other.row == 0):
+            if is_finite(gain) and not (is_stuck and not theirs.row.ignores <= prior.row.ignores):
                 other.part += gain
             if is_released or not (prior.is_of_times or theirs.is_of_times):
                 other.total, other.part = other.sum, 0.0
@@ -418,6 +443,7 @@ class InputCheck:
             or (prior.ignores_force and still[2] <= seconds)
             or (prior.ignores_command and still[3] <= seconds)
             or prior.ignores_gradient
+            or prior.ignores_braking
         )
 
     def _decide(self, seconds: float) -> None:
