@@ -91,10 +91,26 @@ class _Storm(_Wind):
 class _Tunnels(Motion):
     """Short tunnels with 2.5 times the aerodynamic drag."""
 
+    factor = 2.5
+
     def davis(self) -> Coefficients:
         a, b, c = super().davis()
         here = self.line.origin + self.line.sign * self.way
-        return a, b, 2.5 * c if here % 1500.0 < 400.0 else c
+        return a, b, self.factor * c if here % 1500.0 < 400.0 else c
+
+
+class _WideTunnels(_Tunnels):
+    """Those of two tracks, on a line for fast trains."""
+
+    factor = 1.6
+
+
+class _TwiceTheDrag(Motion):
+    """Snow, or the train file of another front."""
+
+    def davis(self) -> Coefficients:
+        a, b, c = super().davis()
+        return a, b, 2.0 * c
 
 
 class _Coupling(Motion):
@@ -157,6 +173,27 @@ def _of_odometer(change: Callable[[float, float], tuple[float, float]]) -> Rows:
 _whole_kmh = _of_odometer(lambda speed, position: (round(speed * 3.6) / 3.6, position))
 _in_steps = _of_odometer(lambda speed, position: (speed, 10.0 * math.floor(position / 10.0)))
 
+_dead_zone = _of_odometer(lambda speed, position: (speed if speed > 0.8 else 0.0, position))
+
+
+def _worn(rows: Sequence[Row], file: TrainFile, seed: int) -> list[Row]:
+    """Speed and distance from the start are 1.5 % high."""
+    start = next(row[3] for row in rows if row[0] == SPEED)
+    high = _of_odometer(lambda speed, position: (1.015 * speed, start + 1.015 * (position - start)))
+    return high(rows, file, seed)
+
+
+def _filtered(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
+    """The speed, but not the position, has passed a low-pass of 0.3 s."""
+    speed, last_ns, sent = 0.0, rows[0][1], list[Row]()
+    for row in rows:
+        if row[0] == SPEED:
+            speed += (1.0 - math.exp((last_ns - row[1]) / 0.3e9)) * (row[2] - speed)
+            last_ns = row[1]
+        stands = row[0] == SPEED and row[2] == 0.0 and speed < 0.05
+        sent.append((*row[:2], 0.0 if stands else speed, *row[3:]) if row[0] == SPEED else row)
+    return sent
+
 
 @_of_odometer
 def _balises(speed: float, position: float) -> tuple[float, float]:
@@ -218,6 +255,9 @@ UNUSUAL: Final = (
     Unusual('shunting', 'tram', change=_shunting),
     Unusual('tunnels, not stated', 'metro', _Tunnels),
     Unusual('tunnels of the line', 'metro', _Tunnels),
+    Unusual('tunnels, not stated', 'high_speed', _WideTunnels),
+    Unusual('twice the drag', 'metro', _TwiceTheDrag),
+    Unusual('twice the drag', 'high_speed', _TwiceTheDrag),
     Unusual('coupling, not weighed', 'emu', _Coupling),
     Unusual('neutral sections', 'emu', _NeutralSections),
     Unusual('neutral sections', 'high_speed', _NeutralSections),
@@ -225,6 +265,12 @@ UNUSUAL: Final = (
     Unusual('position 2 % off between balises', 'high_speed', rows=_balises),
     Unusual('position in steps of 10 m', 'metro', rows=_in_steps),
     Unusual('position in steps of 10 m', 'high_speed', rows=_in_steps),
+    Unusual('speed 0 below .8 m/s', 'metro', rows=_dead_zone),
+    Unusual('speed 0 below .8 m/s', 'tram', rows=_dead_zone),
+    Unusual('speed behind a low-pass of .3 s', 'metro', rows=_filtered),
+    Unusual('speed behind a low-pass of .3 s', 'high_speed', rows=_filtered),
+    Unusual('speed behind a low-pass of .3 s', 'tram', rows=_filtered),
+    Unusual('odometer 1.5 % high', 'freight', rows=_worn),
 )
 
 
