@@ -4,14 +4,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.hidden_case import Case
 from benchmarks.hidden_cases_b import LIBRARY, NEAR, OUTSIDE, PAIRS, SENSOR_EXTRA, make_case
 from benchmarks.hidden_cases_b.case import balance_residual, draw_instruments
 from benchmarks.hidden_cases_b.motion import NEUTRAL
 from benchmarks.hidden_cases_b.scene import Wish, draw_scene, drive
-from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.stream.alignment import Aligner, AlignmentConfig
-from trainid_ros.stream.samples import Sample
+from test.benchmarks.usable_case import aligned_share, check_usable
+from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import parse_train_file
@@ -49,27 +47,9 @@ def test_residual_is_small_without_hidden_effects() -> None:
 )
 def test_every_name_gives_usable_data(name: str) -> None:
     case = make_case(name, 77)
-    assumed = parse_train_file(case.train_yaml, 'assumed train file')
-    assert not assumed.effects
-    assert [effect.name for effect in case.answer.effects] == ([] if name == 'none' else name.split('+'))
-    assert np.isfinite(case.answer.visible)
-    for bag in case.bags:
-        stamps = [record.stamp_ns for record in bag]
-        assert stamps == sorted(stamps)
-        kinds = {type(record) for record in bag}
-        assert {SpeedRecord, ForceRecord, GradientRecord, BrakeRecord} <= kinds
-        assert (MassRecord in kinds) == ('no_mass_topic' not in case.answer.flags)
-        assert all(record.target_acceleration <= 0.0 for record in bag if isinstance(record, BrakeRecord))
-        assert all(record.speed >= 0.0 for record in bag if isinstance(record, SpeedRecord))
+    check_usable(case, name)
     least = 0.45 if '10_hz' in case.answer.flags else 0.95
     assert aligned_share(case) > least
-
-
-def aligned_share(case: Case) -> float:
-    """Return samples over speeds of the first bag."""
-    aligner, bag = Aligner(AlignmentConfig()), case.bags[0]
-    samples = sum(isinstance(event, Sample) for record in bag for event in aligner.push(record))
-    return samples / sum(isinstance(record, SpeedRecord) for record in bag)
 
 
 @pytest.mark.slow

@@ -9,14 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.hidden_case import Case
 from benchmarks.hidden_cases_c import LIBRARY, OUTSIDE, make_case
 from benchmarks.hidden_cases_c import make as generator
 from benchmarks.hidden_cases_c import motion as m
 from benchmarks.hidden_log import STEP, G, Log
-from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.stream.alignment import Aligner, AlignmentConfig
-from trainid_ros.stream.samples import Sample
+from test.benchmarks.usable_case import aligned_share, check_usable
+from trainid_ros.interface.records import GradientRecord, SpeedRecord
 from trainid_ros.train.effects import EFFECTS, TrackPoint
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, parse_train_file
@@ -144,27 +142,9 @@ def test_effect_has_the_equation_of_the_interface(name: str) -> None:
 @pytest.mark.parametrize('name', ['none', 'map_shift+brake_delay', *LIBRARY, *OUTSIDE])
 def test_every_name_gives_usable_data(name: str) -> None:
     case = make_case(name, 77)
-    assumed = parse_train_file(case.train_yaml, 'assumed train file')
-    assert not assumed.effects
-    assert [effect.name for effect in case.answer.effects] == ([] if name == 'none' else name.split('+'))
-    assert np.isfinite(case.answer.visible)
+    check_usable(case, name)
     assert (name == 'none') == (case.answer.visible == 0.0)
-    for bag in case.bags:
-        stamps = [record.stamp_ns for record in bag]
-        assert stamps == sorted(stamps)
-        kinds = {type(record) for record in bag}
-        assert {SpeedRecord, ForceRecord, GradientRecord, BrakeRecord} <= kinds
-        assert (MassRecord in kinds) == ('no_mass_topic' not in case.answer.flags)
-        assert all(record.target_acceleration <= 0.0 for record in bag if isinstance(record, BrakeRecord))
-        assert all(record.speed >= 0.0 for record in bag if isinstance(record, SpeedRecord))
     assert aligned_share(case) > (0.45 if '10_hz' in case.answer.flags else 0.9)
-
-
-def aligned_share(case: Case) -> float:
-    """Return samples over speeds of the first bag."""
-    aligner, bag = Aligner(AlignmentConfig()), case.bags[0]
-    samples = sum(isinstance(event, Sample) for record in bag for event in aligner.push(record))
-    return samples / sum(isinstance(record, SpeedRecord) for record in bag)
 
 
 @pytest.mark.parametrize(('name', 'sign'), [('none', 0.0), ('map_shift', 1.0)])
