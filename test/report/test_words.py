@@ -48,7 +48,7 @@ def test_enumerations() -> None:
 
 def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make) -> None:
     assert headline(make_explanation()) == 'The current model lacks local_drag (probability 97%).'
-    ambiguous = 'local_drag (probability 97%) fits best, but gradient_error (2%) fits equally well.'
+    ambiguous = 'local_drag (probability 97%) fits best, but it may be gradient_error (2%) instead.'
     assert headline(make_explanation(ambiguous=True)).endswith(ambiguous)
     drag = make_explanation().effects[0]
     wind = replace(drag, name='headwind', probability=1.0)
@@ -56,7 +56,7 @@ def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make
     assert headline(make_explanation(effects=(drag, wind, drag))).endswith(f'lacks local_drag twice {both}')
     assert 'lacks local_drag three times (' in headline(make_explanation(effects=(drag, drag, drag)))
     pair = tuple(replace(effect, twins=(Twin('gradient_error', ''),)) for effect in (drag, wind))
-    assert 'fit best, but gradient_error (2%) fits' in headline(
+    assert 'fit best, but it may be gradient_error (2%) instead' in headline(
         make_explanation(verdict=Verdict.AMBIGUOUS, effects=pair)
     )
     unknown = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), probabilities=(('other', 0.96),)))

@@ -40,7 +40,7 @@ class FoundEffect:
     evidence: float  # 2 ln of its Bayes factor, given the other effects [1]
     probability: float  # That it is among the causes [1]
     where: str  # Where and when it shows, as text
-    twins: tuple[Twin, ...]  # Alternative effects that explain the data equally well, nearest first
+    twins: tuple[Twin, ...]  # The most probable alternative to an effect that is not certain
 
 
 @dataclass(frozen=True, slots=True)

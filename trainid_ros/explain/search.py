@@ -269,7 +269,6 @@ def _by_evidence(scores: Iterable[EffectScore]) -> list[EffectScore]:
 CERTAIN: Final = 0.8
 """Probability above which an effect is named: a calibrated one of four fifths is wrong once in five times."""
 # Limits of evidence are in 2 ln of the Bayes factor.
-_TWIN: Final = 6.0  # Difference of evidence below which two effects are indistinguishable
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
 _CERTAIN_SCORE: Final = 18.0  # Evidence from which a dependence is fitted no further: it decides as it is
@@ -302,7 +301,7 @@ class Selection:
     base: State  # The model without effects
     final: State  # The model with the selected effects
     evidence: tuple[float, ...]  # 2 ln of the Bayes factor of each effect, given the others [1]
-    # Name of the effect that is indistinguishable from each effect; empty if there is none
+    # Name of the most probable alternative to each effect; empty if the effect is certain
     twins: tuple[tuple[str, ...], ...]
     groups: tuple[EffectScore, ...]  # Evidence of generic dependences, given all effects
     hypotheses: tuple[Hypothesis, ...]  # All sets of effects, and other causes, that were compared
@@ -342,14 +341,10 @@ class Search:
         """Return the selection of a set of effects, with all that was compared with it."""
         groups = self._generic(state)
         state = replace(state, model=with_onsets(state.model, state.hyper))
-        evidence, twins = [], []
-        for k, term in enumerate(state.model.terms):
-            own = self._gain(state, k)
-            nearest = self._best_alternative(term.name, state.model.without(k), state.hyper)
-            evidence.append(own)
-            twins.append((nearest.name,) if nearest is not None and nearest.evidence > own - _TWIN else ())
+        evidence = tuple(self._gain(state, k) for k in range(len(state.names)))
         hypotheses = tuple(self._hypotheses(state, evidence, groups, slipping=slipping))
-        return Selection(self.base, state, tuple(evidence), tuple(twins), tuple(groups), hypotheses)
+        twins = tuple(_twin(name, state.names, hypotheses) for name in state.names)
+        return Selection(self.base, state, evidence, twins, tuple(groups), hypotheses)
 
     def _hypotheses(
         self, final: State, gains: Sequence[float], groups: Sequence[EffectScore], *, slipping: bool
@@ -478,6 +473,15 @@ class Search:
 
     def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
         return next((score for score in self._named(model, hyper) if score.name != name), None)
+
+
+def _twin(name: str, names: tuple[str, ...], hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+    """Return the effect that is most probable if one of several is none, empty if that one is certain."""
+    if probabilities(hypotheses).of(name) >= CERTAIN:
+        return ()
+    others = probabilities(one for one in hypotheses if name not in one.names).present
+    rivals = [(p, other) for other, p in others if other not in names]
+    return (max(rivals)[1],) if rivals else ()
 
 
 def _is_better(names: tuple[str, ...], evidence: float, than: tuple[str, ...], its: float) -> bool:

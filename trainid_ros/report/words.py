@@ -42,8 +42,8 @@ def headline(explanation: Explanation) -> str:
             return f'The current model lacks {names}.'
         case Verdict.AMBIGUOUS:
             twins = [f'{name} ({percent(shares.get(name, 0.0))})' for name in _twins(explanation)]
-            best, also = ('fits' if len(found) == 1 else 'fit' for found in (explanation.effects, twins))
-            return f'The current model lacks an effect: {names} {best} best, but {join(twins)} {also} equally well.'
+            best = 'fits' if len(explanation.effects) == 1 else 'fit'
+            return f'The current model lacks an effect: {names} {best} best, but it may be {join(twins)} instead.'
         case Verdict.UNEXPLAINED:
             named = f'{names}, and ' if names else ''
             return f'The current model lacks {named}something outside the library (probability {other}).'
