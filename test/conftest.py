@@ -7,6 +7,7 @@ import math
 import signal
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ import pytest
 
 from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.explain.likelihood import Noise, Spread
+from trainid_ros.explain.probability import dependence
 from trainid_ros.explain.result import (
     Explanation,
     FoundEffect,
     Gap,
+    Learned,
     Location,
     Place,
     RunTrace,
@@ -66,6 +69,19 @@ def trace(direction: int) -> RunTrace:
 def stated() -> TrainFile:
     """Return the train file of the explanation."""
     return STATED
+
+
+@pytest.fixture(scope='session')
+def make_learned() -> Callable[..., Learned]:
+    """Return a factory of a curve over the speed while braking, confirmed with its effect; fields can be overridden."""
+    x = np.linspace(0.0, 20.0, 5)
+    learned = Learned(
+        'brake-speed', 'the speed while braking', 'm/s', 'the brake force', 90.0, dependence((), 90.0, 20), (),
+        x, 0.01 * x, np.full(5, 0.002),
+        Gap(0.4, 0.05, 0.049, 2, 0.3, 0.04, 25.0), is_confirmed=True, function='0.01 * x',
+        effect='learned_brake_speed', source='EFFECT = None\n', train_file=STATED,
+    )  # fmt: skip
+    return partial(replace, learned)
 
 
 @pytest.fixture(scope='session')

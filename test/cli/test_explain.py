@@ -24,7 +24,7 @@ from trainid_ros.cli.explain import describe, explain_runs, prepare_folder, prov
 from trainid_ros.cli.main import main
 from trainid_ros.explain.likelihood import DAVIS
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.result import Explanation, Gap, Verdict
+from trainid_ros.explain.result import Explanation, Gap, Learned, Verdict
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import BrakeRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate
@@ -36,7 +36,7 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 Make = Callable[..., Explanation]
 BAGS = Path(__file__).parents[2] / 'bags'
 ALTRIOS = BAGS / 'altrios_manifest'  # a freight run of another simulator
-KEYS = {'verdict', 'effects', 'gap', 'remaining', 'error', 'gradient_read_at', 'probabilities'}
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'error', 'gradient_read_at', 'probabilities', 'learned'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'probability', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out', 'fitted', 'evidence'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
@@ -85,6 +85,35 @@ def test_text_shows_effects_evidence_and_gap(make_explanation: Make, stated: Tra
         assert part in text
     bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), stated)
     assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled' in bare
+
+
+def test_what_was_learned_is_in_json_text_and_folder(
+    make_explanation: Make, make_learned: Callable[..., Learned], stated: TrainFile, tmp_path: Path
+) -> None:
+    learned = make_learned(twins=('the time',))
+    found = make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), remaining=learned.sentence, learned=learned)
+    answer = to_json(found)['learned']
+    assert answer == {
+        'depends_on': 'brake-speed', 'text': 'the speed while braking', 'or': ['the time'], 'evidence': 90.0,
+        'curve': {
+            'x_unit': 'm/s', 'share_of': 'the brake force', 'x': [0.0, 5.0, 10.0, 15.0, 20.0],
+            'value': pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2]), 'std': [0.002] * 5,
+        },
+        'function': '0.01 * x', 'effect': 'learned_brake_speed',
+        'gap': {'before': 0.4, 'after': 0.05, 'noise_floor': 0.049, 'evidence': 25.0},
+    }  # fmt: skip
+    text = describe(found, stated)
+    assert 'depends on the speed while braking or the time, and no effect of the library fits it: 0.01 * x of' in text
+    assert 'With it as the effect learned_brake_speed the gap falls from 0.400 to 0.050 m/s' in text
+    explain.write_all(tmp_path, found, stated, 'train.yaml', (), ())
+    assert {path.name for path in (tmp_path / 'learned').iterdir()} == {'learned_brake_speed.py', 'train.yaml'}
+    # A later explanation of the same folder that confirms nothing leaves nothing of it.
+    rest = make_learned(is_confirmed=False, function='', effect='', source='', train_file=None)
+    later = replace(found, learned=rest)
+    assert to_json(later)['learned'].items() > {'function': None, 'effect': None}.items()
+    assert 'That is not confirmed' in describe(later, stated)
+    explain.write_all(tmp_path, later, stated, 'train.yaml', (), ())
+    assert list((tmp_path / 'learned').iterdir()) == []
 
 
 def test_provenance_names_version_bags_and_runs() -> None:

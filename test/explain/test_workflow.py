@@ -92,6 +92,21 @@ def test_gap_that_no_effect_fits_is_unexplained() -> None:
     assert not set(not_finite(reported)) - UNKNOWN
 
 
+def wave(position: float, _: float, __: int) -> float:
+    return 2.5 * math.sin(2.0 * math.pi * position / 600.0)
+
+
+@pytest.mark.slow
+def test_a_curve_replaces_effects_that_only_say_where() -> None:
+    """Three sections with a drag fit a wave along the line, but worse than the wave."""
+    reported = explain(Maker().runs(8, 43, wave), TRAIN)
+    assert (reported.verdict, reported.effects, reported.train_file.effects) == (Verdict.UNEXPLAINED, (), ())
+    assert reported.learned is not None
+    assert (reported.learned.name, reported.learned.is_confirmed) == ('place', True)
+    assert 'depends on the place' in reported.remaining
+    assert dict(reported.probabilities)['other'] > 0.95
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('permille', [0.1, 0.25, 0.5])
 def test_an_effect_is_named_if_it_is_certain(permille: float) -> None:
@@ -108,6 +123,8 @@ def test_runs_with_more_resistance_are_named() -> None:
     reported = explain([wet[k] if k in {2, 5} else dry[k] for k in range(8)], TRAIN)
     assert reported.verdict is Verdict.UNEXPLAINED
     assert 'depends on the run' in reported.remaining
+    assert reported.learned is not None
+    assert (reported.learned.name, reported.learned.gap, reported.learned.is_confirmed) == ('run', None, False)
     assert 'It is that of 2 runs: 3 (+' in reported.remaining
     assert ', 6 (+' in reported.remaining
     # What no effect explains bends a, b, c of the fit; they are not written.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from test.report.pages import check_page, colours_of_figures, words
-from trainid_ros.explain.result import Explanation, Verdict
+from trainid_ros.explain.result import Explanation, Learned, Verdict
 from trainid_ros.report.explained import render_explained
 from trainid_ros.report.page import write_page
 from trainid_ros.train.train_file import Line, TrainFile
@@ -71,6 +71,19 @@ def test_table_values(text: str) -> None:
 
 def test_figures_use_the_colours_of_the_page(text: str) -> None:
     assert {'brake', 'estimate', 'stand', 'wait'} <= colours_of_figures(text)
+
+
+@pytest.mark.parametrize(('unit', 'axis'), [('m/s', 'the speed while braking [m/s]'), ('', 'the run')])
+def test_what_was_learned_is_a_curve_before_the_evidence(
+    make_explanation: Make, make_learned: Callable[..., Learned], stated: TrainFile, unit: str, axis: str
+) -> None:
+    learned = make_learned(unit=unit, text=axis.removesuffix(' [m/s]'))
+    text = render(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), learned=learned), stated)
+    curve = text.index('aria-label="Learned curve of the missing resistance"')
+    assert text.index('aria-label="Measured and simulated speed') < curve < text.index('<h2>Evidence')
+    assert axis in text
+    assert ('the gap falls from 0.400 to 0.050' in text) == bool(unit)
+    assert 'Find the cause. Until then use folder learned' in text
 
 
 @pytest.mark.parametrize('verdict', [Verdict.UNEXPLAINED, Verdict.NO_GAP])

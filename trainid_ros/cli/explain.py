@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.explain.dataset import Run
-    from trainid_ros.explain.result import Explanation
+    from trainid_ros.explain.result import Explanation, Learned
     from trainid_ros.train.train_file import TrainFile
 
 REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
 TRAIN_FILE: Final = 'train.yaml'
+LEARNED: Final = 'learned'
 _NAMED_BAGS: Final = 3
 
 
@@ -63,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     show(describe(explanation, train_file))
     if args.out is not None:
         show(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
+        if explanation.learned and explanation.learned.effect:
+            show(f'effect learned and train file with it: {args.out / LEARNED}')
     return 0
 
 
@@ -167,9 +170,28 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
             'remaining': e.remaining if e else reason,
             'error': None if e else reason,
             'gradient_read_at': e and e.gradient_point,
+            'learned': e and e.learned and _learned_json(e.learned),
         }
     )
     return plain
+
+
+def _learned_json(learned: Learned) -> dict[str, Any]:
+    gap = learned.gap
+    return {
+        'depends_on': learned.name,
+        'text': learned.text,
+        'or': learned.twins,
+        'evidence': learned.evidence,
+        'curve': {
+            'x_unit': learned.unit,
+            'share_of': learned.of or None,
+            **{name: getattr(learned, name).tolist() for name in ('x', 'value', 'std')},
+        },
+        'function': learned.function or None,
+        'effect': learned.effect or None,
+        'gap': gap and {name: getattr(gap, name) for name in ('before', 'after', 'noise_floor', 'evidence')},
+    }
 
 
 def describe(explanation: Explanation, prior: TrainFile) -> str:
@@ -201,7 +223,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
         f'Probability: {words.causes_text(explanation)}.',
         words.gap_sentence(explanation),
         table(davis, numbers=(1,)),
-        explanation.remaining,
+        ' '.join(filter(None, (explanation.remaining, words.learned_sentence(explanation.learned)))),
     )
     return '\n\n'.join(blocks)
 
@@ -209,7 +231,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
 def write_all(
     folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path], notes: tuple[str, ...]
 ) -> None:
-    """Write the three outputs into a folder that exists; InputError if one cannot be written."""
+    """Write the outputs into a folder that exists; InputError if one cannot be written."""
     from trainid_ros.report.explained import render_explained  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
 
@@ -218,4 +240,12 @@ def write_all(
     text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
     write_page(f'{text}\n', folder / REPORT_JSON)
     write_page(dump_train_file(explanation.train_file), folder / TRAIN_FILE)
+    learned, kept = explanation.learned, folder / LEARNED
+    for old in kept.glob('learned_*.py'):  # of an earlier explanation
+        old.unlink()
+    (kept / TRAIN_FILE).unlink(missing_ok=True)
+    if learned is not None and learned.train_file is not None:
+        kept.mkdir(exist_ok=True)
+        write_page(learned.source, kept / f'{learned.effect}.py')
+        write_page(dump_train_file(learned.train_file), kept / TRAIN_FILE)
     write_page(render_explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)

@@ -198,7 +198,8 @@ class Model:
         terms: Effects in the model, linearised about their parameters and ``davis``.
         residual: Measured less predicted speed at the points of ``grid`` [m/s], shape (m,).
         nuisance_columns: Responses [m/s] at the grid points to nuisances that all runs share, first those of
-            :func:`common_columns`, then the parameters of effects, then map errors, shape (m, q + k).
+            :func:`common_columns`, then of a dependence of no name and of the parameters of effects, then map errors,
+            shape (m, q + k).
         common_std: Prior std of the first q of them, shape (q,).
         factor_columns: Responses [m/s] at the grid points to the factors of single runs, shape (m, 2).
         weighed: True if the mass of all runs is measured.
@@ -219,6 +220,7 @@ class Model:
         self.odometry = Odometry.of(dataset, train_file.line.stops)
         self._kept: dict[tuple[Noise, Spread], tuple[Whitening, Array]] = {}
         self._knows_davis = False
+        self._dependence = np.zeros((self._gap.size, 0)), np.zeros(0)
         self._set(terms, train_file.resistance)
 
     @classmethod
@@ -246,11 +248,11 @@ class Model:
         """Return the same model without effect k."""
         return self.with_terms((*self.terms[:k], *self.terms[k + 1 :]))
 
-    def with_nuisances(self, columns: Array, std: float) -> Model:
-        """Return the same model with further nuisances: responses [m/s] (m, k), and prior std of their coefficients."""
+    def with_columns(self, columns: Array, std: Array) -> Model:
+        """Return the same model with a dependence of no name: responses [m/s] (m, k), and their prior std (k,)."""
         other = copy(self)
-        other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
-        other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
+        other._dependence = columns, std
+        other._set(self.terms, self.davis)
         return other
 
     def _set(self, terms: tuple[EffectTerm, ...], davis: Davis) -> None:
@@ -274,8 +276,9 @@ class Model:
                 std.append(width)
         self.residual = self._gap - self.dataset.column(total)
         of_terms = [self.dataset.column(np.stack(derivatives, axis=1))] if derivatives else []
-        self.nuisance_columns = np.concatenate([common, *of_terms, self._map], axis=1)
-        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
+        columns, stds = self._dependence
+        self.nuisance_columns = np.concatenate([common, columns, *of_terms, self._map], axis=1)
+        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), stds, std])
         if self._knows_davis:
             self.common_std[DAVIS] *= 1e-6  # not zero, which would make matrices singular
 
@@ -366,6 +369,12 @@ class Model:
         for _, here in self.places():
             kept[here] = False
         return kept
+
+    @property
+    def dependence(self) -> slice:
+        """Indices of the coefficients of a dependence of no name among the nuisances."""
+        at = len(self.common_std) - sum(len(term.parameters) for term in self.terms)
+        return slice(at - len(self._dependence[1]), at)
 
     @property
     def odometer_excess(self) -> float:

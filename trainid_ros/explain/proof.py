@@ -63,7 +63,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
-    stated[DAVIS] = True  # in a train file, unlike the nuisances
+    stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
     gap, deviation, fitted = np.zeros((3, model.residual.size))
     likelihood = fitted_likelihood = 0.0
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
@@ -201,16 +201,28 @@ def assess(
         written = known
     gap = gap_of(read, written.before, written.after, final, bursts)
     remaining = _remaining(selection, verdict)
+    outcome = Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
     if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN):
         # Their evidence is that of a fit: runs that it has not seen do not show the effects.
-        remaining = (
-            f'The evidence for {" and ".join(sorted({term.name for term in final.terms}))} is not confirmed on runs '
-            f'left out of the fit: gap {gap.before:.3f} m/s before, {gap.after:.3f} m/s after, '
-            f'evidence {gap.evidence:.0f}.'
+        names = ' and '.join(sorted({term.name for term in final.terms}))
+        return unexplained(
+            outcome,
+            f'The evidence for {names} is not confirmed on runs left out of the fit: gap {gap.before:.3f} m/s before, '
+            f'{gap.after:.3f} m/s after, evidence {gap.evidence:.0f}.',
+            bursts,
         )
-        verdict, final, written = Verdict.UNEXPLAINED, base, _with_known_davis(base, base, hyper)
-        gap = gap_of(read, written.before, written.after, final, bursts)
-    return Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
+    return outcome
+
+
+def unexplained(outcome: Outcome, remaining: str, bursts: float = 0.0) -> Outcome:
+    """Return an outcome without its effects; ``bursts`` as in :func:`gap_of`."""
+    base = outcome.base
+    written = _with_known_davis(base, base, outcome.hyper)
+    gap = gap_of(outcome.read, written.before, written.after, base, bursts)
+    return replace(
+        outcome, verdict=Verdict.UNEXPLAINED, remaining=remaining, final=base, terms=written.terms,
+        davis=written.davis, after=written.after, gap=gap,
+    )  # fmt: skip
 
 
 class _Written(NamedTuple):
@@ -259,10 +271,9 @@ def _is_other(selection: Selection) -> bool:
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
     strongest = selection.groups[0]
-    if _is_other(selection) and strongest.evidence > selection.final.excess:
-        size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends slightly'
-        return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
     if verdict is not Verdict.UNEXPLAINED:
+        if _is_other(selection) and strongest.evidence > selection.final.excess:
+            return f'The rest of the gap depends slightly on {strongest.text}, and no effect of the library fits it.'
         return 'What is left is noise: gusts, errors of the map and of the sensors.'
     noise, spread = selection.final.hyper.noise, selection.final.hyper.spread
     return (

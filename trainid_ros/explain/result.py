@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.explain.likelihood import Noise, Spread
+    from trainid_ros.explain.probability import Hypothesis
     from trainid_ros.train.effects import Twin
     from trainid_ros.train.train_file import Davis, NamedValues, TrainFile
 
@@ -93,6 +94,36 @@ class RunTrace:
 
 
 @dataclass(frozen=True, slots=True)
+class Learned:
+    """Missing resistance as a curve over one variable; no effect of the library is its cause."""
+
+    name: str  # Short name of the variable
+    text: str  # The variable as text
+    unit: str  # Its unit; empty for the number of the run less one
+    of: str  # Force of which the values are a share; empty if they are in N/kN
+    evidence: float  # 2 ln of the Bayes factor of the curve [1]
+    hypothesis: Hypothesis  # The same, to compare with sets of effects
+    twins: tuple[str, ...]  # Variables that fit as well, as text
+    x: Array  # Variable at the knots, shape (k,)
+    value: Array  # Missing resistance there [N/kN or 1]; less its mean if it always acts, shape (k,)
+    std: Array  # Its standard deviation, shape (k,)
+    gap: Gap | None = None  # Gap on runs held out without and with it; None with too few runs
+    is_confirmed: bool = False  # Whether they show it; the rest is empty if not
+    function: str = ''  # Function of the variable x that is as good; empty if none is
+    effect: str = ''  # Name of the effect
+    source: str = ''  # Its file
+    train_file: TrainFile | None = None  # Train file with it
+
+    @property
+    def sentence(self) -> str:
+        """What the missing resistance depends on."""
+        share = f' of {self.of}' if self.of else ' N/kN'
+        function = f': {self.function}{share}, x in {self.unit}' if self.function else ''
+        either = ' or '.join((self.text, *self.twins))
+        return f'The missing resistance depends on {either}, and no effect of the library fits it{function}.'
+
+
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """Result of the workflow."""
 
@@ -113,6 +144,7 @@ class Explanation:
     # Point of the train at which gradients were taken to be given; None if they are means under it
     gradient_point: str | None
     probabilities: NamedValues  # Cause ('none', 'other' or an effect) and probability, largest first; their sum is 1
+    learned: Learned | None = None  # What is missing if nothing of the library is; None if the data do not show it
 
 
 _KINDS: Final = {

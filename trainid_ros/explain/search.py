@@ -419,7 +419,8 @@ class Search:
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
             if _MIN_SCORE < found < _CERTAIN_SCORE:
-                model = state.model.with_nuisances(self._scorer.group_columns(score.name), 0.3)  # N/kN
+                columns = self._scorer.group_columns(score.name)
+                model = state.model.with_columns(columns, np.full(columns.shape[1], 0.3))  # N/kN
                 hyper, _ = model.evidence().maximise(state.logs)
                 found = max(found, hyper.evidence - state.hyper.evidence)
             judged.append(replace(score, evidence=found))

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.explain.curve import learn
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.likelihood import DAVIS, integrated_covariance
 from trainid_ros.explain.model import Model, find_slip, read_at
 from trainid_ros.explain.probability import Probabilities, probabilities
-from trainid_ros.explain.proof import assess, locate, where
-from trainid_ros.explain.result import Explanation, FoundEffect, Location, RunTrace, Verdict
+from trainid_ros.explain.proof import assess, locate, unexplained, where
+from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
@@ -81,21 +82,33 @@ def explain(
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
     outcome = assess(selection, compared, train_file, stated or train_file, slipping=slip is not None)
-    # 4. Location: where along position, speed, mode and time the gap lies.
+    # 4. Curve: what the missing force depends on where nothing of the library fits it. Effects with a place or time of
+    # their own only say where it is, so a curve over something else may be more probable.
+    names, learned = selection.final.names, None
+    placed = bool(names) and slip is None and all(EFFECTS[name].repeatable for name in names)
+    if outcome.verdict is Verdict.UNEXPLAINED or placed:
+        advance('curves')
+        learned = learn(selection.base, outcome.base, outcome.read, provenance)
+    if outcome.verdict is not Verdict.UNEXPLAINED:
+        if learned is not None and _is_better(learned, selection, outcome):
+            outcome = unexplained(outcome, learned.sentence)
+        else:
+            learned = None
+    # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    causes = _causes(selection, outcome, None if slip is None else slip[0])
+    causes = _causes(selection, outcome, None if slip is None else slip[0], learned)
     found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, locations, train_file)
     if slip is not None:
         found.append(_effect(*slip, causes, (), 'bursts under traction and braking'))
-    # 5. Result: the train file with the effects added, and the numbers of the report.
+    # 6. Result: the train file with the effects added, and the numbers of the report.
     davis, davis_std = _davis(outcome.final, outcome.hyper)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
         gap=outcome.gap,
-        remaining=outcome.remaining + _odd_runs(selection, locations),
+        remaining=(learned.sentence if learned else outcome.remaining) + _odd_runs(learned, locations),
         train_file=replace(train_file, resistance=outcome.davis, effects=merged(train_file.effects, added)),
         davis=davis,
         davis_std=davis_std,
@@ -107,20 +120,31 @@ def explain(
         weighed=outcome.final.weighed,
         gradient_point=point,
         probabilities=causes.shares,
+        learned=learned,
     )
 
 
-def _causes(selection: Selection, outcome: Outcome, slip: EffectTerm | None) -> Probabilities:
+def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool:
+    """Return whether a curve is more probable than the effects selected, and better on runs held out."""
+    if not learned.is_confirmed or learned.gap is None or outcome.gap is None:
+        return False
+    weights = [item.weight for item in selection.hypotheses if item.names == selection.final.names]
+    return learned.hypothesis.weight > max(weights) and learned.gap.after < outcome.gap.after
+
+
+def _causes(selection: Selection, outcome: Outcome, slip: EffectTerm | None, learned: Learned | None) -> Probabilities:
     """Return the probabilities of causes; sets with the selected effects have none if held-out runs refute these."""
     compared, selected = selection.hypotheses, {*selection.final.names}
+    if learned is not None:
+        compared = (*compared, learned.hypothesis)
     if outcome.verdict is Verdict.UNEXPLAINED and selected:
         compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
     return probabilities(compared, () if slip is None else (slip.name,))
 
 
-def _odd_runs(selection: Selection, locations: Sequence[Location]) -> str:
+def _odd_runs(learned: Learned | None, locations: Sequence[Location]) -> str:
     """Return a sentence with the runs that differ by three standard deviations, if the gap depends on the run."""
-    if selection.groups[0].name != 'run':
+    if learned is None or learned.name != 'run':
         return ''
     places = [place for location in locations if location.axis == 'run' for place in location.places]
     odd = [f'{place.label} ({place.before:+.2f} N/kN)' for place in places if abs(place.before) > 3.0 * place.std]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from trainid_ros.explain.result import Location, Place, RunTrace
+    from trainid_ros.explain.result import Learned, Location, Place, RunTrace
     from trainid_ros.report.recording import Array
     from trainid_ros.train.train_file import Line, TrainFile
 
@@ -66,6 +66,7 @@ def render_explained(
             ('Train file', train_file_name),
         ),
         worst_run=worst_run(explanation),
+        learned=learned_curve(explanation.learned),
         consequences=(
             page.Table(
                 'Other causes', ('', '', 'probability', 'times less likely'), words.rejected_rows(explanation), 2
@@ -101,7 +102,7 @@ def _answers(explanation: Explanation) -> tuple[tuple[str, list[str]], ...]:
     where = [f'{effect.name}: {effect.where}' for effect in effects]
     sure = [*(f'{effect.name}: {words.how_sure(effect)}' for effect in effects), words.gap_sentence(explanation)]
     return (
-        ('What', what or [explanation.remaining]),
+        ('What', what or [explanation.remaining, *filter(None, [words.learned_sentence(explanation.learned)])]),
         ('Where', where or words.strongest(explanation)),
         ('How sure', [*sure, explanation.remaining] if what else sure),
         ('What next', words.next_steps(explanation)),
@@ -134,6 +135,22 @@ def worst_run(explanation: Explanation) -> str:
         measured = Line2D([], [], color=page.INK, linestyle=page.DASHES, label='measured')
         page.legend_above(figure, [measured, *file_lines(explanation), NOISE_BAND])
         return page.to_svg(figure, 'Measured and simulated speed of the run with the largest gap')
+
+
+def learned_curve(learned: Learned | None) -> str:
+    """Plot the missing resistance as a curve over one variable, with its 95 % band."""
+    if learned is None:
+        return ''
+    x = learned.x if learned.unit else learned.x + 1.0  # the first run is number 1
+    with page.styled_figure(3.2) as figure:
+        axes = figure.subplots()
+        band = _SIGMAS * learned.std
+        axes.axhline(0.0, color=page.MUTED, linewidth=0.8)
+        axes.fill_between(x, learned.value - band, learned.value + band, color=AFTER, alpha=0.18, linewidth=0)
+        axes.plot(x, learned.value, color=AFTER, marker='' if learned.unit else 'o')
+        axes.set_xlabel(f'{learned.text} [{learned.unit}]' if learned.unit else learned.text)
+        axes.set_ylabel(f'share of {learned.of}' if learned.of else 'missing [N/kN]')
+        return page.to_svg(figure, 'Learned curve of the missing resistance')
 
 
 def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:

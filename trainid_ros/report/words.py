@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_text
+from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Verdict, place_text
 from trainid_ros.interface.results import ResistanceEstimate, quantities
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.effects import EFFECTS
@@ -123,6 +123,17 @@ def gap_sentence(explanation: Explanation) -> str:
     )
 
 
+def learned_sentence(learned: Learned | None) -> str:
+    """Return what runs held out say about the curve that was learned, as text; '' without one."""
+    if learned is None or (gap := learned.gap) is None or not learned.unit:  # a run held out shows nothing of itself
+        return ''
+    fell = f'from {gap.before:.3f} to {gap.after:.3f} m/s on runs left out of the fit, evidence {gap.evidence:.0f}'
+    if not learned.is_confirmed:
+        return f'That is not confirmed: with it the gap goes {fell}.'
+    named = f' as the effect {learned.effect}' if learned.effect else ''
+    return f'With it{named} the gap falls {fell}; a correct train file would leave {gap.noise_floor:.3f} m/s.'
+
+
 def next_steps(explanation: Explanation) -> list[str]:
     """Return as sentences what to do next: the drive that would tell, and what the data lack."""
     if explanation.verdict is Verdict.EXPLAINED:
@@ -130,6 +141,8 @@ def next_steps(explanation: Explanation) -> list[str]:
     steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
     if not found and explanation.train_file.resistance == explanation.davis:
         steps.append('Use the train file beside this page, with a, b and c as fitted.')
+    if (learned := explanation.learned) and learned.effect:
+        steps.append(f'Find the cause. Until then use folder learned, with {learned.effect} as an effect of your own.')
     if explanation.verdict is not Verdict.AMBIGUOUS:
         others = [(name, p) for name, p in explanation.probabilities if name in EFFECTS and name not in found]
         steps += [f'Otherwise likeliest: {x} ({percent(p)}). To see it: {EFFECTS[x].needs}.' for x, p in others[:1]]
