@@ -354,7 +354,10 @@ class Lasting:
         self.mean, self.variance = usual.mean, usual.std * usual.std
 
     def correct(self, y: float, H: float, R: float, seconds: float) -> None:
-        """Correct with a measurement y = H times the quantity + noise of variance R, so long after the last one [s]."""
+        """Correct with a measurement y = H times the quantity + noise of variance R, over a time [s].
+
+        Only times with a measurement count.
+        """
         usual = self.usual
         d = math.exp(-seconds / usual.time_s)
         self.mean = usual.mean + d * (self.mean - usual.mean)

@@ -120,7 +120,6 @@ _RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
 _MPH: Final = 2.236936
 _LBF: Final = 4.448222  # [N]
-_KGF: Final = 9.80665  # [N]
 
 
 def _late(what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False) -> tuple[Row, ...]:
@@ -154,7 +153,7 @@ TABLE: Final[tuple[Row, ...]] = (
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), unusual=((GAIN, 1.6, 0.3),)),
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3, misread=True),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF, misread=True),
-    Row('ato/force is in kgf', _only(Input.FORCE), force=_KGF, misread=True),
+    Row('ato/force is in kgf', _only(Input.FORCE), force=G, misread=True),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0, misread=True),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=1.35, unusual=((GAIN, 1.0, 0.1),)),
