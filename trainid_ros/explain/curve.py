@@ -27,6 +27,7 @@ from trainid_ros.explain.likelihood import Information, Nuisances, posterior
 from trainid_ros.explain.probability import dependence
 from trainid_ros.explain.proof import SHOWN, gap_of, hold_out
 from trainid_ros.explain.result import Learned
+from trainid_ros.explain.search import hats
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Effect
@@ -85,7 +86,7 @@ class Variable:
 
     def hats(self, knots: Array) -> Array:
         """Return the resistance of each coefficient of a curve with these knots [N/kN], shape (n, k)."""
-        return _hats(self.x, knots) * self.weight[:, None]
+        return hats(self.x, knots) * self.weight[:, None]
 
     def roots(self, knots: Array) -> Iterator[Array]:
         """Yield L with L L' a prior covariance of the curve at its knots, shape (k, k); runs are independent."""
@@ -95,12 +96,6 @@ class Variable:
             r = math.sqrt(3.0) * apart / length  # Matern covariance of order 3/2: a curve with kinks
             root = np.linalg.cholesky((1.0 + r) * np.exp(-r) + 1e-6 * np.eye(knots.size))
             yield from (size * scale * root for size in _SIZES)
-
-
-def _hats(x: Array, knots: Array) -> Array:
-    """Return functions linear between equally spaced knots, each one at one of them, shape (n, k)."""
-    at = (np.clip(x, knots[0], knots[-1]) - knots[0]) / (knots[1] - knots[0])
-    return np.asarray(np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(knots.size))))
 
 
 _MIDDLE: Final = 'at.position - 0.5 * at.direction * at.length'
@@ -231,7 +226,7 @@ class Function(NamedTuple):
     def at(self, x: Array) -> Array:
         """Return the terms at x, shape (n, t)."""
         if self.form is None:
-            return _hats(x, self.knots) @ self.root
+            return hats(x, self.knots) @ self.root
         return self.form.at(np.clip(x, self.knots[0], self.knots[-1]), self.shape, level=self.level)
 
     def text(self, size: Array) -> str:

@@ -163,8 +163,12 @@ def _hats(x: Array, count: int) -> Array:
     knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))
     if knots.size < 2:
         return np.ones((x.size, 1))
-    columns = [np.interp(x, knots, np.eye(knots.size)[i]) for i in range(knots.size)]
-    return np.stack(columns, axis=1)
+    return hats(x, knots)
+
+
+def hats(x: Array, knots: Array) -> Array:
+    """Return functions linear between knots (k,), each one at one of them, constant beyond, shape (n, k)."""
+    return np.stack([np.interp(x, knots, values) for values in np.eye(knots.size)], axis=1)
 
 
 # Prior std of the amplitude of an effect, in units of its typical value; the Bayes factor is averaged over them.
@@ -343,7 +347,10 @@ class Search:
         state = replace(state, model=with_onsets(state.model, state.hyper))
         evidence = tuple(self._gain(state, k) for k in range(len(state.names)))
         hypotheses = tuple(self._hypotheses(state, evidence, groups, slipping=slipping))
-        twins = tuple(_twin(name, state.names, hypotheses) for name in state.names)
+        causes = probabilities(hypotheses)
+        twins = tuple(
+            () if causes.of(name) >= CERTAIN else _alternative(name, state.names, hypotheses) for name in state.names
+        )
         return Selection(self.base, state, evidence, twins, tuple(groups), hypotheses)
 
     def _hypotheses(
@@ -476,10 +483,8 @@ class Search:
         return next((score for score in self._named(model, hyper) if score.name != name), None)
 
 
-def _twin(name: str, names: tuple[str, ...], hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """Return the effect that is most probable if one of several is none, empty if that one is certain."""
-    if probabilities(hypotheses).of(name) >= CERTAIN:
-        return ()
+def _alternative(name: str, names: tuple[str, ...], hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+    """Return the most probable effect beside several if one of them is not missing, empty if there is none."""
     others = probabilities(one for one in hypotheses if name not in one.names).present
     rivals = [(p, other) for other, p in others if other not in names]
     return (max(rivals)[1],) if rivals else ()

@@ -82,18 +82,8 @@ def explain(
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
     outcome = assess(selection, compared, train_file, stated or train_file, slipping=slip is not None)
-    # 4. Curve: what the missing force depends on where nothing of the library fits it. Effects with a place or time of
-    # their own only say where it is, so a curve over something else may be more probable.
-    names, learned = selection.final.names, None
-    placed = bool(names) and slip is None and all(EFFECTS[name].repeatable for name in names)
-    if outcome.verdict is Verdict.UNEXPLAINED or placed:
-        advance('curves')
-        learned = learn(selection.base, outcome.base, outcome.read, provenance)
-    if outcome.verdict is not Verdict.UNEXPLAINED:
-        if learned is not None and _is_better(learned, selection, outcome):
-            outcome = unexplained(outcome, learned.sentence)
-        else:
-            learned = None
+    # 4. Curve: what the missing force depends on where nothing of the library fits it.
+    outcome, learned = _with_curve(selection, outcome, provenance, advance, slipping=slip is not None)
     # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
@@ -122,6 +112,24 @@ def explain(
         probabilities=causes.shares,
         learned=learned,
     )
+
+
+def _with_curve(
+    selection: Selection, outcome: Outcome, provenance: str, advance: Callable[[str], None], *, slipping: bool
+) -> tuple[Outcome, Learned | None]:
+    """Return the outcome with the curve learned, None if none is or if the effects are better."""
+    names, fits = selection.final.names, outcome.verdict is not Verdict.UNEXPLAINED
+    # Effects with a place or time of their own only say where it is: a curve over something else may be more probable.
+    is_placed = bool(names) and not slipping and all(EFFECTS[name].repeatable for name in names)
+    if fits and not is_placed:
+        return outcome, None
+    advance('curves')
+    learned = learn(selection.base, outcome.base, outcome.read, provenance)
+    if not fits:
+        return outcome, learned
+    if learned is not None and _is_better(learned, selection, outcome):
+        return unexplained(outcome, learned.sentence), learned
+    return outcome, None
 
 
 def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool:
