@@ -72,7 +72,8 @@ def test_it_estimates_the_resistance_over_the_observed_speeds(train_file: TrainF
         here = estimator.estimate(v)
         # 180 unbiased observations of about 0.1 N/kN: 0.03 N/kN, and within the stated standard deviation.
         assert here.resistance == pytest.approx(w(TRUTH, v), abs=max(0.05, 3.0 * here.resistance_std))
-        assert here.resistance_std < 0.1
+        # The rest is for a step that does not show yet.
+        assert here.resistance_std < 0.15
 
 
 def test_the_test_ratio_is_relative_to_the_gate(train_file: TrainFile, journey: Journey) -> None:
@@ -103,6 +104,29 @@ def test_it_recovers_after_a_jump_of_the_resistance(
     stepped(estimator, samples[round(5 * (jump_s + 120.0)) :])
     assert estimator.estimate(14.0).resistance == pytest.approx(w(truth, 14.0), abs=0.25)
     assert estimator.learner.tracker.steps_found >= 1
+
+
+def test_the_band_covers_a_step_that_is_hidden_by_gusts(train_file: TrainFile, journey: Journey) -> None:
+    """Wrong by three standard deviations for less than a fifth of five minutes; by the mixture alone for longer."""
+    jump_s, step, shares = 900.0, 0.4, []
+    for seed in range(4):
+        rng, gust, gusts = np.random.default_rng(200 + seed), 0.0, []
+        for _ in range(6001):
+            gust = 0.97 * gust + 0.3 * math.sqrt(1.0 - 0.97**2) * float(rng.standard_normal())
+            gusts.append(gust)
+
+        def blown(t: float, gusts: list[float] = gusts) -> Davis:
+            return replace(TRUTH, a=TRUTH.a + gusts[round(5.0 * t)] + (step if t > jump_s else 0.0))
+
+        samples = journey(1200.0, speed=10.0, traction=saw_tooth, resistance=blown, seed=seed)
+        estimator = stepped(VMils(train_file, CONFIG), samples[: round(5 * jump_s)])
+        wrong = []
+        for sample in samples[round(5 * jump_s) :]:
+            stepped(estimator, [sample])
+            found = estimator.estimate(14.0)
+            wrong.append(abs(found.resistance - step - w(TRUTH, 14.0)) > 3.0 * found.resistance_std)
+        shares.append(np.mean(wrong))
+    assert max(shares) < 0.2
 
 
 def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Journey) -> None:
@@ -142,7 +166,7 @@ def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None
 
 @pytest.mark.parametrize('v', [8.0, 12.0, 20.0])
 def test_the_model_error_is_a_share_of_w_at_every_speed(train_file: TrainFile, journey: Journey, v: float) -> None:
-    config = replace(CONFIG, drift_share=0.0, model_error=0.2)
+    config = replace(CONFIG, drift_share=0.0, step_share=0.01, step_interval=1e7, model_error=0.2)
     estimator = after(train_file, journey(200.0, traction=saw_tooth), config)
     posterior, found, phi = estimator.learner.tracker.stated, estimator.estimate(v), np.array([1.0, v, v * v])
     variance = estimator.learner.inflation.factor * float(phi @ posterior.P[:3, :3] @ phi)

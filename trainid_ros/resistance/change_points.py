@@ -11,9 +11,13 @@ A forgetting factor responds to a step faster at the price of more noise at all 
 hypotheses run beside the long memory, Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
 Each assumes that the parameters stepped when it was created: it starts from the long memory with the variance of a step
 added, and accumulates the log Bayes factor of its predictions against those of the long memory. The estimate is the
-mixture of all, weighted by their probability; the stated covariance weights the hypotheses more, since it must cover
-both outcomes while a step is suspected. Once the long memory has negligible probability, the most likely hypothesis
-replaces it.
+mixture of all, weighted by their probability. Once the long memory has negligible probability, the most likely
+hypothesis replaces it.
+
+The covariance of the mixture knows of no step that the data do not show yet. In the stated one, about the same mean,
+the long memory is replaced by a walk: the parameters as if they stepped all the time, with the mean square of the
+steps. Hypotheses have its covariance once theirs is smaller, since after one step there may be another, and more
+weight, since both outcomes must be covered while a step is suspected.
 
 An observation is good with probability 1 - eps; otherwise it is uniformly distributed over a width of
 ``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate could not
@@ -326,7 +330,7 @@ class ChangePointConfig:
     hypotheses: int = 5  # Maximum number of hypotheses
     # Number of observations whose weights show a lock-out, and from which the long memory then restarts
     lockout: int = 30
-    # Factor on the weight of the hypotheses in the stated covariance, while they weigh less than the long memory
+    # Factor on the weight of the hypotheses in the stated covariance, while they weigh less than the walk
     step_weight: float = 1.0
 
 
@@ -353,14 +357,15 @@ class Tracker:
 
     Attributes:
         estimate: Mixture of the long memory and the hypotheses.
-        stated: The same mean with the covariance to be published, in which hypotheses have more weight.
+        stated: The same mean with the covariance to be published, of walk and hypotheses.
+        walk: The parameters if they step all the time, as :meth:`inflate_variance` says.
         steps_found: Number of detected steps.
         change_probability: Probability of a step since the long memory began [1], below 0.001 when settled.
     """
 
     STATE: ClassVar[State] = declare(
-        '_memory', several('_parts', _no_numbers), several('_hypotheses', _blank), '_rows', '_mean_weight', '_count',
-        'steps_found',
+        '_memory', 'walk', several('_parts', _no_numbers), several('_hypotheses', _blank), '_rows', '_mean_weight',
+        '_count', 'steps_found',
     )  # fmt: skip
 
     def __init__(self, prior: Normal, plan: ChangePointConfig) -> None:
@@ -372,7 +377,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Return to the prior."""
-        self._memory = information_of(self.prior)
+        self._memory, self.walk = information_of(self.prior), self.prior
         self._parts: list[vec[float]] = []
         self._hypotheses: list[RunLengthHypothesis] = []
         self._rows: deque[tuple[float, ...]] = deque(maxlen=self.plan.lockout)
@@ -387,6 +392,7 @@ class Tracker:
     def begin(self, normal: Normal) -> None:
         """Start a new long memory from a distribution and remove all hypotheses."""
         self._set_memory(information_of(normal))
+        self.walk = normal
         self._parts.clear()
         self._hypotheses = []
         self._mean_weight = 1.0
@@ -419,6 +425,7 @@ class Tracker:
             for k in range(len(part)):
                 information[k] += part[k]
         self._set_memory(information)
+        self.walk, _, _ = soft_update(self.walk, phi, y, R, slow, plan.outliers)
         # [11], [12]
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
@@ -428,9 +435,13 @@ class Tracker:
         self._mix()
         return weight
 
-    def inflate_variance(self, variances: Array, limits: Array) -> None:
-        """Add the variances of random steps of the parameters, see :func:`inflated`."""
+    def inflate_variance(self, variances: Array, limits: Array, steps: float = 0.0) -> None:
+        """Add the variances of random steps of the parameters, see :func:`inflated`.
+
+        The walk also steps as configured; ``steps`` is the mean number of these steps.
+        """
         self._set_memory(information_of(inflated(self._long, variances, limits)))
+        self.walk = inflated(self.walk, variances + steps * self._steps, limits)
         for item in self._hypotheses:
             item.normal = inflated(item.normal, variances, limits)
         self._mix()
@@ -476,6 +487,11 @@ class Tracker:
             self.begin(fit)
             self.steps_found += 1
 
+    def _spread(self, item: Normal) -> float:
+        """Return the sum of the variances of the parameters that step, relative to those of one step [1]."""
+        steps, n = self.plan.step_variances, len(item.mean)
+        return math.fsum(item.covariance[k * n + k] / steps[k] for k in range(n) if steps[k] > 0.0)
+
     def _mix(self) -> None:
         """Update the mixture, weighted by probability."""
         # [14]
@@ -486,8 +502,11 @@ class Tracker:
                 normals.append(item.normal)
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)
-        self.estimate = self.stated = self._long
-        if len(normals) > 1:
-            self.estimate = mixed(normals, odds)
-            weight = min(self.plan.step_weight, max(1.0, 1.0 / math.fsum(odds[1:])))
-            self.stated = mixed(normals, odds, [1.0, *[weight * x for x in odds[1:]]])
+        suspected = math.fsum(odds[1:])
+        self.estimate = mixed(normals, odds) if suspected else self._long
+        weight = min(self.plan.step_weight, max(1.0, 1.0 / suspected)) if suspected else 1.0
+        # Parameters that stepped once may step again, so an old hypothesis has the covariance of the walk.
+        walked, W = self._spread(self.walk), self.walk.covariance
+        wide = [one if self._spread(one) > walked else Normal(one.mean, W) for one in normals[1:]]
+        others = [1.0, *[weight * x for x in odds[1:]]]
+        self.stated = mixed([self.estimate, self.walk, *wide], [1.0, *[0.0] * len(others)], [0.0, *others])

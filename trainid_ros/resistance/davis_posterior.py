@@ -290,6 +290,36 @@ def is_accurate_at(speed: float, posterior: DavisPosterior, valid_std: float, va
     return variance < valid_std * valid_std + valid_share * valid_share * w * w
 
 
+# Multiple of the limit up to which an estimate is fit to use while a step is suspected, and up to which it stays so.
+_SUSPECTED: Final = 2.0
+_STILL_SUSPECTED: Final = 3.0
+
+
+def is_fit_to_use(
+    settled: DavisPosterior,
+    stated: DavisPosterior,
+    driven: DrivenSpeeds,
+    speed: float,
+    limits: tuple[float, float],
+    *,
+    was_fit: bool,
+) -> bool:
+    """Return whether w is accurate over the driven speeds, and at the present one even if a step just happened.
+
+    Args:
+        settled: The posterior without a step that the data do not show yet.
+        stated: The posterior with it.
+        driven: Speeds learned from.
+        speed: Present speed [m/s].
+        limits: Largest standard deviation [N/kN], and as a share of the resistance [1].
+        was_fit: Whether it was fit to use before.
+    """
+    suspected = _STILL_SUSPECTED if was_fit else _SUSPECTED
+    return is_accurate_over_driven_speeds(settled, driven, *limits, was_accurate=was_fit) and is_accurate_at(
+        speed, stated, suspected * limits[0], suspected * limits[1]
+    )
+
+
 SEEN_SHARE: Final = 0.5
 """Relative reduction of the prior variance from which a parameter counts as seen [1]."""
 # A parameter shows where its standard deviation changes w by this many standard deviations of w at the speeds seen, and

@@ -52,9 +52,8 @@ from trainid_ros.resistance.davis_posterior import (
     Inflation,
     drift_growth,
     force_variances,
-    is_accurate_at,
-    is_accurate_over_driven_speeds,
     is_delay_at_end,
+    is_fit_to_use,
     length_under_train,
     resistance_estimate,
     scale_step,
@@ -93,9 +92,6 @@ _GATE: Final = 5.5
 _RESTART_AFTER_S: Final = 5.0
 # Longer than a stop, so that weather and train may have changed in the meantime [s].
 _IDLE_S: Final = 600.0
-# Multiple of the limit up to which an estimate is fit to use while a step is suspected, and up to which it stays so.
-_SUSPECTED: Final = 2.0
-_STILL_SUSPECTED: Final = 3.0
 # Number of accepted samples between two tests whether the estimate is fit to use, a second at 5 Hz; and the time since
 # the last sample from which on each is tested [ns].
 _VALIDITY_CHECK_INTERVAL: Final = 5
@@ -264,16 +260,14 @@ class FilterBank:
         """Decide whether w is fit to use: at the driven speeds, and at the present one even if a step just happened."""
         config, speed = self.config, self._admitted[-1].speed
         now = self._inflated(self.bank.mixture(), self._inflation.factor)
-        suspected = _STILL_SUSPECTED if self._converged else _SUSPECTED
         # A delay outside the range that can be estimated biases the other states.
-        self._converged = (
-            not is_delay_at_end(now.mean[_DELAY])
-            and is_accurate_over_driven_speeds(
-                now.davis, self._driven, config.valid_std, config.valid_share, was_accurate=self._converged
-            )
-            and is_accurate_at(
-                speed, self._current().davis, suspected * config.valid_std, suspected * config.valid_share
-            )
+        self._converged = not is_delay_at_end(now.mean[_DELAY]) and is_fit_to_use(
+            now.davis,
+            self._current().davis,
+            self._driven,
+            speed,
+            (config.valid_std, config.valid_share),
+            was_fit=self._converged,
         )
 
     def _current(self) -> Mixture:

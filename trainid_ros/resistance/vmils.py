@@ -21,9 +21,10 @@ w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_post
     [11]     hypotheses: "a, b, c stepped k observations ago", each updated by eqs. (9)-(11)
     [12]     one that is 1000 times as likely replaces the long memory of [10]
     [13]     if most y contradict the long memory: restart from a robust fit of the latest
-    [14]     estimate = mixture of long memory and hypotheses; in its stated P hypotheses count more
-    [15]     learn the variance of disturbances, slow, and the inflation of P from e
-    [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c
+    [14]     estimate = mixture of long memory and hypotheses; in its stated P the walk, theta as if a, b, c stepped all
+             the time, updated by eqs. (9)-(11), replaces the long memory, and hypotheses count more
+    [15]     learn the variance of disturbances and slow from e, the inflation of P from the e of the walk
+    [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c, and in W steps
     [17] publish: P = inflation P + (model error)^2 theta theta'
 
 The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vmils.py``. Differences from the paper:
@@ -61,7 +62,7 @@ from trainid_ros.resistance.davis_posterior import (
     drift_rates,
     drifted,
     force_variances,
-    is_accurate_over_driven_speeds,
+    is_fit_to_use,
     resistance_estimate,
     scale_step,
 )
@@ -83,7 +84,7 @@ class VMils:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
 
     STATE: ClassVar[State] = declare(
-        'learner', '_stamp_ns', '_drifted_ns', '_validity_checked_ns', '_admission', '_standing', '_converged'
+        'learner', '_stamp_ns', '_speed', '_drifted_ns', '_validity_checked_ns', '_admission', '_standing', '_converged'
     )
 
     def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
@@ -98,6 +99,9 @@ class VMils:
         a, b, c, *_ = tracker.prior.P.diagonal().tolist()
         self._prior_variances = a, b, c
         self._rates = drift_rates(config.drift_share, self._prior_variances)
+        (drift_a, drift_b, drift_c), T = self._rates, config.step_interval
+        step_a, step_b, step_c, *_ = tracker.plan.step_variances
+        self._walk_rates = drift_a + step_a / T, drift_b + step_b / T, drift_c + step_c / T
         # Upper limits of the variances of theta: the prior ones, plus one step of kappa.
         self._limits = tracker.prior.P.diagonal().copy()
         self._limits[_KAPPA] += scale_step(train_file.train, weighed=False) ** 2
@@ -106,7 +110,7 @@ class VMils:
 
     def _clear(self) -> None:
         self._stamp_ns = self._drifted_ns = self._validity_checked_ns = self._admission.braked_ns = 0
-        self._converged = False
+        self._speed, self._converged = 0.0, False
         # The prior already includes the change of load at the first stop.
         self._standing = True
         # Of the newest sample, for drives that are foreseen; not saved.
@@ -133,7 +137,7 @@ class VMils:
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
-        self._stamp_ns = sample.stamp_ns
+        self._stamp_ns, self._speed = sample.stamp_ns, sample.speed
         self._inflate_at_stops(sample)
         if (rejection := self._admission.reject(sample)) is not None:
             self.learner.interrupt(sample.speed)
@@ -180,14 +184,14 @@ class VMils:
         elif elapsed_s >= _DRIFT_LUMP_S:
             # [16]
             grown = np.array([*self._rates, 0.0, 0.0, 0.0]) * elapsed_s
-            self.learner.tracker.inflate_variance(grown, self._limits)
+            self.learner.tracker.inflate_variance(grown, self._limits, elapsed_s / self.config.step_interval)
             self._drifted_ns = self._stamp_ns
 
-    def _published(self, P: Array) -> DavisPosterior:
-        """Return the posterior as published, of a covariance of theta: with the drift since it was last added."""
+    def _published(self, P: Array, rates: tuple[float, float, float]) -> DavisPosterior:
+        """Return the posterior as published, of a covariance of theta and the rates at which it grows between lumps."""
         now = self._davis(P)
         if 0 < self._drifted_ns < self._stamp_ns:
-            now = drifted(now, self._rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
+            now = drifted(now, rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
         return self._inflated(now, self.learner.inflation.factor)
 
     def _davis(self, P: Array) -> DavisPosterior:
@@ -211,12 +215,13 @@ class VMils:
         if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
         self._validity_checked_ns = self._stamp_ns
-        self._converged = is_accurate_over_driven_speeds(
-            self._published(learner.tracker.estimate.P),
+        self._converged = is_fit_to_use(
+            self._published(learner.tracker.estimate.P, self._rates),
+            self._published(learner.tracker.stated.P, self._walk_rates),
             learner.driven,
-            self.config.valid_std,
-            self.config.valid_share,
-            was_accurate=self._converged,
+            self._speed,
+            (self.config.valid_std, self.config.valid_share),
+            was_fit=self._converged,
         )
 
     @property
@@ -227,7 +232,7 @@ class VMils:
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         P = self.learner.tracker.stated.P
-        return self._estimate(self._published(P), self.learner.inflation.factor * P.diagonal(), speed)
+        return self._estimate(self._published(P, self._walk_rates), self.learner.inflation.factor * P.diagonal(), speed)
 
     def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate]:
         """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
@@ -235,12 +240,14 @@ class VMils:
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
         # At an arrival no load has been weighed yet.
         step = scale_step(self._known.train_file.train, weighed=False) ** 2
-        most, drift = self._limits[_KAPPA], np.array(self._rates) * run.duration_s
+        # A step may come at any time of a run: half of it before what the run tells, half after.
+        most, drift = self._limits[_KAPPA], 0.5 * np.array(self._walk_rates) * run.duration_s
         if not self._standing:
             P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
         for k in range(1, times + 1):
             P[[0, 1, 2], [0, 1, 2]] += drift
             P[:] = np.linalg.inv(np.linalg.inv(P) + information)
+            P[[0, 1, 2], [0, 1, 2]] += drift
             P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
             factor = self.learner.inflation.foreseen(k * len(run.steps) * STEP_S)
             published = self._inflated(self._davis(P), factor)

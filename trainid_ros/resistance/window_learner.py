@@ -403,6 +403,7 @@ class WindowLearner:
         # [6]
         noise, slow = self._noise_of(observed, cut)
         expected, variance = tracker.estimate.predict(phi)
+        walked, walk_variance = tracker.walk.predict(phi)
         # [7] Eqs. (9), (16).
         nu, S = observed.y - expected, variance + noise
         if not is_finite(nu * nu / S):
@@ -415,7 +416,8 @@ class WindowLearner:
         if tracker.change_probability < _UNCERTAIN:
             self._learn_disturbance(nu, S)
         self._slow.add(weight * nu, variance, slow * noise, _SLOW_BOUNDS)
-        self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
+        # Those of the long memory hold the steps too, for which the walk allows.
+        self.inflation.add(weight * (observed.y - walked), walk_variance + slow * noise, cut.hop)
         if weight < 0.5:
             return Rejection(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
         self.driven.add_mean(observed.phi[1], observed.speed_min, observed.speed_max)
