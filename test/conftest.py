@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from benchmarks.yizhuang_day import yizhuang_day
-from trainid_ros.explain.likelihood import Noise, Spread
+from trainid_ros.explain.likelihood import Noise
+from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.probability import dependence
 from trainid_ros.explain.result import (
     Explanation,

@@ -22,8 +22,8 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli import explain
 from trainid_ros.cli.explain import describe, explain_runs, prepare_folder, provenance, to_json
 from trainid_ros.cli.main import main
-from trainid_ros.explain.likelihood import DAVIS
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.result import Explanation, Gap, Learned, Verdict
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import BrakeRecord, GradientRecord, Record, SpeedRecord

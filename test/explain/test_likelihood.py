@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regression on whitened columns, the marginal likelihood, whitening, columns and priors of nuisances."""
+"""Regression on whitened columns, the marginal likelihood, and whitening."""
 
 from __future__ import annotations
 
@@ -11,36 +11,31 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
 from test.explain.made_runs import TRAIN, Maker, local_drag
-from trainid_ros.explain.dataset import Dataset, assemble
+from trainid_ros.explain.dataset import Dataset, Run, assemble
 from trainid_ros.explain.effects import prior_cost
 from trainid_ros.explain.likelihood import (
-    Bins,
     Gram,
     Grid,
     Hyperparameters,
     MarginalLikelihood,
     Noise,
-    Spread,
     Whitener,
     Whitening,
-    common_columns,
-    common_std,
     eliminate,
     group_log_bayes,
     informations,
     integrated_covariance,
     log_bayes,
     posterior,
-    prior_factor,
-    run_columns,
+    rounding_of,
     share_of_mean,
 )
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.nuisances import run_columns
 from trainid_ros.interface.errors import NoAnswerError
 
 Array = NDArray[np.float64]
 ROWS, NUISANCES, CANDIDATES = 40, 4, 3
-MASS, NOISE, LOSSES = 8, 9, 10  # Columns of nuisances
 
 
 # y, nuisances and candidates: unit noise, and one candidate in y.
@@ -97,11 +92,11 @@ def test_posterior_solves_the_normal_equations() -> None:
 
 def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None:
     """Elimination by run equals elimination of one column for each run and factor."""
-    grid, std = Grid.of(dataset), np.array([0.03, 0.02])
+    grid, std = Grid.of(dataset), np.array([0.03, 0.02, 0.7])
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
     columns = np.random.default_rng(2).standard_normal((dataset.point_time.size, 2))
-    factors = dataset.column(run_columns(dataset))
-    total, cost = Gram.of(np.concatenate([columns, factors], axis=1), 2, whitener).reduced(std)
+    factors = dataset.column(run_columns(dataset, 0.003))
+    total, cost = Gram.of(np.concatenate([columns, factors], axis=1), 3, whitener).reduced(std)
     apart = [factors * (dataset.point_run == k)[:, None] for k in range(len(dataset.runs))]
     X = whitener.apply(np.concatenate([columns, *apart], axis=1))
     order = [0, *range(2, X.shape[1]), 1]
@@ -196,7 +191,8 @@ def grid_of(times: Array, share: Array, change: Array) -> Grid:
     """Return the grid of one run."""
     inside, order = np.ones((times.size, 1), dtype=bool), np.arange(times.size)
     dt = np.diff(times, prepend=times[0])[:, None]
-    return Grid((0, times.size), inside, order, dt, share[:, None], change[:, None], INERTIA)
+    rounding = 1e-3 * share[:, None]
+    return Grid((0, times.size), inside, order, dt, share[:, None], rounding, change[:, None], INERTIA)
 
 
 def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array:
@@ -208,7 +204,7 @@ def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array
     gusts = (noise.gust * tau / INERTIA) ** 2 * (2.0 * earlier / tau - 1.0 + decay[:, None] + decay[None, :] - apart)
     impulses = np.cumsum(np.square(noise.jitter * change))
     before = np.minimum(np.arange(t.size)[:, None], np.arange(t.size)[None, :])
-    return np.asarray(gusts + impulses[before] + noise.speed**2 * np.diag(share) + INITIAL_VARIANCE)
+    return np.asarray(gusts + impulses[before] + (noise.speed**2 + 1e-3) * np.diag(share) + INITIAL_VARIANCE)
 
 
 @pytest.mark.parametrize('jitter', [0.0, 0.05])
@@ -253,7 +249,7 @@ def test_runs_are_whitened_independently(dataset: Dataset) -> None:
 def test_factors_of_runs_are_whitened(dataset: Dataset) -> None:
     """Whitening equals the inverse of the covariance of noise and factors, also with a factor that does not act."""
     whitener = Whitener.of(Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02))
-    factors, std = dataset.column(run_columns(dataset)), np.array([0.03, 0.02])
+    factors, std = dataset.column(run_columns(dataset, 0.003)), np.array([0.03, 0.02, 0.7])
     factors[whitener.grid.runs[1], 1] = 0.0
     Z, white = (w.apply(np.eye(len(factors))) for w in (Whitening.of(whitener, factors, std), whitener))
     for run in whitener.grid.runs:
@@ -271,56 +267,29 @@ def test_mean_of_many_samples_keeps_their_common_noise_and_that_of_none_is_infin
     assert grid.order[missing].tolist() == [4]
 
 
-@pytest.mark.parametrize('length', [1.0, 100.0, 350.0])
-def test_shares_of_the_train_sum_to_one(dataset: Dataset, length: float) -> None:
-    bins = Bins.of(dataset, length)
-    shares = bins.shares(dataset, length)
-    assert shares.shape == (dataset.time.size, bins.count)
-    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
-    fine = Bins.of(dataset, length, fine=True)
-    assert fine.width == pytest.approx(0.5 * bins.width)
-    assert fine.edges[0] <= dataset.joined('position').min() - length
-    assert fine.edges[-1] >= dataset.joined('position').max() + length
+STEP = 1.0 / 3.6  # m/s
 
 
-def test_train_lies_behind_its_front(dataset: Dataset) -> None:
-    bins = Bins(-1000.0, 100.0, 30)
-    shares = bins.shares(dataset, 100.0)
-    middle = bins.edges[:-1] + 50.0
-    behind = (shares @ middle - dataset.joined('position')) * dataset.direction
-    np.testing.assert_allclose(behind, -50.0, atol=50.0)
-    assert np.all(behind < 1e-9)
+def rounded(run: Run) -> Run:
+    """Return a run whose speeds are given in whole km/h."""
+    return replace(run, speed=np.round(run.speed / STEP) * STEP)
 
 
-def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset) -> None:
-    columns = common_columns(dataset, 0.2)
-    unweighed, weighed = common_std(TRAIN, weighed=False), common_std(TRAIN, weighed=True)
-    assert columns.shape == (dataset.time.size, unweighed.size)
-    assert np.isfinite(columns).all()
-    assert np.all(unweighed > 0.0)
-    assert weighed[MASS] < unweighed[MASS]
-    # A mass error is equivalent to a common gain error of both forces.
-    np.testing.assert_allclose(columns[:, MASS], run_columns(dataset).sum(axis=1))
+def test_rounded_speeds_repeat_their_error_while_they_are_steady(dataset: Dataset) -> None:
+    hiding, variance = rounding_of(assemble([rounded(run) for run in dataset.runs], TRAIN))
+    assert variance == pytest.approx(STEP**2 / 12.0)
+    brake = dataset.average(dataset.joined('brake')) < 0.0
+    # Speeds that change by more than a step each second have independent errors.
+    assert np.median(hiding[brake]) < variance
+    assert np.median(hiding[~brake]) > 2.0 * variance
+    assert hiding.max() < 10.0 * variance
+    assert rounding_of(dataset)[1] == 0.0
 
 
-def test_noise_of_gradients_returns_to_their_mean(dataset: Dataset) -> None:
-    gradient = dataset.joined('gradient')
-    rms = float(np.sqrt(np.mean(np.square(gradient))))
-    exact, noisy, known = (common_columns(dataset, std)[:, NOISE] for std in (0.0, rms, 0.01 * rms))
-    np.testing.assert_allclose(noisy, 0.5 * gradient)
-    assert not exact.any()
-    assert np.abs(known).max() < 0.001 * np.abs(gradient).max()
-    level = assemble([replace(run, gradient=np.zeros_like(run.gradient)) for run in dataset.runs], TRAIN)
-    assert not common_columns(level, 0.0)[:, NOISE].any()
-
-
-def test_losses_show_only_in_a_drive_that_feeds_back(dataset: Dataset) -> None:
-    assert not common_columns(dataset, 0.2)[:, LOSSES].any()
-    runs = [replace(run, traction=run.traction - 0.25 * run.traction.max()) for run in dataset.runs]
-    fed_back = assemble(runs, TRAIN)
-    losses, traction = common_columns(fed_back, 0.2)[:, LOSSES], fed_back.joined('traction')
-    assert np.all(losses >= 0.0)
-    assert np.corrcoef(losses, np.abs(traction))[0, 1] == pytest.approx(1.0)
+def test_rounding_is_no_noise_of_the_sensor() -> None:
+    hyper, _ = Model.of([rounded(run) for run in Maker().runs(3, 51)], TRAIN).evidence().maximise()
+    assert hyper.noise.speed < 0.04
+    assert hyper.noise.gust < 0.2
 
 
 def test_stated_noise_of_gradients_is_usual() -> None:
@@ -333,19 +302,6 @@ def test_stated_noise_of_gradients_is_usual() -> None:
     excess = [(evidence := Model.of(runs, file).evidence()).excess(evidence.maximise()[1]) for file in (usual, stated)]
     assert excess[0] > 10.0
     assert excess[1] < 2.0
-
-
-def test_prior_covariance(dataset: Dataset) -> None:
-    bins = Bins.of(dataset, 100.0)
-    correlation = bins.covariance()
-    map_root = np.asarray(np.linalg.cholesky(correlation))
-    root = prior_factor(np.array([0.5, 2.0]), map_root, Spread(0.01, 0.02, 0.3))
-    covariance = root @ root.T
-    np.testing.assert_allclose(np.diag(covariance), [0.25, 4.0, *[0.09] * bins.count])
-    np.testing.assert_allclose(covariance[2:, 2:], 0.09 * correlation)
-    np.testing.assert_allclose(correlation[0], np.exp(-bins.width * np.arange(bins.count) / 200.0))
-    assert not covariance[:2, 2:].any()
-    np.testing.assert_array_equal(Spread(0.01, 0.02, 0.3).of_run, [0.01, 0.02])
 
 
 def test_the_covariance_of_integrated_gusts_is_their_double_integral() -> None:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from test.explain.made_runs import TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm
-from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread
+from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,

@@ -13,7 +13,8 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag
 from trainid_ros.explain.dataset import Run
-from trainid_ros.explain.likelihood import Hyperparameters, Noise, Spread
+from trainid_ros.explain.likelihood import Hyperparameters, Noise
+from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.explain.search import CERTAIN
 from trainid_ros.explain.workflow import FitSummary, distinguishing_drive, explain

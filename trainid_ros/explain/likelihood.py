@@ -33,13 +33,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky_banded
 
+from trainid_ros.explain.nuisances import Spread, prior_factor
 from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices
-    from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,7 @@ class Grid:
     dt: Array  # Time since the previous grid point [s], shape (N, R)
     # Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R)
     share: Array
+    rounding: Array  # Variance of each by rounding [(m/s)^2], shape (N, R)
     change: Array  # Change of the force since the previous grid point, as acceleration [m/s^2], shape (N, R)
     inertia: float  # Specific force per acceleration [N/kN per m/s^2]
 
@@ -77,9 +79,10 @@ class Grid:
         dt = np.zeros(index.shape)
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         share = np.where(inside & (count > 0.0), share_of_mean(count), np.inf)
-        change = np.where(inside, dataset.point_change[index], 0.0)
+        of_points = rounding_of(dataset)[0], dataset.point_change
+        rounding, change = (np.where(inside, values[index], 0.0) for values in of_points)
         edges = (*first.tolist(), dataset.point_time.size)
-        return cls(edges, inside, index[inside], dt, share, change, dataset.inertia)
+        return cls(edges, inside, index[inside], dt, share, rounding, change, dataset.inertia)
 
     @property
     def runs(self) -> list[slice]:
@@ -101,7 +104,7 @@ class Whitener:
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
         """Compute all gains at once; padding after the last grid point of a run has no weight."""
         f, e, Q = _transitions(grid, noise)
-        R = noise.speed**2 * grid.share
+        R = noise.speed**2 * grid.share + grid.rounding
         # Elements 00 and 01 of the prediction F P F' + Q, F = [1 f; 0 e]; S and K of the Kalman filter.
         P00, P01 = Q[0].copy(), Q[1].copy()
         p00, p01, p11 = _filtered(f, e, Q, R)[:, :-1]
@@ -164,6 +167,26 @@ class Whitening:
         return white
 
 
+_DITHER: Final = 0.03  # Noise of a speed [m/s], as the prior median below, which changes how it is rounded
+
+
+def rounding_of(dataset: Dataset) -> tuple[Array, float]:
+    """Return the variance of independent noise that hides as much as the rounding of speeds, and that of rounding.
+
+    [(m/s)^2], the first at each point, shape (m,).
+    """
+    speeds = dataset.joined('speed')
+    values = np.unique(speeds)
+    # Rounded speeds repeat; some of the values in between may not occur.
+    resolution = float(np.quantile(np.diff(values), 0.1)) if 1 < values.size < 0.5 * speeds.size else 0.0
+    mean = dataset.average(dataset.speed)
+    change = np.abs(np.diff(mean, prepend=mean[:1]))
+    # A steady speed has one error at all points until it has changed by the resolution.
+    repeats = resolution / np.maximum(change, _DITHER)
+    variance = resolution**2 / 12.0
+    return variance * np.maximum(repeats, 1.0 / np.maximum(dataset.point_count, 1.0)), variance
+
+
 def share_of_mean(count: Array) -> Array:
     """Return the variance of the mean of ``count`` neighbouring speeds relative to that of one [1], same shape.
 
@@ -218,114 +241,6 @@ def _filtered(f: Array, e: Array, Q: Array, R: Array) -> Array:
 def _inverse(A: Array) -> Array:
     """Return the inverses of symmetric matrices with the elements 00, 01 and 11, shape (3, ...)."""
     return np.asarray(np.stack((A[2], -A[1], A[0])) / (A[0] * A[2] - A[1] * A[1]))
-
-
-DAVIS: Final = slice(0, 3)
-"""Indices of a, b, c among the nuisances."""
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Standard deviations of nuisances that differ from run to run and from place to place."""
-
-    payload: float  # Relative error of the mass of a run [1]
-    brake: float  # Relative change of the brake force from run to run [1]
-    map: float  # Error of the map's gradient [per mille]
-
-    @property
-    def of_run(self) -> Array:
-        """Prior std of the factors of single runs, payload and brake [1]; see :func:`run_columns`."""
-        return np.array([self.payload, self.brake])
-
-
-@dataclass(frozen=True, slots=True)
-class Bins:
-    """Sections of the line of equal length."""
-
-    low: float  # Start of the first section [m]
-    width: float  # Their length [m]
-    count: int  # Their number
-
-    @classmethod
-    def of(cls, dataset: Dataset, length: float, *, fine: bool = False) -> Bins:
-        """Return bins over the line that a train of a length [m] has passed; half as long for effects (``fine``)."""
-        position = dataset.joined('position')
-        low, high = float(position.min()) - length, float(position.max()) + length
-        # At least 100 m; at most 100 of them, to bound time and memory.
-        width = max(100.0, (high - low) / 100) / (2.0 if fine else 1.0)
-        return cls(low, width, math.ceil((high - low) / width))
-
-    @property
-    def edges(self) -> Array:
-        """Positions of the edges [m], shape (count + 1,)."""
-        return np.asarray(self.low + self.width * np.arange(self.count + 1))
-
-    def shares(self, dataset: Dataset, length: float) -> Array:
-        """Return the share of the train's length [m] on each bin [1], shape (n, count)."""
-        front = dataset.joined('position')
-        rear = front - dataset.direction * length
-        low, high = np.minimum(front, rear)[:, None], np.maximum(front, rear)[:, None]
-        return np.asarray(np.diff(np.clip(self.edges, low, high), axis=1) / length)
-
-    def covariance(self) -> Array:
-        """Return the correlation matrix of the map errors of bins, shape (count, count); its length is 200 m."""
-        middle = self.edges[:-1]
-        return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / 200.0))
-
-
-def common_columns(dataset: Dataset, gradient_std: float) -> Array:
-    """Return the resistances [N/kN per unit] of nuisances that all runs share, shape (n, 11); see :func:`common_std`.
-
-    Gradients have a noise of ``gradient_std`` [per mille], of which the share to be expected returns to their mean.
-    """
-    v, traction, brake, gradient = dataset.speed, *map(dataset.joined, ('traction', 'brake', 'gradient'))
-    slope = _rate(gradient, dataset) / np.maximum(v, 1.0)
-    rates = _rate(traction, dataset), _rate(brake, dataset)
-    gains = -traction, -brake, -(traction + brake)
-    noise = gradient_std**2 / max(gradient_std**2 + float(np.mean(np.square(gradient))), 1e-9) * gradient
-    # Losses between motor and wheel oppose both signs of its force; without energy fed back they are a gain.
-    size = np.abs(traction)
-    fed_back = 1.0 - abs(float(traction.sum())) / max(float(size.sum()), 1e-9)
-    return np.stack((np.ones_like(v), v, v * v, *rates, slope, *gains, noise, fed_back * size), axis=1)
-
-
-def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
-    """Return the prior standard deviations of :func:`common_columns`, shape (11,).
-
-    They are a, b, c; skew of traction and of brake [s]; shift of the map [m]; gains of traction, brake and mass [1];
-    share of the expected noise of gradients [1]; losses of a motor that feeds back [1].
-    """
-    davis = train_file.resistance
-    std = 0.4 * np.abs(np.array([davis.a, davis.b, davis.c])) + np.array([0.15, 0.02, 0.0004])
-    gains = 0.003, 0.004, 0.003 if weighed else 0.015
-    return np.concatenate([std, (0.1, 0.04, 15.0), gains, (1.0, train_file.train.force_std)])
-
-
-def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
-    """Return L with L L' the prior covariance of nuisances that all runs share and of map errors.
-
-    ``common`` is the prior std of the former (q,), ``map_root`` the Cholesky factor of the correlation of the latter
-    (k, k).
-    """
-    q, k = len(common), len(map_root)
-    factor = np.zeros((q + k, q + k))
-    factor[np.arange(q), np.arange(q)] = common
-    factor[q:, q:] = spread.map * map_root
-    return factor
-
-
-def run_columns(dataset: Dataset) -> Array:
-    """Return the resistances [N/kN] that each run scales with its own factors, payload and brake, shape (n, 2)."""
-    return np.stack((-dataset.joined('traction'), -dataset.joined('brake')), axis=1)
-
-
-def _rate(force: Array, dataset: Dataset) -> Array:
-    """Return the rate of change of a force over each stage, per second, shape (n,)."""
-    change = np.zeros_like(force)
-    change[1:-1] = 0.5 * (force[2:] - force[:-2])
-    change[dataset.starts] = 0.0
-    change[np.append(dataset.starts[1:], force.size) - 1] = 0.0
-    return np.asarray(change / np.maximum(dataset.dt, 0.05))
 
 
 def integrated_covariance(t: Array, tau: float) -> Array:
@@ -440,7 +355,7 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
 _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
 _WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])  # Prior std of these logs [1]
 _USUAL_GRADIENT_STD: Final = 0.2  # The default of the train file [per mille]
-_GUST, _GUST_TIME, _PAYLOAD, _MAP = 1, 2, 4, 6  # Indices among the hyperparameters
+_GUST, _GUST_TIME, _JITTER, _PAYLOAD, _MAP = 1, 2, 3, 4, 6  # Indices among the hyperparameters
 _OF_RUN: Final = 4  # Number of hyperparameters of the noise along a run, which come first: others need no new whitening
 _STEP: Final = 0.05  # Step of the logs for curvature by central differences [1]
 _SMALL: Final = 1e-3  # Step of the logs for the gradient by forward differences [1]
@@ -463,16 +378,17 @@ class MarginalLikelihood:
     Args:
         grid: Grid of the points.
         columns: y [m/s], common nuisances, bins of the map, shape (m, 1 + q + k).
-        factors: Columns of payload and brake, shape (m, 2).
+        factors: Columns of payload, brake and wind, shape (m, 3).
         common_std: Prior std of the common nuisances, shape (q,).
         map_root: Cholesky factor of the correlation of map errors, shape (k, k).
         weighed: True if the mass is measured.
         gradient_std: Stated noise of gradients [per mille].
+        period: Time between samples [s].
     """
 
     def __init__(
         self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool,
-        gradient_std: float = _USUAL_GRADIENT_STD,
+        gradient_std: float = _USUAL_GRADIENT_STD, period: float = SAMPLE_PERIOD,
     ) -> None:  # fmt: skip
         self._grid, self._factors = grid, factors.shape[1]
         self._columns = np.concatenate([columns, factors], axis=1)
@@ -482,6 +398,7 @@ class MarginalLikelihood:
             self._median[_PAYLOAD] = math.log(0.03)  # relative error of the mass if it is not measured [1]
         # Errors of gradients are errors of the map where they repeat, and gusts where they do not.
         self._median[[_GUST, _MAP]] += math.log(max(gradient_std / _USUAL_GRADIENT_STD, 1.0))
+        self._median[_JITTER] += math.log(max(period / SAMPLE_PERIOD, 1.0))
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:

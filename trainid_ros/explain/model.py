@@ -26,24 +26,18 @@ import numpy as np
 from trainid_ros.explain.dataset import MAD_TO_STD, PULLING, Array, Dataset, Flags, Indices, Run, assemble
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_width
 from trainid_ros.explain.likelihood import (
-    DAVIS,
-    Bins,
     Grid,
     Hyperparameters,
     Information,
     MarginalLikelihood,
     Noise,
-    Spread,
     Whitener,
     Whitening,
-    common_columns,
-    common_std,
     informations,
     log_bayes,
     posterior,
-    prior_factor,
-    run_columns,
 )
+from trainid_ros.explain.nuisances import DAVIS, Bins, Spread, common_columns, common_std, prior_factor, run_columns
 from trainid_ros.train.train_file import Davis, TrainFile
 
 _MAX_EXCESS: Final = 0.1  # Deviation of the wheel ratio from one beyond which it is not due to the wheel [1]
@@ -201,7 +195,7 @@ class Model:
             :func:`common_columns`, then of a dependence of no name and of the parameters of effects, then map errors,
             shape (m, q + k).
         common_std: Prior std of the first q of them, shape (q,).
-        factor_columns: Responses [m/s] at the grid points to the factors of single runs, shape (m, 2).
+        factor_columns: Responses [m/s] at the grid points to the factors of single runs, shape (m, 3).
         weighed: True if the mass of all runs is measured.
         odometry: Wheel ratio from the distances between stops.
     """
@@ -213,8 +207,9 @@ class Model:
         self._common = dataset.column(common_columns(dataset, train_file.line.gradient_std))
         self._map = dataset.column(dataset.direction[:, None] * bins.shares(dataset, length))
         self._map_root = np.asarray(np.linalg.cholesky(bins.covariance() + 1e-9 * np.eye(bins.count)))
-        self.factor_columns = dataset.column(run_columns(dataset))
+        self.factor_columns = dataset.column(run_columns(dataset, train_file.resistance.c))
         self.grid = Grid.of(dataset)
+        self._period = float(np.median(dataset.dt))
         self.weighed = all(run.weighed for run in dataset.runs)
         self._gap = dataset.average(dataset.gap)
         self.odometry = Odometry.of(dataset, train_file.line.stops)
@@ -278,7 +273,7 @@ class Model:
         of_terms = [self.dataset.column(np.stack(derivatives, axis=1))] if derivatives else []
         columns, stds = self._dependence
         self.nuisance_columns = np.concatenate([common, columns, *of_terms, self._map], axis=1)
-        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), stds, std])
+        self.common_std = np.concatenate([common_std(self.train_file, self._period, weighed=self.weighed), stds, std])
         if self._knows_davis:
             self.common_std[DAVIS] *= 1e-6  # not zero, which would make matrices singular
 
@@ -299,7 +294,7 @@ class Model:
         """Return the marginal likelihood as a function of the hyperparameters."""
         return MarginalLikelihood(
             self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed,
-            gradient_std=self.train_file.line.gradient_std,
+            gradient_std=self.train_file.line.gradient_std, period=self._period,
         )  # fmt: skip
 
     def _whitened(self, hyper: Hyperparameters) -> tuple[Whitening, Array]:

@@ -29,8 +29,9 @@ from scipy.linalg import solve_triangular
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
 from trainid_ros.explain.effects import EffectTerm
-from trainid_ros.explain.likelihood import DAVIS, Hyperparameters, integrated_covariance, posterior, share_of_mean
+from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, rounding_of, share_of_mean
 from trainid_ros.explain.model import Model
+from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import probabilities
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
 from trainid_ros.explain.search import Selection, with_onsets
@@ -66,19 +67,22 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
     gap, deviation, fitted = np.zeros((3, model.residual.size))
     likelihood = fitted_likelihood = 0.0
+    hiding, rounding = rounding_of(model.dataset)
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
-        # Second moments of the errors of a, b, c and the effects, and of the nuisances; the same with their priors.
-        unstated = np.where(stated, 0.0, mean)
-        expected = covariance + np.outer(unstated, unstated)
-        beforehand = np.where(np.outer(stated, stated), covariance, np.where(np.outer(~stated, ~stated), prior, 0.0))
+        # Second moments of the nuisances; those of their priors, beside errors of a, b, c and the effects.
+        both_unstated, unstated = np.outer(~stated, ~stated), np.where(stated, 0.0, mean)
+        expected = np.where(both_unstated, covariance, 0.0) + np.outer(unstated, unstated)
+        beforehand = np.where(np.outer(stated, stated), covariance, np.where(both_unstated, prior, 0.0))
         for run in fold.tolist():
             at = model.dataset.point_run == run
             columns, noise = model.nuisance_columns[at], _noise(model, hyper, at)
             left = residual[at] - columns @ np.where(stated, mean, 0.0)
-            gap[at], deviation[at] = _started(model, at, left, noise + columns @ expected @ columns.T)
+            rounded = noise + np.diag(np.minimum(hiding[at], rounding))
+            gap[at], deviation[at] = _started(model, at, left, rounded + columns @ expected @ columns.T)
+            noise += np.diag(hiding[at])
             likelihood += _log_likelihood(model, at, left, noise + columns @ beforehand @ columns.T)
             left = residual[at] - columns @ mean
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
@@ -151,7 +155,7 @@ def gap_of(read: Array, before: HeldOut | None, after: HeldOut | None, model: Mo
 
 
 def _noise(model: Model, hyper: Hyperparameters, at: Flags) -> Array:
-    """Return the covariance of the speeds of one run by gusts, sensors, jitter, payload and brake [(m/s)^2]."""
+    """Return the covariance of the speeds of one run by gusts, sensors, jitter and factors of runs [(m/s)^2]."""
     noise, spread = hyper.noise, hyper.spread
     jitter = np.cumsum(np.square(noise.jitter * model.dataset.point_change[at]))
     t = model.dataset.point_time[at] - model.dataset.point_time[at][0]

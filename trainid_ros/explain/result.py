@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.likelihood import Noise, Spread
+    from trainid_ros.explain.likelihood import Noise
+    from trainid_ros.explain.nuisances import Spread
     from trainid_ros.explain.probability import Hypothesis
     from trainid_ros.train.effects import Twin
     from trainid_ros.train.train_file import Davis, NamedValues, TrainFile

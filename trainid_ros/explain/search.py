@@ -28,8 +28,9 @@ from scipy.special import logsumexp
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Indices
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_cost, unit_resistance
-from trainid_ros.explain.likelihood import Bins, Hyperparameters, eliminate, group_log_bayes, log_bayes
+from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
+from trainid_ros.explain.nuisances import Bins
 from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from trainid_ros.explain.curve import learn
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
-from trainid_ros.explain.likelihood import DAVIS, integrated_covariance
+from trainid_ros.explain.likelihood import integrated_covariance
 from trainid_ros.explain.model import Model, find_slip, read_at
+from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import Probabilities, probabilities
 from trainid_ros.explain.proof import assess, locate, unexplained, where
 from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
