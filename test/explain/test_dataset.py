@@ -93,6 +93,12 @@ def test_mass_is_measured_or_from_the_train_file() -> None:
         assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (mass * 9.80665))
 
 
+def test_mass_of_a_run_is_weighed_although_the_train_may_stand_at_its_end() -> None:
+    fields = {k: {'mass': 250e3, 'stood_since_weighing': k > 95} for k in range(101)}
+    first, second = collect(samples([10.0] * 101 + [0.0] + [10.0] * 100, fields))
+    assert (first.weighed, second.weighed) == (True, False)
+
+
 def test_brake_force_follows_the_command() -> None:
     """While the brake acts, a measured force is used only if it is still traction."""
     at, back = START + 50 * NS_PER_S // 5, START + 75 * NS_PER_S // 5
@@ -135,6 +141,24 @@ def test_traction_before_the_brake_is_released_counts() -> None:
     pull = specific_force(100e3, FILE.train.mass)
     assert not run.traction[:72].any()  # braking, with the sum of the forces as far negative as after it
     np.testing.assert_allclose(run.traction[73:84], pull)
+
+
+@pytest.mark.parametrize(('report', 'counts'), [(1.0, True), (0.97, True), (0.6, False), (1.2, False)])
+def test_traction_beside_a_stronger_brake_counts_if_the_report_is_exact(report: float, counts: bool) -> None:
+    """Traction of a sixth of the brake force, or an error of the report, as of motors without the friction brake."""
+    actuator, mass = BrakeActuator(FILE.brake), FILE.train.mass
+    actuator.commands.push(APPLIED)
+    changes: dict[int, dict[str, Any]] = {}
+    for k in range(135):
+        stamp = START + k * NS_PER_S // 5
+        nominal = mass * (1.0 + FILE.train.rotary_mass) * actuator.advance(stamp - NS_PER_S // 5, stamp) / 0.2
+        changes[k] = {'force_mean': report * nominal + (36e3 if 50 < k < 70 else 0.0)}
+    changes[32]['brake_changes'] = (APPLIED,)
+    (run,) = collect(samples([15.0] * 135, changes))
+    assert not run.traction[:50].any()
+    assert not run.traction[75:].any()
+    expected = specific_force(36e3, mass) if counts else 0.0
+    np.testing.assert_allclose(run.traction[55:65], expected, atol=1.01 * abs(1.0 - report) * -run.brake[60] / 0.9)
 
 
 def test_a_load_that_is_not_weighed_is_no_traction() -> None:

@@ -41,6 +41,7 @@ BRAKING: Final = -1.0
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 _UNWEIGHED: Final = 0.3  # Load that is not weighed, as a share of the mass [1]
+_EXACT: Final = 0.05  # Error of the reported brake, as a share of its force, up to which the report is exact [1]
 _MIN_SPEED: Final = 0.3  # Speed below which the brake may hold the train, so the force balance is not valid [m/s]
 
 
@@ -80,7 +81,7 @@ class RunCollector:
         self._rows: list[tuple[float, ...]] = []
         self._distance = self._travelled = 0.0
         self._start_position = self._speed = math.nan
-        self._weighed = self._releasing = False
+        self._weighed, self._releasing = 0, False
         self.start_over()
 
     def add(self, sample: Sample) -> None:
@@ -119,12 +120,13 @@ class RunCollector:
             return
         train = self._train_file.train
         mass = sample.mass if math.isfinite(sample.mass) else train.mass
-        self._weighed = sample.weighed
+        self._weighed += sample.weighed
         braking = specific_inertia(1.0, train.rotary_mass) * brake if brake < BRAKE_APPLIED else 0.0
         traction = specific_force(sample.force_mean, mass)
         # While the brake acts, its force follows from its command, and the reported force is the sum of traction and a
         # brake of rate 1. There is traction where the sum is positive, and where a driver pulls before the brake is
-        # released. Other differences are errors of the reported brake, as by a load that is not weighed.
+        # released. Other differences may be errors of the reported brake, as by a load that is not weighed.
+        pull = nominal = 0.0
         if braking:
             nominal = braking / self._train_file.brake.rate_at(sample.speed)
             pull, least = traction - nominal, max(PULLING, -_UNWEIGHED * nominal)
@@ -132,7 +134,7 @@ class RunCollector:
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
-            braking, self._heat, self._since_release, self._distance,
+            braking, self._heat, self._since_release, self._distance, pull, nominal,
         )  # fmt: skip
         self._rows.append(row)
         if row[0] - self._rows[0][0] > MAX_RUN_S:
@@ -141,18 +143,21 @@ class RunCollector:
     def end_run(self, stop_position: float = math.nan) -> None:
         """End the current run, at a measured position [m] if the train stands; discard it if it is too short."""
         rows, self._rows = self._rows, []
+        # Near its stops a train may stand, and its mass may then be that of other passengers.
+        weighed, self._weighed = 2 * self._weighed > len(rows), 0
         while rows and rows[-1][2] < _MIN_SPEED:
             rows.pop()
         start, self._start_position = self._start_position, math.nan
         if not rows or rows[-1][0] - rows[0][0] < 15.0:  # s
             return
         columns = np.array(rows).T.copy()
-        time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns
+        time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns[:12]
         dt[0] = 0.0
+        traction = _beside_brake(traction, *columns[12:])
         position, positioned = _bridged(position, distance)
         run = Run(
             self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
-            traction, brake, heat, release, distance, positioned, self._weighed, (start, stop_position),
+            traction, brake, heat, release, distance, positioned, weighed, (start, stop_position),
             self._travelled,
         )  # fmt: skip
         self.runs.append(run)
@@ -170,6 +175,17 @@ class RunCollector:
         self._since_release = 0.0 if actuator.output < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean
+
+
+def _beside_brake(traction: Array, pull: Array, nominal: Array) -> Array:
+    """Return the traction of a run [N/kN], shape (n,), with all that acts beside the brake if its report is exact.
+
+    ``pull`` is the reported force less that of the nominal brake, which is zero where it does not act.
+    """
+    braking = nominal < BRAKING
+    if not braking.any() or abs(float(np.median(pull[braking] / nominal[braking]))) > _EXACT:
+        return traction
+    return np.where(pull > np.maximum(PULLING, -_EXACT * nominal), pull, traction)
 
 
 def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
