@@ -232,12 +232,12 @@ def test_the_curve_resistance_is_estimated_too(train_file: TrainFile, journey: J
 
 
 def test_the_force_scale_changes_only_at_stops(train_file: TrainFile, sample: Make) -> None:
-    """Weighed or not, the variance of kappa grows by one step at each standstill, up to the prior and one step."""
+    """Weighed or not, the variance of kappa grows by one step at each departure, up to the prior and one step."""
 
     def variance(mass: float, stops: int, file: TrainFile) -> float:
         estimator, i = VMils(file, CONFIG), 0
         for _ in range(stops):
-            for speed in (5.0, 0.0, 0.0, 0.05, 0.0):
+            for speed in (5.0, 0.0, 0.0, 0.05, 0.0, 0.4, 5.0):
                 estimator.step(sample(i, speed=speed, mass=mass))
                 i += 1
         return float(estimator.learner.tracker.estimate.P[3, 3])
@@ -245,8 +245,8 @@ def test_the_force_scale_changes_only_at_stops(train_file: TrainFile, sample: Ma
     prior, known = 0.03**2 + 0.02**2, known_file(train_file)
     assert variance(math.nan, 0, train_file) == pytest.approx(prior)
     assert variance(2e5, 1, train_file) == pytest.approx(prior + 0.004**2)
-    assert variance(math.nan, 1, train_file) == pytest.approx(prior + 0.015**2)
-    assert variance(math.nan, 5, train_file) == pytest.approx(prior + 0.015**2)
+    assert variance(math.nan, 1, train_file) == pytest.approx(prior + 0.03**2)
+    assert variance(math.nan, 5, train_file) == pytest.approx(prior + 0.03**2)
     assert variance(2e5, 9, known) == pytest.approx(0.002**2 + 0.003**2 + 0.001**2)
 
 

@@ -74,9 +74,9 @@ def is_delay_at_end(delay: float) -> bool:
 def scale_step(train: Train, *, weighed: bool) -> float:
     """Return the std of the change of kappa at a stop [1]: of the load, 0.4 % of the mass if weighed and 3 % if not.
 
-    The errors of empty train and scales are constant: at most half of the mass error changes.
+    The errors of empty train and scales are constant: of the weighed mass at most half of the error changes.
     """
-    return min(0.004 if weighed else 0.03, 0.5 * train.mass_std)
+    return min(0.004, 0.5 * train.mass_std) if weighed else 0.03
 
 
 DavisPosterior = tuple[float, ...]

@@ -102,19 +102,16 @@ class VMils:
         (drift_a, drift_b, drift_c), T = self._rates, config.step_interval
         step_a, step_b, step_c, *_ = tracker.plan.step_variances
         self._walk_rates = drift_a + step_a / T, drift_b + step_b / T, drift_c + step_c / T
-        # Upper limits of the variances of theta: the prior ones, plus one step of kappa.
-        self._limits = tracker.prior.P.diagonal().copy()
-        self._limits[_KAPPA] += scale_step(train_file.train, weighed=False) ** 2
+        self._limits = tracker.prior.P.diagonal().copy()  # Upper limits of the variances of theta
         self.learner = WindowLearner(tracker, config, self._known.inertia, train_file.line.gradient_std)
         self._clear()
 
     def _clear(self) -> None:
         self._stamp_ns = self._drifted_ns = self._validity_checked_ns = self._admission.braked_ns = 0
         self._speed, self._converged = 0.0, False
-        # The prior already includes the change of load at the first stop.
-        self._standing = True
+        self._standing = False
         # Of the newest sample, for drives that are foreseen; not saved.
-        self._sampled_s = STEP_S
+        self._sampled_s, self._weighed = STEP_S, False
 
     def reset(self) -> None:
         """Return to the prior."""
@@ -138,13 +135,13 @@ class VMils:
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
         self._stamp_ns, self._speed = sample.stamp_ns, sample.speed
-        self._inflate_at_stops(sample)
+        self._inflate_at_departures(sample)
         if (rejection := self._admission.reject(sample)) is not None:
             self.learner.interrupt(sample.speed)
             self._check_validity(updated=False)
             return rejection
         self._drift()
-        self._sampled_s = sample.dt
+        self._sampled_s, self._weighed = sample.dt, sample.weighed
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
         used = WindowSample(
@@ -160,15 +157,16 @@ class VMils:
         self._check_validity(updated=self.learner.driven.count != before)
         return rejection
 
-    def _inflate_at_stops(self, sample: Sample) -> None:
-        """Add the variance of a step of kappa at each standstill, where the load changes."""
-        if self._standing:
-            self._standing = sample.speed < self.config.min_speed
-        elif sample.speed < _STOPPED:
+    def _inflate_at_departures(self, sample: Sample) -> None:
+        """Add the variance of a step of kappa at each departure: the load has changed, and may have been weighed."""
+        if sample.speed < _STOPPED:
             self._standing = True
+        elif self._standing and sample.speed >= self.config.min_speed:
+            self._standing = False
             # [16]
-            step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
-            self.learner.tracker.inflate_variance(np.array([0.0, 0.0, 0.0, step, 0.0, 0.0]), self._limits)
+            step = np.zeros(len(self._limits))
+            step[_KAPPA] = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
+            self.learner.tracker.inflate_variance(step, self._limits + step)
 
     def idle(self, seconds: float) -> None:
         """Let the drift of a, b, c go on over a time without samples [s]."""
@@ -238,17 +236,14 @@ class VMils:
         """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
         P = self.learner.tracker.stated.P
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
-        # At an arrival no load has been weighed yet.
-        step = scale_step(self._known.train_file.train, weighed=False) ** 2
+        step = scale_step(self._known.train_file.train, weighed=self._weighed) ** 2
         # A step may come at any time of a run: half of it before what the run tells, half after.
-        most, drift = self._limits[_KAPPA], 0.5 * np.array(self._walk_rates) * run.duration_s
-        if not self._standing:
-            P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
+        most, drift = self._limits[_KAPPA] + step, 0.5 * np.array(self._walk_rates) * run.duration_s
         for k in range(1, times + 1):
             P[[0, 1, 2], [0, 1, 2]] += drift
+            P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
             P[:] = np.linalg.inv(np.linalg.inv(P) + information)
             P[[0, 1, 2], [0, 1, 2]] += drift
-            P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
             factor = self.learner.inflation.foreseen(k * len(run.steps) * STEP_S)
             published = self._inflated(self._davis(P), factor)
             yield self._estimate(published, factor * P.diagonal(), run.steps[-1].speed)

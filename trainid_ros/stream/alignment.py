@@ -54,6 +54,7 @@ class Travel:
     turning_position: float = math.nan  # Position from which the next movement counts [m], NaN while unknown
     moving: bool = False  # Whether the train moved at the last sample
     stop_ns: int = 0  # When it last came to a stop [ns]; 0 if it has not, also where records begin at rest
+    stood_ns: int = 0  # When it last stood [ns]; 0 if it has not
 
     def follow(self, stamp_ns: int, speed: float, position: float) -> None:
         """Take in stamp [ns], speed [m/s] and position [m] of a sample."""
@@ -66,6 +67,8 @@ class Travel:
         if self.moving and speed < STANDING:
             self.stop_ns = stamp_ns
         self.moving = speed >= STANDING
+        if not self.moving:
+            self.stood_ns = stamp_ns
 
 
 RETURN_NS: Final = 60 * NS_PER_S
@@ -374,7 +377,11 @@ class Aligner:
         command, emergency = self._commands.at(now)
         curvature, tunnel = self._track_at(now)
         mass, weighed_ns = self._latest_mass(now - self._lag_ns)
-        has_stood, due_ns = weighed_ns < self._travel.stop_ns, round(ONE_LOST * self._mass.interval.ns) + self._lag_ns
+        # The load changes until the departure: a repeated mass that ceased before it, with far more messages missing
+        # than one, is that of other passengers.
+        due_ns = round(ONE_LOST * self._mass.interval.ns) + self._lag_ns
+        ceased = self._mass.interval.ns > 0 and weighed_ns + 2 * due_ns < self._travel.stood_ns
+        has_stood = ceased or weighed_ns < self._travel.stop_ns
         forces, gradients = self._force.value(now), self._gradient.value(now)
         gradient_mean, curvature_mean = self._gradient.mean(start, now, gradients)
         return Sample(
@@ -405,7 +412,7 @@ class Aligner:
         self._due_ns = (self._due_ns if in_phase else now_ns) + self._period_ns
         for track in self._required:
             track.prune(now_ns - self._max_gap_ns)
-        self._mass.prune(now_ns - self._max_gap_ns)
+        self._mass.prune(now_ns - max(self._max_gap_ns, self._lag_ns))
 
     def _track_at(self, at_ns: int) -> tuple[float, bool]:
         """Return curvature [1/m], interpolated, and the tunnel flag of the record before."""

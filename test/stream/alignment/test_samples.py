@@ -213,6 +213,7 @@ def test_the_mass_holds_until_the_next_weighing(drive: Any, run: Any) -> None:
         ([0.55, 6.55], True, True, False),  # once per stop
         ([k + 0.05 for k in range(14)], True, True, False),  # every second
         ([0.5 * k + 0.05 for k in range(10)], True, False, True),  # twice a second, until before the stop
+        ([0.5 * k + 0.05 for k in range(14)], True, False, True),  # twice a second, until the doors open
     ],
 )
 def test_a_load_counts_as_weighed_until_the_train_next_stops(
@@ -223,6 +224,12 @@ def test_a_load_counts_as_weighed_until_the_train_next_stops(
     assert (first.weighed, second.weighed) == (first_drive, second_drive)
     assert (first.is_weighing_overdue, second.is_weighing_overdue) == (False, overdue)
     assert math.isnan(second.mass) is (not weighed_s)
+
+
+def test_a_mass_is_kept_while_a_lagging_one_may_still_come(drive: Any, run: Any) -> None:
+    records = [*drive(10.0), *(MassRecord(at(k + 0.05), 2e5) for k in range(10))]
+    samples = of(Sample, run(sorted(records, key=lambda record: record.stamp_ns), AlignmentConfig(max_lag=1.5)))
+    assert not any(math.isnan(sample.mass) for sample in samples[10:])
 
 
 def test_the_force_interval_is_that_of_the_records_around_the_stamp(drive: Any, run: Any) -> None:
