@@ -108,14 +108,13 @@ class Prior:
             if is_own:
                 self.own[place] = 1.0
         self.anew = self.own[:]
-        if row.gradient != 1.0:
-            self.anew[OFFSET] = 1.0
         self.ignores_speed = Input.SPEED in row.ignores
         self.ignores_position = Input.POSITION in row.ignores
         self.ignores_force = Input.FORCE in row.ignores
         self.ignores_command = Input.COMMAND in row.ignores
         self.ignores_braking = Input.BRAKING in row.ignores
         self.ignores_gradient = Input.GRADIENT in row.ignores
+        self.ignores_line = self.ignores_gradient or Input.LINE in row.ignores
         # Inputs that are read from an earlier block: all but the late one, or the early one alone.
         late, others = row.late, row.late is not None and not row.early and row.late is not Input.BRAKE
         self.delays_speed = others and late is not Input.SPEED
@@ -125,7 +124,9 @@ class Prior:
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
-        self.is_of_line = self.ignores_gradient or row.gradient != 1.0
+        self.is_of_line = self.ignores_line or row.gradient != 1.0
+        if self.ignores_gradient or row.gradient != 1.0:
+            self.anew[OFFSET] = 1.0
 
 
 PRIORS: Final = [Prior(row) for row in TABLE]

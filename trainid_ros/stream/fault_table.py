@@ -27,6 +27,7 @@ class Input(Enum):
     GRADIENT = 'ato/gradient'
     BRAKING = 'ato/force in braking'
     BRAKE = 'brake.delay of the train file'
+    LINE = 'line.gradient of the train file'
 
 
 NOTHING: Final[frozenset[Input]] = frozenset()
@@ -180,5 +181,11 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0, misread=True),
     Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0, misread=True),
     _nothing('ato/gradient does not fit line.gradient of the train file', Input.GRADIENT, asks=0.0),
+    Row(
+        'the train climbs as ato/gradient says: the position in ato/speed or line.gradient of the train file is off',
+        _only(Input.POSITION),
+        ignores=_only(Input.LINE),
+        asks=_FOLLOWS_NOTHING,
+    ),
 )
 """All hypotheses; the first one is that all is well."""

@@ -227,6 +227,8 @@ class InputCheck:
         forces = self._forces
         forces.correct(prior, at, force, command)
         forces.gradient, forces.extra = prior.row.gradient * slope.gradient, slope.extra
+        if prior.ignores_gradient and is_finite(at.line):
+            forces.gradient = at.line
         return at
 
     def _miss(self, prior: Prior, known: vec[float], at: Block, back: int) -> float:
@@ -287,7 +289,7 @@ class InputCheck:
             is_blank = prior.ignores_force or prior.ignores_command
             score -= _FROZEN if is_stuck else _BOTH if is_blank else min(0.5 * mismatch * mismatch, _BOTH)
         if is_finite(at.line):
-            cost = _NO_LINE if prior.ignores_gradient else _off_line(gradient, at, self.blocks.gradient_var)
+            cost = _NO_LINE if prior.ignores_line else _off_line(gradient, at, self.blocks.gradient_var)
             self._line_score = -cost if accepted else self._line_score
             score -= cost * min(1.0, max(at.by_speed, 0.0) / GRADIENT_M)
         trial.scores[place] = score
@@ -442,7 +444,7 @@ class InputCheck:
             or (prior.ignores_position and still[1] <= seconds)
             or (prior.ignores_force and still[2] <= seconds)
             or (prior.ignores_command and still[3] <= seconds)
-            or prior.ignores_gradient
+            or prior.ignores_line
             or prior.ignores_braking
         )
 
@@ -477,7 +479,8 @@ class InputCheck:
     def _evidence(self, trial: Trial) -> float:
         """Return S of a row less what is asked of it beforehand [nats]."""
         prior, score = PRIORS[trial.row], trial.sum
-        if trial.row > 0 and prior.held < PRIORS[self._accepted.row].held:
+        theirs = PRIORS[self._accepted.row]
+        if trial.row > 0 and prior.held < theirs.held and not (prior.is_of_line and theirs.is_of_line):
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
         if not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S)):
             score -= prior.row.asks
