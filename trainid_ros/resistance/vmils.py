@@ -21,10 +21,10 @@ w(v) = a + b v + c v^2, and the errors of the known forces, see :mod:`davis_post
     [11]     hypotheses: "a, b, c stepped k observations ago", each updated by eqs. (9)-(11)
     [12]     one that is 1000 times as likely replaces the long memory of [10]
     [13]     if most y contradict the long memory: restart from a robust fit of the latest
-    [14]     estimate = mixture of long memory and hypotheses; in its stated P the walk, theta as if a, b, c stepped all
-             the time, updated by eqs. (9)-(11), replaces the long memory, and hypotheses count more
+    [14]     estimate = mixture of long memory and hypotheses; its stated P is that of hypotheses, which count more,
+             and of the walk W: a, b, c that step all the time, updated by eqs. (9)-(11)
     [15]     learn the variance of disturbances and slow from e, the inflation of P from the e of the walk
-    [16] at each stop: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c, and in W steps
+    [16] at each departure: P_kappa = P_kappa + variance of a change of load; each minute: drift of a, b, c, steps of W
     [17] publish: P = inflation P + (model error)^2 theta theta'
 
 The same in plain numpy, [3]-[5] and [7]-[10], is ``test/resistance/reference_vmils.py``. Differences from the paper:

@@ -77,8 +77,9 @@ _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rar
 
 _RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
 LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
-_DRAG_WIND: Final = 0.2  # the same in the open: drag 40 % off, by tunnels that no file states, gusts or the file
-_TUNNEL_WIND: Final = 0.5  # std of the wind in a tunnel over the speed [1]: drag up to 3.5 times that in the open
+# Std of the wind over the speed [1]: drag 40 % off, by tunnels that no file states, gusts or the file ...
+_DRAG_WIND: Final = 0.2
+_TUNNEL_WIND: Final = 0.5  # ... and in a tunnel: drag up to 3.5 times that in the open
 
 
 class Prior:

@@ -15,7 +15,7 @@ from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, several, stored, unknown
 from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.fault_table import WHEEL
-from trainid_ros.stream.known_force import KnownForce, SpeedNoise
+from trainid_ros.stream.known_force import CAPPED_MEAN, KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator
 from trainid_ros.train.line import LineProfile
@@ -43,7 +43,6 @@ _PLACE_SHARE: Final = WHEEL.std  # ... and by which share of the distance it gro
 _FITS: Final = 4.0  # variances within which a gradient is one of the line, and tells the place
 _LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: 100 blocks ...
 _FIRST: Final = 10.0  # blocks ... of which its first value counts for so many
-_CAPPED_MEAN: Final = 0.51606  # E min(z^2, 1) of a standard normal z: Huber's proposal 2
 
 MOVING: Final = 0
 """State of a block: the train moves, and all inputs are known."""
@@ -263,7 +262,7 @@ class InputBlocks:
         # From one block to the next, where an error of the scale is the same.
         off = by_position - by_speed
         change, self._off = off - self._off, off
-        square = min(0.5 * change * change, self.position_var) / _CAPPED_MEAN
+        square = min(0.5 * change * change, self.position_var) / CAPPED_MEAN
         self._compared += 1
         self.position_var += max(_LEARNED, 1.0 / (_FIRST + self._compared)) * (square - self.position_var)
 
@@ -280,6 +279,6 @@ class InputBlocks:
             self._place_std = max(math.sqrt((1.0 - K * H) * P), _MIN_PLACE_M)
         self._place_std += _PLACE_SHARE * block.by_speed
         if is_line_right:
-            change = min(square, 1.0) / _CAPPED_MEAN - 1.0
+            change = min(square, 1.0) / CAPPED_MEAN - 1.0
             share = min(block.by_speed / _GRADIENT_MEMORY_M, _LEARNED)
             self.gradient_var = max((1.0 + share * change) * self.gradient_var, _GRADIENT_STD * _GRADIENT_STD)

@@ -35,8 +35,8 @@ _MIN_FACTOR: Final = 0.3
 _MAX_FACTOR: Final = 10.0
 # Limit of a second difference in learned standard deviations [1]: slip and outliers are not noise.
 _MAX_Z: Final = 3.0
-# E min(z^2, 1) of a standard normal z.
-_CAPPED_MEAN: Final = 0.51606
+CAPPED_MEAN: Final = 0.51606
+"""E min(z^2, 1) of a standard normal z: Huber's proposal 2."""
 # Number of speeds in a second difference, and relative difference of their two steps that still counts as equal [1].
 _POINTS: Final = 3
 _MAX_UNEVENNESS: Final = 0.1
@@ -105,10 +105,8 @@ class SpeedNoise:
             return
         second = speed - 2.0 * last + before
         square = second * second / 6.0
-        if self.robust:
-            square = min(square, self.learned) / _CAPPED_MEAN
-        else:
-            square = min(square, _MAX_Z * _MAX_Z * self.learned)
+        most = self.learned if self.robust else _MAX_Z * _MAX_Z * self.learned
+        square = min(square, most) / (CAPPED_MEAN if self.robust else 1.0)
         low, high = _MIN_FACTOR * self.declared_std, _MAX_FACTOR * self.declared_std
         self.learned = min(max(self.learned + _WEIGHT * (square - self.learned), low * low), high * high)
 
