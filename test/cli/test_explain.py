@@ -22,6 +22,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli import explain
 from trainid_ros.cli.explain import describe, explain_runs, prepare_folder, provenance, to_json
 from trainid_ros.cli.main import main
+from trainid_ros.explain.dataset import Run
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.result import Explanation, Gap, Learned, Verdict
@@ -81,6 +82,7 @@ def test_text_shows_effects_evidence_and_gap(make_explanation: Make, stated: Tra
         'AMBIGUOUS: ', 'local_drag: drag at one place (physics)', 'permille = 1.500 ± 0.050 per mille', 'evidence 48',
         'where: position 300', 'could also be gradient_error; to distinguish: run <both> ways', '0.400 m/s',
         '0.049 m/s', '1.61 ± 0.12', 'What is left is noise.',
+        'Next: The data should also contain 6 runs or more.',
     ):  # fmt: skip
         assert part in text
     bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), stated)
@@ -256,6 +258,21 @@ def test_warnings_of_the_bags_stand_in_the_report(
     assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'out'))) == 0
     assert (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8') == repr((f'Warning: {line}',))
     assert capsys.readouterr().err == f'trainid: warning: {line}\n'
+
+
+def test_a_fault_that_leaves_no_motion_is_part_of_the_answer(
+    driven_bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f'{driven_bag}: ato/brake_command is stuck'
+
+    def read(*_: object, warn: Callable[[str], None], **__: object) -> list[Run]:
+        warn(line)
+        return []
+
+    monkeypatch.setattr(explain, 'read_runs', read)
+    assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--json',)) == 1
+    error = json.loads(capsys.readouterr().out)['error']
+    assert error.endswith(f'too little motion to compare; {line}')
 
 
 @pytest.mark.slow

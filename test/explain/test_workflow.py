@@ -232,6 +232,15 @@ def test_poor_data_give_finite_values(how: str) -> None:
 
 
 @pytest.mark.slow
+def test_one_run_explains_nothing_for_certain() -> None:
+    (run,) = Maker().runs(1, 45)
+    reported = explain([replace(run, traction=run.traction / 0.8)], TRAIN)
+    assert names(reported) == ['traction_scale']
+    assert (reported.verdict, reported.gap) == (Verdict.AMBIGUOUS, None)
+    assert reported.remaining == 'No other run confirms it.'
+
+
+@pytest.mark.slow
 def test_unusual_train_files() -> None:
     runs = Maker().runs(4, 46)
     unusual: list[dict[str, Any]] = [

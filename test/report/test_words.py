@@ -50,6 +50,8 @@ def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make
     assert headline(make_explanation()) == 'The current model lacks local_drag (probability 97%).'
     ambiguous = 'local_drag (probability 97%) fits best, but it may be gradient_error (2%) instead.'
     assert headline(make_explanation(ambiguous=True)).endswith(ambiguous)
+    alone = headline(make_explanation(verdict=Verdict.AMBIGUOUS))
+    assert alone == 'The current model may lack local_drag (probability 97%), but no run is left to confirm it.'
     drag = make_explanation().effects[0]
     wind = replace(drag, name='headwind', probability=1.0)
     both = '(probability 97%) and headwind (>99%).'
@@ -90,6 +92,8 @@ def test_alternatives_name_the_test_run_that_distinguishes_them(make_explanation
 
 def test_what_to_do_next_follows_from_verdict_and_probabilities(make_explanation: Make) -> None:
     assert ['Use the train file' in text for text in next_steps(make_explanation())] == [True]
+    slip = make_explanation(effects=tuple(replace(one, origin='sensor') for one in make_explanation().effects))
+    assert next_steps(slip)[0].endswith('no gap but that of slip.')
     lacks = 'The data should also contain 6 runs or more.'
     assert next_steps(make_explanation(ambiguous=True)) == [*alternatives(make_explanation(ambiguous=True)), lacks]
     kept = replace(make_explanation().train_file, resistance=Davis(1.0, 0.0, 0.0))  # a, b and c are not written
@@ -103,7 +107,7 @@ def test_what_to_do_next_follows_from_verdict_and_probabilities(make_explanation
     certain = replace(unexplained, probabilities=(('none', 1.0),))
     assert next_steps(certain) == [lacks]
     fitted = replace(certain, train_file=replace(kept, resistance=certain.davis))
-    assert next_steps(fitted) == ['Use the train file beside this page, with a, b and c as fitted.', lacks]
+    assert next_steps(fitted) == ['Use the train file written, with a, b and c as fitted.', lacks]
 
 
 def test_data_lack_what_would_make_an_answer_certain(make_explanation: Make, stated: TrainFile) -> None:

@@ -71,21 +71,27 @@ def run(args: argparse.Namespace) -> int:
 
 def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[str], None]) -> Explanation:
     """Read the bags and explain them; ``note`` is called with each fault of theirs."""
+    faults: list[str] = []
+
+    def warned(line: str) -> None:
+        faults.append(line)
+        note(line)
+
     inputs = mapped_inputs(args.map, train_file)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'open {name}', total=len(args.bags)) as advance:
         found = survey(args.bags, args.namespace, args.max_chunk, inputs, advance)
     for line in found.warnings:
-        note(line)
+        warned(line)
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(
-            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
+            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=warned
         )
     try:
         return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
-        raise NoAnswerError(f'{name}: {error}') from None
+        raise NoAnswerError('; '.join((f'{name}: {error}', *faults))) from None
 
 
 @contextmanager
@@ -224,6 +230,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
         words.gap_sentence(explanation),
         table(davis, numbers=(1,)),
         ' '.join(filter(None, (explanation.remaining, words.learned_sentence(explanation.learned)))),
+        '\n'.join(f'Next: {step}' for step in words.next_steps(explanation)),
     )
     return '\n\n'.join(blocks)
 

@@ -110,6 +110,6 @@ def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = (
     ordered = sorted(share.items(), key=lambda one: (-one[1], one[0]))
     return Probabilities(
         tuple((name, p / total) for name, p in ordered),
-        tuple((name, p / total) for name, p in present.items()),
+        tuple((name, min(p / total, 1.0)) for name, p in present.items()),
         tuple((count, p / total) for count, p in counts.items()),
     )

@@ -206,6 +206,8 @@ def assess(
     gap = gap_of(read, written.before, written.after, final, bursts)
     remaining = _remaining(selection, verdict)
     outcome = Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
+    if gap is None and verdict is Verdict.EXPLAINED:
+        return replace(outcome, verdict=Verdict.AMBIGUOUS, remaining='No other run confirms it.')
     if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN):
         # Their evidence is that of a fit: runs that it has not seen do not show the effects.
         names = ' and '.join(sorted({term.name for term in final.terms}))

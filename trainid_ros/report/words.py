@@ -43,6 +43,8 @@ def headline(explanation: Explanation) -> str:
         case Verdict.AMBIGUOUS:
             twins = [f'{name} ({percent(shares.get(name, 0.0))})' for name in _twins(explanation)]
             best = 'fits' if len(explanation.effects) == 1 else 'fit'
+            if not twins:
+                return f'The current model may lack {names}, but no run is left to confirm it.'
             return f'The current model lacks an effect: {names} {best} best, but it may be {join(twins)} instead.'
         case Verdict.UNEXPLAINED:
             named = f'{names}, and ' if names else ''
@@ -137,10 +139,11 @@ def learned_sentence(learned: Learned | None) -> str:
 def next_steps(explanation: Explanation) -> list[str]:
     """Return as sentences what to do next: the drive that would tell, and what the data lack."""
     if explanation.verdict is Verdict.EXPLAINED:
-        return ['Use the train file beside this page, and explain further drives with it: they should show no gap.']
+        slip = ' but that of slip' if any(effect.origin == 'sensor' for effect in explanation.effects) else ''
+        return [f'Use the train file written, and explain further drives with it: they should show no gap{slip}.']
     steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
     if not found and explanation.train_file.resistance == explanation.davis:
-        steps.append('Use the train file beside this page, with a, b and c as fitted.')
+        steps.append('Use the train file written, with a, b and c as fitted.')
     if (learned := explanation.learned) and learned.effect:
         steps.append(f'Find the cause. Until then use folder learned, with {learned.effect} as an effect of your own.')
     if explanation.verdict is not Verdict.AMBIGUOUS:
