@@ -135,7 +135,7 @@ def test_several_bags_with_wrong_inputs_are_named(tmp_path: Path) -> None:
     [
         (lambda r: r, 0.0, ''),
         (scaled(SpeedRecord, 'speed', 1.05), 0.0, 'off what its position gives'),
-        (scaled(ForceRecord, 'force', 0.5), 0.0, 'ato/force or ato/mass is off'),
+        (scaled(ForceRecord, 'force', 0.5), 0.0, 'ato/force, ato/mass or train.mass is off'),
         (POSITIVE, 0.97, ''),
     ],
 )

@@ -68,7 +68,7 @@ def test_a_force_that_counts_twice_is_a_contradiction(tiny: Path, setup: Setup, 
         bag_row(replace(setup, mapping=path), 'r1', PlannedBag(str(tiny), train='T1', day='2026-01-31'), lambda _: None)
         for path in (mapping, None)
     )
-    assert 'ato/force or ato/mass is off: the train follows 0.5 times the force' in wrong['contradiction']
+    assert 'ato/force, ato/mass or train.mass is off: the train follows 0.5 times the force' in wrong['contradiction']
     assert (is_known(wrong), has_estimate(wrong)) == (False, True)
     assert (right['contradiction'], is_known(right)) == (None, True)
 

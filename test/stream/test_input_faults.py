@@ -84,7 +84,7 @@ def test_a_contradiction_from_the_first_message_is_named(
     [
         (speed(3.6), 'ato/speed is in km/h'),
         (force(-1.0), 'ato/force has the wrong sign'),
-        (force(1e3), 'ato/force or ato/mass is off'),  # by more than any load
+        (force(1e3), 'ato/force, ato/mass or train.mass is off'),  # by more than any load
         (force(0.8), ''),
         (speed(1.05), ''),
         (position(lambda _: 1500.0), ''),

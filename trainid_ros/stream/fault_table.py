@@ -137,7 +137,7 @@ def _nothing(sentence: str, *inputs: Input, asks: float = _FOLLOWS_NOTHING) -> R
     return Row(sentence, _only(*inputs), ignores=_only(*inputs), asks=asks, misread=Input.SPEED in inputs)
 
 
-_WEIGHT: Final = 'ato/force or ato/mass is off: the train follows {gain:.2g} times the force'
+_WEIGHT: Final = 'ato/force, ato/mass or train.mass is off: the train follows {gain:.2g} times the force'
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
