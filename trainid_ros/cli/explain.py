@@ -20,7 +20,7 @@ from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from trainid_ros.explain.dataset import Run
@@ -38,21 +38,17 @@ def run(args: argparse.Namespace) -> int:
     """Explain the gap between bags and train file; NoAnswerError with too little motion, or wrong units or signs."""
     train_file = load_train_file(args.train)
     notes: list[str] = []
-
-    def note(line: str) -> None:
-        warn(line)
-        notes.append(f'Warning: {line}')
-
     with _outputs(args.out, args.train):
         try:
-            explanation = _explain(args, train_file, note)
+            explanation = _explain(args, train_file, notes)
         except NoAnswerError as error:
             if args.json:
                 print_json(to_json(None, str(error)))
             raise
         if args.out is not None:
             # Written before printing, which a closed pipe may interrupt.
-            write_all(args.out, explanation, train_file, str(args.train), args.bags, tuple(notes))
+            warnings = tuple(f'Warning: {line}' for line in notes)
+            write_all(args.out, explanation, train_file, str(args.train), args.bags, warnings)
     if (point := explanation.gradient_point) is not None:
         warn(
             f'the gradients in the bags are those at the {point} of the train and were used as such here, but '
@@ -69,29 +65,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[str], None]) -> Explanation:
-    """Read the bags and explain them; ``note`` is called with each fault of theirs."""
-    faults: list[str] = []
+def _explain(args: argparse.Namespace, train_file: TrainFile, notes: list[str]) -> Explanation:
+    """Read the bags and explain them; each fault of theirs is printed and added to ``notes``."""
 
-    def warned(line: str) -> None:
-        faults.append(line)
-        note(line)
+    def note(line: str) -> None:
+        warn(line)
+        notes.append(line)
 
     inputs = mapped_inputs(args.map, train_file)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'open {name}', total=len(args.bags)) as advance:
         found = survey(args.bags, args.namespace, args.max_chunk, inputs, advance)
     for line in found.warnings:
-        warned(line)
+        note(line)
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(
-            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=warned
+            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
         )
     try:
         return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
-        raise NoAnswerError('; '.join((f'{name}: {error}', *faults))) from None
+        raise NoAnswerError('; '.join((f'{name}: {error}', *notes))) from None
 
 
 @contextmanager
