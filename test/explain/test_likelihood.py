@@ -192,7 +192,8 @@ def grid_of(times: Array, share: Array, change: Array) -> Grid:
     inside, order = np.ones((times.size, 1), dtype=bool), np.arange(times.size)
     dt = np.diff(times, prepend=times[0])[:, None]
     rounding = 1e-3 * share[:, None]
-    return Grid((0, times.size), inside, order, dt, share[:, None], rounding, change[:, None], INERTIA)
+    hidden = rounding, change[:, None], INERTIA, rounding[:, 0], 1e-3
+    return Grid((0, times.size), inside, order, dt, share[:, None], *hidden)
 
 
 def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array:

@@ -175,6 +175,23 @@ def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap() -> None:
         assert after > 0.8 * before, same_place
 
 
+def test_noise_floor_of_a_true_model_is_its_gap_whatever_the_priors() -> None:
+    model, noise = Model.of(Maker().runs(8, 5), TRAIN), Noise(0.02, 0.002, 8.0, 0.001)  # no gusts, as made
+    for payload in (0.005, 0.05):  # of trains weighed, and ten times that
+        held = hold_out(model, Hyperparameters(noise, Spread(payload, 2.0 * payload, 0.2), 0.0))
+        gap = gap_of(read_gap(model), held, held, model)
+        assert gap is not None
+        assert gap.after == pytest.approx(gap.noise_floor, rel=0.15), payload
+
+
+def test_noise_floor_does_not_count_what_neither_loads_nor_maps_cause() -> None:
+    model = Model.of(Maker().runs(6, 31, drag(4.0)), TRAIN)
+    held = hold_out(model, HYPER)
+    gap = gap_of(read_gap(model), held, held, model)
+    assert gap is not None
+    assert gap.noise_floor < 0.8 * gap.after
+
+
 def test_noise_floor_excludes_the_uncertainty_of_effects(dragged_model: Model) -> None:
     terms = local_drag(100.0, 350.0, 2.5), local_drag(1e4, 1.1e4, 2.5)
     added, unseen = (dragged_model.with_terms((term,)).fit(HYPER) for term in terms)

@@ -63,9 +63,11 @@ class Grid:
     dt: Array  # Time since the previous grid point [s], shape (N, R)
     # Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R)
     share: Array
-    rounding: Array  # Variance of each by rounding [(m/s)^2], shape (N, R)
+    hidden: Array  # Variance of each by rounding, as independent noise [(m/s)^2], shape (N, R)
     change: Array  # Change of the force since the previous grid point, as acceleration [m/s^2], shape (N, R)
     inertia: float  # Specific force per acceleration [N/kN per m/s^2]
+    hiding: Array  # The variances ``hidden`` at each point, in the order of the dataset, shape (m,)
+    rounding: float  # Variance of one speed by rounding [(m/s)^2]
 
     @classmethod
     def of(cls, dataset: Dataset) -> Grid:
@@ -79,10 +81,10 @@ class Grid:
         dt = np.zeros(index.shape)
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         share = np.where(inside & (count > 0.0), share_of_mean(count), np.inf)
-        of_points = rounding_of(dataset)[0], dataset.point_change
-        rounding, change = (np.where(inside, values[index], 0.0) for values in of_points)
+        hiding, rounding = rounding_of(dataset)
+        hidden, change = (np.where(inside, values[index], 0.0) for values in (hiding, dataset.point_change))
         edges = (*first.tolist(), dataset.point_time.size)
-        return cls(edges, inside, index[inside], dt, share, rounding, change, dataset.inertia)
+        return cls(edges, inside, index[inside], dt, share, hidden, change, dataset.inertia, hiding, rounding)
 
     @property
     def runs(self) -> list[slice]:
@@ -104,7 +106,7 @@ class Whitener:
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
         """Compute all gains at once; padding after the last grid point of a run has no weight."""
         f, e, Q = _transitions(grid, noise)
-        R = noise.speed**2 * grid.share + grid.rounding
+        R = noise.speed**2 * grid.share + grid.hidden
         # Elements 00 and 01 of the prediction F P F' + Q, F = [1 f; 0 e]; S and K of the Kalman filter.
         P00, P01 = Q[0].copy(), Q[1].copy()
         p00, p01, p11 = _filtered(f, e, Q, R)[:, :-1]

@@ -8,7 +8,9 @@ Davis ``a``, which is fitted anyway, so each part is given as its deviation from
 
 Proof: runs held out are simulated from their initial speed, with the train file read and with the one written, whose
 a, b, c and effects are fitted to the other runs. What a user cannot know of a run, such as payload and map errors, is
-zero in both; the gap is compared with that of a correct train file. The likelihoods of the runs held out, without and
+zero in both. The gap is compared with the noise floor, that of a correct train file: noise, and what no train file
+states as fitted to the runs held out too. If that is more than the other runs let expect, the latter counts, so that an
+effect which is missing does not pass for loads. The likelihoods of the runs held out, without and
 with the effects, give an evidence that no fit to these runs has raised. It is the larger of two: by the train file,
 with the priors of all nuisances, and by the fit to the other runs.
 
@@ -29,7 +31,7 @@ from scipy.linalg import solve_triangular
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
 from trainid_ros.explain.effects import EffectTerm
-from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, rounding_of, share_of_mean
+from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import probabilities
@@ -50,6 +52,7 @@ class HeldOut:
 
     gap: Array  # With a, b, c and the effects as fitted: the train file written [m/s]
     std: Array  # Standard deviation that a correct train file leaves [m/s]
+    shown: Array  # The same with loads, map errors and the like as fitted to these runs too [m/s]
     fitted: Array  # With all nuisances as fitted [m/s]
     likelihood: float  # 2 ln of the likelihood of the runs held out, each alone, given a, b, c and the effects
     fitted_likelihood: float  # The same given all nuisances as fitted
@@ -65,29 +68,31 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
     stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
-    gap, deviation, fitted = np.zeros((3, model.residual.size))
+    gap, deviation, shown, fitted = np.zeros((4, model.residual.size))
     likelihood = fitted_likelihood = 0.0
-    hiding, rounding = rounding_of(model.dataset)
+    hidden = model.grid.hiding
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
-        # Second moments of the nuisances; those of their priors, beside errors of a, b, c and the effects.
         both_unstated, unstated = np.outer(~stated, ~stated), np.where(stated, 0.0, mean)
-        expected = np.where(both_unstated, covariance, 0.0) + np.outer(unstated, unstated)
+        unknown = np.where(both_unstated, covariance, 0.0)
         beforehand = np.where(np.outer(stated, stated), covariance, np.where(both_unstated, prior, 0.0))
         for run in fold.tolist():
             at = model.dataset.point_run == run
-            columns, noise = model.nuisance_columns[at], _noise(model, hyper, at)
-            left = residual[at] - columns @ np.where(stated, mean, 0.0)
-            rounded = noise + np.diag(np.minimum(hiding[at], rounding))
-            gap[at], deviation[at] = _started(model, at, left, rounded + columns @ expected @ columns.T)
-            noise += np.diag(hiding[at])
-            likelihood += _log_likelihood(model, at, left, noise + columns @ beforehand @ columns.T)
-            left = residual[at] - columns @ mean
+            columns, noise, factors = model.nuisance_columns[at], _noise(model, hyper, at), model.factor_columns[at]
+            left, known = residual[at] - columns @ np.where(stated, mean, 0.0), columns @ unstated
+            of_run = factors @ np.diag(np.square(hyper.spread.of_run)) @ factors.T
+            apart = columns @ unknown @ columns.T + of_run
+            rounded, hiding = (noise + np.diag(x[at]) for x in (np.minimum(hidden, model.grid.rounding), hidden))
+            gap[at], deviation[at] = _started(model, at, left, rounded + apart + np.outer(known, known))
+            _, shown[at] = _started(model, at, left, rounded + _fitted(model, at, known, left - known, apart, hiding))
+            hiding += of_run
+            likelihood += _log_likelihood(model, at, left, hiding + columns @ beforehand @ columns.T)
+            left -= known
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
-            fitted_likelihood += _log_likelihood(model, at, left, noise + columns @ covariance @ columns.T)
-    return HeldOut(gap, deviation, fitted, likelihood, fitted_likelihood)
+            fitted_likelihood += _log_likelihood(model, at, left, hiding + columns @ covariance @ columns.T)
+    return HeldOut(gap, deviation, shown, fitted, likelihood, fitted_likelihood)
 
 
 def read_gap(model: Model) -> Array:
@@ -123,6 +128,19 @@ def _started(model: Model, at: Flags, left: Array, expected: Array) -> tuple[Arr
     return left - left[k], np.sqrt(np.maximum(variance, 0.0))
 
 
+def _fitted(model: Model, at: Flags, known: Array, left: Array, unknown: Array, noise: Array) -> Array:
+    """Return the second moment of what no train file states of one run, as fitted to this run too [(m/s)^2], (m, m).
+
+    By the other runs it has the mean ``known`` and the covariance ``unknown``; ``left`` is the residual without it.
+    """
+    measured = model.dataset.point_count[at] > 0.0
+    # The initial speed is not known: 10 m/s.
+    expected = (unknown + noise + 100.0)[np.ix_(measured, measured)]
+    gain = np.linalg.solve(expected, unknown[measured]).T
+    mean = known + gain @ left[measured]
+    return np.asarray(np.outer(mean, mean) + unknown - gain @ unknown[measured])
+
+
 def _log_likelihood(model: Model, at: Flags, left: Array, expected: Array) -> float:
     """Return 2 ln of the density of the residual of one run with a covariance, but for a flat initial speed."""
     known = model.dataset.point_count[at] > 0.0
@@ -142,27 +160,25 @@ def gap_of(read: Array, before: HeldOut | None, after: HeldOut | None, model: Mo
     if before is None or after is None:
         return None
     known = model.dataset.point_count > 0.0
-    squares = (np.mean(np.square(x[known])) for x in (read, after.gap, after.std, before.fitted, after.fitted))
-    first, last, floor, *fitted = (float(square) for square in squares)
-    without, with_effects = np.sqrt(fitted).tolist()
+    of_points = read, after.gap, after.std, after.shown, before.fitted, after.fitted
+    first, last, *floors, without, with_effects = (float(np.mean(np.square(x[known]))) for x in of_points)
     # The distances between stops are a measurement of the wheel.
     of_file, of_fit = after.likelihood - before.likelihood, after.fitted_likelihood - before.fitted_likelihood
     evidence = max(of_file, of_fit) + model.odometry.precision * model.odometry.excess**2 - model.odometry_cost
     return Gap(
-        math.sqrt(first + bursts), math.sqrt(last), math.sqrt(floor), len(model.dataset.runs), without, with_effects,
-        evidence,
+        math.sqrt(first + bursts), math.sqrt(last), math.sqrt(min(floors)), len(model.dataset.runs),
+        math.sqrt(without), math.sqrt(with_effects), evidence,
     )  # fmt: skip
 
 
 def _noise(model: Model, hyper: Hyperparameters, at: Flags) -> Array:
-    """Return the covariance of the speeds of one run by gusts, sensors, jitter and factors of runs [(m/s)^2]."""
-    noise, spread = hyper.noise, hyper.spread
+    """Return the covariance of the speeds of one run by gusts, sensors and jitter [(m/s)^2], shape (m, m)."""
+    noise = hyper.noise
     jitter = np.cumsum(np.square(noise.jitter * model.dataset.point_change[at]))
     t = model.dataset.point_time[at] - model.dataset.point_time[at][0]
-    factors = model.factor_columns[at] * spread.of_run
     white = noise.speed**2 * share_of_mean(model.dataset.point_count[at])
     gusts = (noise.gust * noise.gust_time / model.dataset.inertia) ** 2 * integrated_covariance(t, noise.gust_time)
-    return np.asarray(gusts + factors @ factors.T + np.diag(white) + np.minimum.outer(jitter, jitter))
+    return np.asarray(gusts + np.diag(white) + np.minimum.outer(jitter, jitter))
 
 
 @dataclass(frozen=True, slots=True)
