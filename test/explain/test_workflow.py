@@ -13,6 +13,7 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag
 from trainid_ros.explain.dataset import Run
+from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.result import Explanation, Verdict
@@ -276,12 +277,43 @@ def test_a_resistance_at_low_speed_shows_at_low_speed_and_in_wind_less_clearly()
 @pytest.mark.parametrize(
     ('name', 'parameters', 'twin'),
     [
-        # Not on straight track, equal on level track without braking, too small, and at a place of its own.
+        # Not on straight track, less than brakes differ, too small, and at a place of its own.
         ('curve_resistance', {'coefficient': 600.0}, 'starting_resistance'),
-        ('mass_error', {'ratio': 1.1}, 'traction_scale'),
+        ('mass_error', {'ratio': 1.03}, 'traction_scale'),
         ('starting_resistance', {'value': 0.05, 'speed': 3.0}, 'mass_error'),
         ('starting_resistance', START, 'local_drag'),
     ],
 )
 def test_no_drive_where_none_helps(name: str, parameters: dict[str, float], twin: str) -> None:
     assert distinguishing_drive(name, parameters, twin, FIT) == ''
+
+
+def test_braking_tells_mass_from_traction_unless_the_brake_is_wrong_too() -> None:
+    mass = 'mass_error', {'ratio': 1.15}
+    drive = distinguishing_drive(*mass, 'traction_scale', FIT)
+    assert 'ratio ±' in drive
+    assert promised(drive) < 0.15 / 4.0
+    assert distinguishing_drive(*mass, 'traction_scale', FIT, [EffectTerm('brake_scale', {'ratio': 0.95})]) == ''
+
+
+@pytest.mark.slow
+def test_a_wrong_mass_is_also_all_forces_wrong_and_no_drive_tells() -> None:
+    runs = [replace(run, traction=1.06 * run.traction, brake=1.06 * run.brake) for run in Maker().runs(8, 49)]
+    reported = explain(runs, TRAIN)
+    assert (reported.verdict, names(reported)) == (Verdict.EXPLAINED, ['mass_error'])
+    ratio = dict(reported.effects[0].parameters)['ratio']
+    (twin,) = reported.effects[0].twins
+    assert twin.name == 'brake_scale+traction_scale'
+    assert twin.drive == f'no drive does, as {1.0 / ratio:.3f} of both acts alike; weigh the train'
+
+
+@pytest.mark.slow
+def test_two_wrong_forces_are_not_told_from_a_wrong_mass() -> None:
+    runs = [replace(run, traction=1.06 * run.traction, brake=0.9 * run.brake) for run in Maker().runs(8, 49)]
+    reported = explain(runs, TRAIN)
+    forces = {'mass_error', 'traction_scale', 'brake_scale'}
+    assert reported.verdict is Verdict.AMBIGUOUS
+    assert len(forces & set(names(reported))) == 2
+    for effect in reported.effects:
+        for twin in effect.twins:
+            assert (twin.name in forces) == twin.drive.startswith('no drive does')

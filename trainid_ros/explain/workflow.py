@@ -3,17 +3,18 @@
 
 Where an effect is confused with another, the workflow names a drive that tells them apart, if driving on level,
 straight track can. The information on the amplitude A of an effect comes from the speeds of a planned run, linear in
-what is not known: A, the size of the other effect, a, b, c and the payload. With C the derivatives of the speeds by
-them, and R the covariance of integrated gusts, map errors and speed noise, it is I = C' R^-1 C; the inverse has the
-variance of A.
+what is not known: A, the sizes of all other effects, a, b, c, the payload and the brake. With C the derivatives of the
+speeds by them, and R the covariance of integrated gusts, map errors and speed noise, it is I = C' R^-1 C; the inverse
+has the variance of A.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.resistance.suggested_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
 from trainid_ros.train.effects import EFFECTS, TrackPoint, Twin
+from trainid_ros.train.forces import davis as resistance_of
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Effect
 
@@ -40,7 +42,6 @@ if TYPE_CHECKING:
     from trainid_ros.explain.likelihood import Hyperparameters
     from trainid_ros.explain.proof import Outcome
     from trainid_ros.resistance.suggested_drive import Run as PlannedRun
-    from trainid_ros.resistance.suggested_drive import Step
     from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import TrainFile
 
@@ -182,14 +183,32 @@ def _found(
     fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
     rows = sorted(zip(outcome.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     for term, evidence, twins in rows:
-        alternatives = []
-        for name in twins:
-            text = {item.name: item.drive for item in term.kind.twins}.get(name, term.kind.needs)
-            drive = distinguishing_drive(term.name, term.parameters, name, fit)
-            alternatives.append(Twin(name, f'{text}; for example {drive}' if drive else text))
+        others = [one for one in outcome.terms if one is not term]
+        alternatives = [Twin(name, _test_run(term, name, others, fit)) for name in twins]
+        if term.name == MASS and not twins and not FORCES & {one.name for one in others}:
+            ratio = 1.0 / term.parameters[term.kind.amplitude]
+            alternatives = [
+                Twin('+'.join(sorted(FORCES)), f'no drive does, as {ratio:.3f} of both acts alike; {_WEIGH}')
+            ]
         place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset, locations)
         found.append(_effect(term, evidence, causes, tuple(alternatives), place))
     return found
+
+
+FORCES: Final = frozenset({'brake_scale', 'traction_scale'})
+"""Effects of the forces, which together act like another mass."""
+MASS: Final = 'mass_error'
+"""The effect of another mass."""
+_WEIGH: Final = 'weigh the train'
+
+
+def _test_run(term: EffectTerm, twin: str, others: Sequence[EffectTerm], fit: FitSummary) -> str:
+    """Return what distinguishes an effect from a twin, beside the other effects of the model."""
+    if FORCES | {MASS} <= {term.name, twin, *(one.name for one in others)}:
+        return f'no drive does, as any two of mass, traction and brake act like the third; {_WEIGH}'
+    text = {item.name: item.drive for item in term.kind.twins}.get(twin, term.kind.needs)
+    drive = distinguishing_drive(term.name, term.parameters, twin, fit, others)
+    return f'{text}; for example {drive}' if drive else text
 
 
 def _effect(
@@ -249,8 +268,13 @@ class FitSummary:
     hyper: Hyperparameters
 
 
-def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, fit: FitSummary) -> str:
-    """Return the shortest drive that tells an effect as found from a twin of any size, with its std; '' if none."""
+def distinguishing_drive(
+    name: str, parameters: Mapping[str, float], twin: str, fit: FitSummary, others: Sequence[EffectTerm] = ()
+) -> str:
+    """Return the shortest drive that tells an effect as found from a twin of any size, with its std; '' if none.
+
+    ``others`` are further effects in the model, whose sizes are not known either.
+    """
     kind, other = EFFECTS[name], EFFECTS[twin]
     shape = _typical(other)
     if kind.resistance is None or other.resistance is None or shape is None:
@@ -260,8 +284,11 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
     # Beside the usual manoeuvres, slow speeds are held for a minute.
     slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in (5.0 * KM_H, 10.0 * KM_H))
     for run in chain(planned_runs(fit.train_file, fit.davis), (run for run in slow if run is not None)):
-        effect = _resistances(run, kind, parameters, fit.davis) / max(size, 1e-12)
-        information = _information(run, effect, _resistances(run, other, shape, fit.davis), fit)
+        motion = _Motion.of(run, fit)
+        rivals = (other, shape), *((term.kind, term.parameters) for term in others)
+        effect = motion.resistances(kind, parameters, fit.davis) / max(size, 1e-12)
+        effects = effect, *(motion.resistances(*rival, fit.davis) for rival in rivals)
+        information = _information(motion, effects, fit)
         for times in _COUNTS:
             std = _std(times * information, fit)
             if size >= 4.0 * std:  # then the two are distinguished
@@ -286,28 +313,49 @@ def _typical(kind: EffectKind) -> dict[str, float] | None:
     return values
 
 
-def _resistances(run: PlannedRun, kind: EffectKind, parameters: Mapping[str, float], davis: Davis) -> Array:
-    """Return the resistance of an effect at each step [N/kN], shape (n,)."""
-    if kind.resistance is None:
-        return np.zeros(len(run.steps))
-    points = (_point(run.steps, k) for k in range(len(run.steps)))
-    return np.array([kind.resistance(parameters, davis, point) for point in points])
+class _Motion(NamedTuple):
+    """Motion of a planned run from stop to stop, at the end of each step, shapes (n,)."""
+
+    speed: Array  # [m/s]
+    traction: Array  # Mean reported traction [N/kN]
+    brake: Array  # Braking force [N/kN, <= 0]
+    rate: Array  # Acceleration [m/s^2]
+
+    @classmethod
+    def of(cls, run: PlannedRun, fit: FitSummary) -> _Motion:
+        """Return the motion of a run with a, b, c of a fit."""
+        speed, pulled = np.array(run.speeds), np.array([step.traction for step in run.steps])
+        rate, braked = np.diff(speed, prepend=speed[0]) / STEP_S, len(run.braking)
+        force = specific_inertia(1.0, fit.train_file.train.rotary_mass) * rate + resistance_of(fit.davis, speed)
+        brake = np.append(np.zeros(pulled.size), np.minimum(force[pulled.size :], 0.0))
+        return cls(speed, np.append(pulled, np.zeros(braked)), brake, rate)
+
+    def resistances(self, kind: EffectKind, parameters: Mapping[str, float], davis: Davis) -> Array:
+        """Return the resistance of an effect at each step [N/kN], shape (n,)."""
+        if kind.resistance is None:
+            return np.zeros(self.speed.size)
+        points = map(self._point, range(self.speed.size))
+        return np.array([kind.resistance(parameters, davis, point) for point in points])
+
+    def _point(self, k: int) -> TrackPoint:
+        traction, brake = (partial(_ago, force, k) for force in (self.traction, self.brake))
+        return TrackPoint(
+            k * STEP_S, math.nan, 1, float(self.speed[k]),
+            distance_run=1e6,  # the bearings are warm
+            since_release=0.0 if self.brake[k] else k * STEP_S, traction=traction(0.0), brake=brake(0.0),
+            acceleration=float(self.rate[k]), brake_before=brake, traction_before=traction,
+        )  # fmt: skip
 
 
-def _point(steps: Sequence[Step], k: int) -> TrackPoint:
-    before, now = steps[max(k - 1, 0)], steps[k]
-    return TrackPoint(
-        k * STEP_S, math.nan, 1, now.speed,
-        distance_run=1e6,  # the bearings are warm
-        since_release=k * STEP_S, traction=now.traction, acceleration=(now.speed - before.speed) / STEP_S,
-        traction_before=lambda ago: steps[min(max(k - round(ago / STEP_S), 0), len(steps) - 1)].traction,
-    )  # fmt: skip
+def _ago(values: Array, k: int, seconds: float) -> float:
+    """Return the value a number of seconds before step k."""
+    return float(values[min(max(k - round(seconds / STEP_S), 0), values.size - 1)])
 
 
-def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -> Array:
-    """Return the information of a run on [A, twin, a, b, c, kappa], the initial speed not known, shape (6, 6)."""
-    v, traction = (np.array([getattr(step, name) for step in run.steps]) for name in ('speed', 'traction'))
-    pulls = np.stack((effect, twin, np.ones_like(v), v, v * v, -traction), axis=1)
+def _information(motion: _Motion, effects: Sequence[Array], fit: FitSummary) -> Array:
+    """Return the information of a run on [effects, a, b, c, payload, brake], the initial speed not known, (n, n)."""
+    v, traction, brake = motion.speed, motion.traction, motion.brake
+    pulls = np.stack((*effects, np.ones_like(v), v, v * v, -traction, -brake), axis=1)
     hyper, m = fit.hyper, specific_inertia(1.0, fit.train_file.train.rotary_mass)
     at = slice(_STEPS - 1, None, _STEPS)
     C = np.concatenate((-np.cumsum(pulls, axis=0) * STEP_S / m, np.ones((len(v), 1))), axis=1)[at]
@@ -318,15 +366,16 @@ def _information(run: PlannedRun, effect: Array, twin: Array, fit: FitSummary) -
     errors_of_map = (hyper.spread.map * map_time) ** 2 * integrated_covariance(t, map_time)
     R = (gusts + errors_of_map) / (m * m) + noise.speed**2 / (_STEPS * 2.0) * np.eye(t.size)  # two samples a step
     full = C.T @ np.linalg.solve(R, C)
-    start = full[:6, 6]
-    return np.asarray(full[:6, :6] - np.outer(start, start) / full[6, 6])
+    start = full[:-1, -1]
+    return np.asarray(full[:-1, :-1] - np.outer(start, start) / full[-1, -1])
 
 
 def _std(information: Array, fit: FitSummary) -> float:
     """Return the standard deviation of A after runs with this information, all else as unknown as a priori."""
-    # The other effect may have ten times its typical amplitude, and would change a, b, c too.
-    known = np.maximum([*fit.davis_std, fit.hyper.spread.payload], 1e-6)  # keeps the inverse finite
-    stds = np.array([10.0, *(3.0 * known[:3]), known[3]])
+    spread = fit.hyper.spread
+    known = np.maximum([*(3.0 * x for x in fit.davis_std), spread.payload, spread.brake], 1e-6)  # for a finite inverse
+    # The other effects may have ten times their typical amplitudes, and would change a, b, c too.
+    stds = np.append(np.full(len(information) - 1 - known.size, 10.0), known)
     prior = np.concatenate(([0.0], stds**-2.0))
     total = information + np.diag(prior)
     left = total[0, 0] - total[0, 1:] @ np.linalg.solve(total[1:, 1:], total[1:, 0])

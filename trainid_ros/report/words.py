@@ -37,11 +37,11 @@ def headline(explanation: Explanation) -> str:
     listed = [f'{name}{times.get(n, f" {n} times")} ({percent(chances[name])})' for name, n in counts.items()]
     names = join(listed).replace('(', '(probability ', 1)
     none, other = (percent(shares.get(name, 0.0)) for name in ('none', 'other'))
+    twins = [f'{name} ({percent(shares[name])})' if name in shares else name for name in _twins(explanation)]
     match explanation.verdict:
         case Verdict.EXPLAINED:
-            return f'The current model lacks {names}.'
+            return f'The current model lacks {names}{f" or, with the same motion, {join(twins)}" if twins else ""}.'
         case Verdict.AMBIGUOUS:
-            twins = [f'{name} ({percent(shares.get(name, 0.0))})' for name in _twins(explanation)]
             best = 'fits' if len(explanation.effects) == 1 else 'fit'
             if not twins:
                 return f'The current model may lack {names}, but no run is left to confirm it.'
@@ -140,7 +140,8 @@ def next_steps(explanation: Explanation) -> list[str]:
     """Return as sentences what to do next: the drive that would tell, and what the data lack."""
     if explanation.verdict is Verdict.EXPLAINED:
         slip = ' but that of slip' if any(effect.origin == 'sensor' for effect in explanation.effects) else ''
-        return [f'Use the train file written, and explain further drives with it: they should show no gap{slip}.']
+        use = f'Use the train file written, and explain further drives with it: they should show no gap{slip}.'
+        return [*alternatives(explanation), use]
     steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
     if not found and explanation.train_file.resistance == explanation.davis:
         steps.append('Use the train file written, with a, b and c as fitted.')

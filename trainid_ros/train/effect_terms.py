@@ -194,7 +194,7 @@ KINDS: Final[tuple[EffectKind, ...]] = (
         twins=(
             Twin(
                 'traction_scale',
-                'runs over steep gradients or braking, or weighing the train: mass also scales the brake',
+                'braking by a brake of known rate, or weighing the train: mass also scales the brake',
             ),
             Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
             Twin('brake_scale', 'runs with high traction: a brake error is not visible there'),
@@ -250,7 +250,7 @@ KINDS: Final[tuple[EffectKind, ...]] = (
         twins=(
             Twin(
                 'mass_error',
-                'runs over steep gradients or braking, or weighing the train: the gain does not affect braking',
+                'braking by a brake of known rate, or weighing the train: the gain does not affect braking',
             ),
             Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
             Twin('stamp_skew', 'long steady traction: a skew is visible only while the force changes'),
