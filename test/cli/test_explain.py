@@ -37,7 +37,7 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 Make = Callable[..., Explanation]
 BAGS = Path(__file__).parents[2] / 'bags'
 ALTRIOS = BAGS / 'altrios_manifest'  # a freight run of another simulator
-KEYS = {'verdict', 'effects', 'gap', 'remaining', 'error', 'gradient_read_at', 'probabilities', 'learned'}
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'error', 'gradient_read_at', 'probabilities', 'learned', 'davis'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'probability', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out', 'fitted', 'evidence'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
@@ -59,6 +59,7 @@ def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
     expected = {'before': 0.4, 'after': 0.05, 'noise_floor': 0.049, 'runs_held_out': 2, 'evidence': 25.0}
     fitted = {'before': 0.3, 'after': 0.04}
     assert answer['gap'] == {'metric': 'rms speed', 'unit': 'm/s', 'fitted': fitted, **expected}
+    assert answer['davis'] == {'a': 1.61, 'b': 0.02, 'c': 0.0011, 'std': [0.12, 0.004, 0.0001], 'distance': 5.2}
     assert answer['error'] is None
     json.dumps(answer, allow_nan=False)
 

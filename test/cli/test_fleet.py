@@ -285,7 +285,9 @@ def test_a_cause_in_the_bags_agrees_with_channels_that_name_none(
 ) -> None:
     table = tmp_path / 't.csv'
     write_table(fleet_rows(5001, 8, 12, {3: (6, np.array([0.0, -0.08, 0.12, 0.0]))}), table, {})
-    drag = FoundEffect('dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, 1.0, '', ())
+    drag = FoundEffect(
+        'dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, 7.0, 1.0, '', ()
+    )
     effects: list[tuple[FoundEffect, ...]] = [(), *[(drag,)] * 3]  # of the bag before, and of three after
     monkeypatch.setattr('trainid_ros.fleet.analysis._explain', lambda _: Explained(effects.pop(0)))
     text = reported(capsys, table, '--explain', 1)

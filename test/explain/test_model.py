@@ -14,6 +14,7 @@ import pytest
 from test.explain.made_runs import TRAIN, Extra, Maker, disturbed
 from trainid_ros.explain.dataset import Dataset, Run, assemble
 from trainid_ros.explain.model import POINTS, Model, Odometry, find_slip, preferred_point, read_at
+from trainid_ros.explain.proof import SHOWN
 from trainid_ros.explain.result import Verdict
 from trainid_ros.explain.workflow import explain
 
@@ -75,11 +76,20 @@ def test_bursts_with_the_sign_of_the_force_are_slip() -> None:
     dataset = spoiled(1.0)
     found = find_slip(dataset)
     assert found is not None
-    term, evidence = found
-    assert evidence > 10.0
+    term = found.term
+    assert found.evidence > 10.0
+    assert found.square == pytest.approx(8 * BURST * 1.5**2 / dataset.dt.size, rel=0.2)
     assert term.parameters['share'] == pytest.approx(8 * BURST / dataset.dt.size, rel=0.2)
     assert abs(term.parameters['speed'] - 1.5) < 2.0 * term.std['speed']
     assert [find_slip(spoiled(other)) for other in (-1.0, 0.0)] == [None, None]
+
+
+def test_bursts_of_one_run_are_not_confirmed_by_the_others() -> None:
+    first, *others = Maker().runs(6, 13)
+    slipping = disturbed(first, *((slice(at, at + BURST), 1.5) for at in (20, 35, 50, 65)))
+    found = find_slip(assemble([slipping, *others], TRAIN))
+    assert found is None or found.evidence < SHOWN
+    assert find_slip(assemble([slipping], TRAIN)) is None
 
 
 def test_bursts_without_a_force_are_ignored() -> None:
@@ -91,7 +101,7 @@ def test_bursts_without_a_force_are_ignored() -> None:
         runs.append(disturbed(run, *((slice(at, at + BURST), size) for at, size in bursts)))
     found = find_slip(assemble(runs, TRAIN))
     assert found is not None
-    assert found[0].parameters['speed'] == pytest.approx(1.5, rel=0.3)
+    assert found.term.parameters['speed'] == pytest.approx(1.5, rel=0.3)
 
 
 def test_clean_data_and_single_outliers_are_no_slip(dataset: Dataset) -> None:

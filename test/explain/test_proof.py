@@ -6,6 +6,7 @@ Where the gap is, and its parts as text.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from test.explain.made_runs import TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.likelihood import Hyperparameters, Noise, eliminate, posterior
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import DAVIS, Spread
-from trainid_ros.explain.proof import SHOWN, gap_of, hold_out, locate, read_gap
+from trainid_ros.explain.proof import SHOWN, gap_of, hold_out, locate, read_gap, where
 from trainid_ros.explain.result import place_text
 
 
@@ -38,6 +39,16 @@ def test_missing_resistance_is_located_at_the_effect(
         total = sum(place.share for place in location.places)
         assert sum(place.share * place.before for place in location.places) / total == pytest.approx(0.0, abs=1e-6)
     assert [place.label for place in locations['mode'].places] == ['traction', 'coasting', 'braking']
+
+
+def test_an_effect_is_where_it_acts(dragged_model: Model) -> None:
+    dataset = dragged_model.dataset
+    front, force = (dataset.joined(name) for name in ('position', 'traction'))
+    text = where(np.where((front > 100.0) & (front < 450.0), 2.5, 0.0), dataset)
+    low, high = (float(edge) for edge in re.findall(r'^at (\d+) to (\d+) m ', text)[0])
+    assert (low, high) == pytest.approx((100.0, 450.0), abs=40.0)
+    assert where(0.05 * force, dataset).startswith('under traction (+')
+    assert where(np.ones(front.size), dataset) == 'no distinct location'
 
 
 def test_every_located_part_has_a_phrase() -> None:

@@ -23,6 +23,7 @@ from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
+    Search,
     _shapes,
     generic_groups,
     is_confirmed_by_other_runs,
@@ -186,3 +187,13 @@ def test_effect_in_one_run_of_many_is_not_confirmed(dragged: list[Run]) -> None:
     for runs, expected in ((dragged, True), (one_of_many, False), (Maker().runs(1, 73, drag(4.0)), True)):
         model = Model.of(runs, TRAIN).with_terms((local_drag(100.0, 350.0, 2.0),)).fit(HYPER)
         assert is_confirmed_by_other_runs(model, 0, HYPER) is expected
+
+
+@pytest.mark.slow
+def test_no_set_with_an_effect_that_the_final_fit_does_not_show_is_selected(
+    dragged_model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Search, '_is_supported', lambda *_: True)
+    assert Search(dragged_model).run(slipping=False).final.names == ('local_drag',)
+    monkeypatch.setattr(EffectTerm, 'is_significant', property(lambda _: False))
+    assert Search(dragged_model).run(slipping=False).final.names == ()

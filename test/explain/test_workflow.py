@@ -21,6 +21,7 @@ from trainid_ros.explain.search import CERTAIN
 from trainid_ros.explain.workflow import FitSummary, distinguishing_drive, explain
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.effects import parse_effects
+from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 # Categories have no edges; without runs to hold out there is no gap.
@@ -59,10 +60,24 @@ def test_no_gap() -> None:
     assert reported.gap.fitted_before == reported.gap.fitted_after
     assert max(reported.gap.before, reported.gap.after) < 1.3 * reported.gap.noise_floor
     assert abs(reported.train_file.resistance.a - TRAIN.resistance.a) < 4.0 * reported.davis_std[0]
+    assert reported.davis_distance < 3.8
     assert reported.remaining.startswith('What is left is noise')
     assert len(reported.traces) == 4
     assert {'noise', 'held-out runs', 'places'} <= set(steps)
     assert set(not_finite(reported)) <= UNKNOWN
+
+
+@pytest.mark.slow
+def test_another_davis_a_is_no_effect_but_a_finding() -> None:
+    (run, back), more = Maker().runs(2, 41, lambda *_: 0.6), Maker().runs(4, 41, lambda *_: 0.6)
+    assert run.direction != back.direction
+    for runs in ([run, more[2]], more):  # in one direction, and in both
+        reported = explain(runs, TRAIN)
+        assert reported.verdict is Verdict.NO_GAP
+        assert reported.davis_distance > 3.8
+        assert davis(reported.davis, 10.0) - davis(TRAIN.resistance, 10.0) == pytest.approx(
+            0.6, abs=0.15
+        )  # the prior draws it back
 
 
 @pytest.mark.slow

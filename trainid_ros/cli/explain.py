@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -160,6 +161,7 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
                 for effect in (e.effects if e else ())
             ],
             'probabilities': dict(e.probabilities if e else ()),
+            'davis': e and {**asdict(e.davis), 'std': e.davis_std, 'distance': e.davis_distance},
             'gap': {
                 'metric': 'rms speed',
                 'unit': 'm/s',

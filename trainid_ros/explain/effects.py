@@ -60,6 +60,11 @@ class EffectTerm:
         return self.size * typical * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
 
     @property
+    def is_significant(self) -> bool:
+        """Whether the amplitude differs from its neutral value by 2.5 std, by chance once in 80 times."""
+        return self.significance > 2.5
+
+    @property
     def shape(self) -> dict[str, float]:
         """All parameters except the amplitude."""
         return {name: self.parameters[name] for name in self.kind.shape}

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -97,10 +97,18 @@ def _distance(run: Run, travelled: float, stops: Sequence[float]) -> float | Non
 _MIN_SAMPLES: Final = 3  # Minimum number of samples of a burst
 
 
-def find_slip(dataset: Dataset) -> tuple[EffectTerm, float] | None:
-    """Return the slip of a dataset and its evidence, 2 ln of a likelihood ratio; None if there is none."""
-    force = dataset.joined('traction') + dataset.joined('brake')
-    peaks, samples, forced = [], 0, 0
+class Slip(NamedTuple):
+    """Slip of the wheels."""
+
+    term: EffectTerm  # The effect
+    evidence: float  # 2 ln of the likelihood ratio of the bursts of each run, given the rate of bursts in all others
+    square: float  # Mean square of its bursts over all samples [(m/s)^2]
+
+
+def find_slip(dataset: Dataset) -> Slip | None:
+    """Return the slip of a dataset; None if there is none."""
+    force, runs = dataset.joined('traction') + dataset.joined('brake'), np.bincount(dataset.run_of)
+    peaks, counts, square, samples, forced = [], np.zeros(runs.size), 0.0, 0, 0
     for start, end in zip(*(edges.tolist() for edges in _bursts(dataset)), strict=True):
         deviation, pull = dataset.deviation[start:end], float(np.median(force[start:end]))
         peak = float(deviation[np.argmax(np.abs(deviation))])
@@ -109,19 +117,21 @@ def find_slip(dataset: Dataset) -> tuple[EffectTerm, float] | None:
         forced += 1
         if peak * pull > 0.0:
             peaks.append(abs(peak))
+            counts[dataset.run_of[start]] += 1
+            square += float(deviation @ deviation) / dataset.dt.size
             samples += end - start
     count, share = len(peaks), samples / dataset.dt.size
     # At least four bursts, 80 % of those under force, and 0.4 % of all samples.
-    if count < 4 or count < 0.8 * forced or share < 0.004:
+    if runs.size < 2 or count < 4 or count < 0.8 * forced or share < 0.004:
         return None
     # The sample maximum underestimates the upper limit of the peaks.
     largest = max(peaks) * (count + 1) / count
     variances = [(share / math.sqrt(count)) ** 2 + (0.2 * share) ** 2, (largest / count) ** 2 + 0.1**2]
-    # Number of bursts expected by chance from independent outliers, half of them with the sign of the force (Poisson).
-    single = float(np.mean(dataset.outlier))
-    chance = max(0.5, 0.5 * dataset.dt.size * single**_MIN_SAMPLES)
-    evidence = 2.0 * (count * math.log(count / chance) - count + chance) if count > chance else 0.0
-    return EffectTerm('wheel_slip', {'share': share, 'speed': largest}, np.diag(variances)), evidence
+    # Bursts per sample by chance from independent outliers, half of them with the sign of the force (Poisson).
+    chance = max(0.5 / dataset.dt.size, 0.5 * float(np.mean(dataset.outlier)) ** _MIN_SAMPLES)
+    others = np.maximum((count - counts) / (dataset.dt.size - runs), chance)
+    evidence = 2.0 * float(counts @ np.log(others / chance) - runs @ (others - chance))
+    return Slip(EffectTerm('wheel_slip', {'share': share, 'speed': largest}, np.diag(variances)), evidence, square)
 
 
 def _bursts(dataset: Dataset) -> tuple[Indices, Indices]:

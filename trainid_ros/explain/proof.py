@@ -32,7 +32,7 @@ from scipy.linalg import solve_triangular
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
 from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
-from trainid_ros.explain.model import Model
+from trainid_ros.explain.model import Model, Slip
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import probabilities
 from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
@@ -198,13 +198,13 @@ class Outcome:
 
 
 def assess(
-    selection: Selection, runs: Sequence[Run], train_file: TrainFile, stated: TrainFile, *, slipping: bool
+    selection: Selection, runs: Sequence[Run], train_file: TrainFile, stated: TrainFile, slip: Slip | None = None
 ) -> Outcome:
     """Return the verdict on the selected effects, from all runs compared with the model of a train file.
 
     ``stated`` is the train file read, which may have effects that were found anew.
     """
-    verdict = _verdict(selection, slipping=slipping)
+    verdict = _verdict(selection, slipping=slip is not None)
     # Effects that do not fit are not reported and not used.
     reported = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
     hyper, base, final = reported.hyper, selection.base.model, reported.model
@@ -212,7 +212,7 @@ def assess(
         base = Model.of(runs, train_file)
         final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
     read = read_gap(base if stated is train_file else Model.of(runs, stated))
-    bursts = float(np.mean(np.square(base.dataset.deviation))) if slipping else 0.0
+    bursts = 0.0 if slip is None else slip.square
     davis = final.found_davis(final.posterior(hyper)[0])
     written = _Written(final.terms, davis, *_both_held_out(base, final, hyper))
     # a, b, c of the train file stay where they are as good, and where something unknown bends those of the fit.
@@ -224,7 +224,8 @@ def assess(
     outcome = Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
     if gap is None and verdict is Verdict.EXPLAINED:
         return replace(outcome, verdict=Verdict.AMBIGUOUS, remaining='No other run confirms it.')
-    if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN):
+    is_significant = all(term.is_significant for term in written.terms)
+    if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN and is_significant):
         # Their evidence is that of a fit: runs that it has not seen do not show the effects.
         names = ' and '.join(sorted({term.name for term in final.terms}))
         return unexplained(
@@ -330,23 +331,30 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
     return tuple(locations)
 
 
-def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) -> str:
-    """Return as text at which locations the resistance of an effect [N/kN], shape (n,), differs most from its mean."""
+def where(resistance: Array, dataset: Dataset) -> str:
+    """Return as text where the resistance of an effect [N/kN], shape (n,), differs most from its mean.
+
+    It is one place of each axis, at most three in all, first on the axis that explains most of the variance.
+    """
     weight = dataset.dt / dataset.dt.sum()
-    mean = float(weight @ resistance)
+    off = resistance - weight @ resistance
     found = []
-    for axis, location in zip(_axes(dataset), locations, strict=True):
-        if axis.name == 'run':
+    for axis in _axes(dataset):
+        total, share = np.stack((weight * off, weight)) @ axis.inside
+        size = total / share
+        explained = float(share @ np.square(size))
+        if axis.name == 'run' or explained < max(0.1 * float(weight @ np.square(off)), 1e-9):
             continue
-        total, share = np.stack((weight * resistance, weight)) @ axis.inside
-        found += [
-            (abs(size) / place.std, f'{place_text(axis.name, place.label)} ({size:+.2f} N/kN)')
-            for size, place in zip((total / share - mean).tolist(), location.places, strict=True)
-            if place.std > 0.0
-        ]
-    # At most three places, of three standard deviations.
-    clear = [text for z, text in sorted(found, reverse=True)[:3] if z > 3.0]
-    return ', '.join(clear) or 'no distinct location'
+        most = int(np.argmax(np.abs(size)))
+        label, inside = axis.labels[most], np.arange(size.size) == most
+        if axis.unit:  # with the neighbours that have at least half of it
+            near = size / size[most] >= 0.5
+            inside = near & (np.cumsum(~near) == np.cumsum(~near)[most])
+            low, *_, high = [edge for edges, part in zip(axis.edges, inside, strict=True) if part for edge in edges]
+            label = f'{low:.0f} to {high:.0f} {axis.unit}'
+        there = total[inside].sum() / share[inside].sum()
+        found.append((explained, f'{place_text(axis.name, label)} ({there:+.2f} N/kN)'))
+    return ', '.join(text for _, text in sorted(found, reverse=True)[:3]) or 'no distinct location'
 
 
 def _missing(

@@ -40,6 +40,7 @@ class FoundEffect:
     parameters: NamedValues  # Its parameters, in the units of the effect
     std: NamedValues  # Their standard deviations
     evidence: float  # 2 ln of its Bayes factor, given the other effects [1]
+    significance: float  # Distance of its amplitude from zero effect, for its other parameters as found [std]
     probability: float  # That it is among the causes [1]
     where: str  # Where and when it shows, as text
     twins: tuple[Twin, ...]  # The most probable alternative to an effect that is not certain
@@ -136,6 +137,7 @@ class Explanation:
     train_file: TrainFile  # Train file with the effects added, and a, b, c as estimated if that is better
     davis: Davis  # a, b, c as estimated with the effects
     davis_std: tuple[float, float, float]  # Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2]
+    davis_distance: float  # Distance of all three from those of the train file, by their covariance [std]
     locations: tuple[Location, ...]  # Where the gap is
     traces: tuple[RunTrace, ...]  # All runs, for plots
     noise: Noise  # Standard deviations of the noise along a run

@@ -330,7 +330,7 @@ class Search:
         return preferred_point(model, hyper, next((s.evidence for s in named if s.name == 'map_shift'), 0.0))
 
     def run(self, *, slipping: bool) -> Selection:
-        """Return the largest set of effects, each more probable than not, that is certain; none if none is.
+        """Return the largest set of significant effects, each more probable than not, that is certain; none if none is.
 
         ``slipping`` says that wheels slip.
         """
@@ -339,7 +339,8 @@ class Search:
             states.append(extended)
         while True:
             found = self._described(states.pop(), slipping=slipping)
-            if probabilities(found.hypotheses).at_least(len(found.final.names)) >= CERTAIN:
+            is_certain = probabilities(found.hypotheses).at_least(len(found.final.names)) >= CERTAIN
+            if is_certain and all(term.is_significant for term in found.final.model.terms):
                 return found
 
     def _described(self, state: State, *, slipping: bool) -> Selection:
@@ -473,7 +474,7 @@ class Search:
         """Return True if every effect of the joint fit is significant and probable, and shows in the other runs."""
         model, reached = state.model, self._beyond(state)
         return all(
-            term.significance > 2.5  # std
+            term.is_significant
             and Hypothesis(state.names, reached).weight
             > Hypothesis(_less(state.names, k), reached - self._gain(state, k)).weight
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))

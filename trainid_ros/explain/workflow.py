@@ -21,10 +21,10 @@ import numpy as np
 from trainid_ros.explain.curve import learn
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.likelihood import integrated_covariance
-from trainid_ros.explain.model import Model, find_slip, read_at
+from trainid_ros.explain.model import Model, Slip, find_slip, read_at
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import Probabilities, probabilities
-from trainid_ros.explain.proof import assess, locate, unexplained, where
+from trainid_ros.explain.proof import SHOWN, assess, locate, unexplained, where
 from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
@@ -77,33 +77,35 @@ def explain(
         compared = read_at(point, compared, train_file.train.length)
         search = Search(Model.of(_some(compared, _MAX_SEARCHED_S), train_file), advance)
     # 2. Search: the effects that the marginal likelihood calls for, and what else explains the data as well.
-    slip = find_slip(search.base.model.dataset)
+    if (slip := find_slip(search.base.model.dataset)) is not None and slip.evidence <= SHOWN:
+        slip = None
     selection = search.run(slipping=slip is not None)
     if (rest := without_replaced(selection.final.model.terms, train_file)) is not None:
         return explain(runs, rest, provenance=provenance, advance=advance, stated=train_file)
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
-    outcome = assess(selection, compared, train_file, stated or train_file, slipping=slip is not None)
+    outcome = assess(selection, compared, train_file, stated or train_file, slip)
     # 4. Curve: what the missing force depends on where nothing of the library fits it.
     outcome, learned = _with_curve(selection, outcome, provenance, advance, slipping=slip is not None)
     # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    causes = _causes(selection, outcome, None if slip is None else slip[0], learned)
-    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, locations, train_file)
+    causes = _causes(selection, outcome, slip, learned)
+    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, train_file)
     if slip is not None:
-        found.append(_effect(*slip, causes, (), 'bursts under traction and braking'))
+        found.append(_effect(slip.term, slip.evidence, causes, (), 'bursts under traction and braking'))
     # 6. Result: the train file with the effects added, and the numbers of the report.
-    davis, davis_std = _davis(outcome.final, outcome.hyper)
+    gap, (davis, davis_std, davis_distance) = outcome.gap, _davis(outcome.final, outcome.hyper)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
-        gap=outcome.gap,
+        gap=gap and replace(gap, evidence=gap.evidence + (slip.evidence if slip else 0.0)),
         remaining=(learned.sentence if learned else outcome.remaining) + _odd_runs(learned, locations),
         train_file=replace(train_file, resistance=outcome.davis, effects=merged(train_file.effects, added)),
         davis=davis,
         davis_std=davis_std,
+        davis_distance=davis_distance,
         locations=locations,
         traces=_traces(outcome),
         noise=outcome.hyper.noise,
@@ -142,14 +144,14 @@ def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool
     return learned.hypothesis.weight > max(weights) and learned.gap.after < outcome.gap.after
 
 
-def _causes(selection: Selection, outcome: Outcome, slip: EffectTerm | None, learned: Learned | None) -> Probabilities:
+def _causes(selection: Selection, outcome: Outcome, slip: Slip | None, learned: Learned | None) -> Probabilities:
     """Return the probabilities of causes; sets with the selected effects have none if held-out runs refute these."""
     compared, selected = selection.hypotheses, {*selection.final.names}
     if learned is not None:
         compared = (*compared, learned.hypothesis)
     if outcome.verdict is Verdict.UNEXPLAINED and selected:
         compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
-    return probabilities(compared, () if slip is None else (slip.name,))
+    return probabilities(compared, () if slip is None else (slip.term.name,))
 
 
 def _odd_runs(learned: Learned | None, locations: Sequence[Location]) -> str:
@@ -175,12 +177,12 @@ def _found(
     selection: Selection,
     outcome: Outcome,
     causes: Probabilities,
-    locations: tuple[Location, ...],
     train_file: TrainFile,
 ) -> list[FoundEffect]:
     """Return the effects of the model, the most evident first."""
     model, found = outcome.final, []
-    fit = FitSummary(train_file, *_davis(model, outcome.hyper), outcome.hyper)
+    davis, davis_std, _ = _davis(model, outcome.hyper)
+    fit = FitSummary(train_file, davis, davis_std, outcome.hyper)
     rows = sorted(zip(outcome.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     for term, evidence, twins in rows:
         others = [one for one in outcome.terms if one is not term]
@@ -190,7 +192,7 @@ def _found(
             alternatives = [
                 Twin('+'.join(sorted(FORCES)), f'no drive does, as {ratio:.3f} of both acts alike; {_WEIGH}')
             ]
-        place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset, locations)
+        place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset)
         found.append(_effect(term, evidence, causes, tuple(alternatives), place))
     return found
 
@@ -218,7 +220,8 @@ def _effect(
     parameters = tuple((name, float(value)) for name, value in term.parameters.items())
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
     of_kind = kind.name, kind.title, kind.equation, kind.origin
-    return FoundEffect(*of_kind, parameters, std, float(evidence), causes.of(kind.name), place, alternatives)
+    sure = float(evidence), term.significance, causes.of(kind.name)
+    return FoundEffect(*of_kind, parameters, std, *sure, place, alternatives)
 
 
 def _total_std(term: EffectTerm, name: str, std: float) -> float:
@@ -232,11 +235,12 @@ def _total_std(term: EffectTerm, name: str, std: float) -> float:
     return math.sqrt(std * std + equation * equation + clock * clock)
 
 
-def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, float, float]]:
-    """Return a, b, c as estimated with the effects, with their std; negative a and c are set to zero."""
+def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, float, float], float]:
+    """Return a, b, c as estimated, negative a and c as zero; their std; how many std all of them have moved."""
     mean, covariance = model.posterior(hyper)
-    std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
-    return model.found_davis(mean), (std[0], std[1], std[2])
+    moved, of_davis = mean[DAVIS], covariance[DAVIS, DAVIS]
+    std = np.sqrt(np.diag(of_davis)).tolist()
+    return model.found_davis(mean), (std[0], std[1], std[2]), math.sqrt(moved @ np.linalg.solve(of_davis, moved))
 
 
 def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:

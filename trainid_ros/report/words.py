@@ -21,6 +21,8 @@ DASH: Final = '–'
 _CAUSES: Final = {'none': 'nothing is missing', 'other': 'something outside the library'}
 _MIN_RUNS: Final = 6  # Runs from which on effects of usual size are mostly found, see docs/explain.md
 _REJECTED: Final = 6  # Rejected causes shown at most
+# Distance from which a, b, c of the data differ from the train file, by chance once in 400 times (chi^2 of three) [std]
+_OTHER_DAVIS: Final = 3.8
 DAVIS_UNITS: Final = tuple(quantities(ResistanceEstimate)[name].unit.replace('^2', '²') for name in 'abc')
 
 
@@ -50,7 +52,11 @@ def headline(explanation: Explanation) -> str:
             named = f'{names}, and ' if names else ''
             return f'The current model lacks {named}something outside the library (probability {other}).'
         case Verdict.NO_GAP:
-            return f'The data show no missing effect (probability that none is missing {none}).'
+            moved = explanation.davis_distance
+            other = (
+                f', but a, b and c that differ from the train file by {moved:.1f} std' if moved > _OTHER_DAVIS else ''
+            )
+            return f'The data show no missing effect (probability that none is missing {none}){other}.'
 
 
 def percent(p: float) -> str:
@@ -101,11 +107,7 @@ def how_sure(effect: FoundEffect) -> str:
     """Return the evidence for an effect as text."""
     odds = _times(math.exp(min(0.5 * effect.evidence, 20.0)))  # more than a million from 14 on
     text = f'evidence {effect.evidence:.0f}: the data are {odds} times as likely with it as without'
-    kind, std = EFFECTS.get(effect.name), dict(effect.std)
-    if kind is None or kind.amplitude not in dict(effect.parameters) or not std.get(kind.amplitude, 0.0) > 0.0:
-        return text
-    sigmas = abs(dict(effect.parameters)[kind.amplitude] - kind.neutral) / std[kind.amplitude]
-    return f'{text}; its amplitude is {sigmas:.1f} std from zero effect'
+    return f'{text}; its amplitude is {effect.significance:.1f} std from zero effect'
 
 
 def gap_sentence(explanation: Explanation) -> str:
