@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from trainid_ros.explain.dataset import Run
-from trainid_ros.explain.effects import EffectTerm
+from trainid_ros.explain.effects import EffectTerm, track_points
+from trainid_ros.explain.model import Model
+from trainid_ros.train.effects import TrackPoint
 from trainid_ros.train.forces import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
@@ -102,3 +104,15 @@ def disturbed(run: Run, *changes: tuple[Any, Any]) -> Run:
 def local_drag(start: float, end: float, permille: float) -> EffectTerm:
     """Return a drag of this size between two positions [m]."""
     return EffectTerm('local_drag', {'start': start, 'end': end, 'permille': permille})
+
+
+def points(model: Model) -> list[TrackPoint]:
+    """Return what effects see at all stages of a model."""
+    d, length = model.dataset, TRAIN.train.length
+    parts = zip(d.runs, np.split(d.speed, d.starts[1:]), strict=True)
+    return [point for run, speed in parts for point in track_points(run, speed, length, d.inertia, TRAIN.resistance)]
+
+
+def evaluated(text: str, **names: object) -> float:
+    """Return the value of an expression that a file of an effect contains."""
+    return float(eval(text, {'exp': math.exp, 'sin': math.sin, 'cos': math.cos, **names}))

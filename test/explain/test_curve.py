@@ -4,22 +4,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from test.explain.made_runs import TRAIN, Extra, Maker
-from trainid_ros.explain.curve import FORMS, Form, Function, learn, scored, variables
+from test.explain.made_runs import TRAIN, Extra, Maker, evaluated, points
+from trainid_ros.explain.curve import FORMS, Form, Function, learn, scored
 from trainid_ros.explain.dataset import Run
-from trainid_ros.explain.effects import track_points
 from trainid_ros.explain.likelihood import Information
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.proof import read_gap
 from trainid_ros.explain.result import Learned
 from trainid_ros.explain.search import State
-from trainid_ros.train.effects import FOLDERS_VARIABLE, TrackPoint, resistance_terms
+from trainid_ros.train.effects import FOLDERS_VARIABLE, resistance_terms
 from trainid_ros.train.train_file import dump_train_file, parse_train_file
 
 
@@ -102,28 +100,6 @@ def test_what_a_single_run_shows_is_not_confirmed() -> None:
     assert found is None or not (found.is_confirmed or found.effect or found.source or found.train_file)
 
 
-def test_an_effect_sees_each_variable_as_the_fit_does() -> None:
-    made = Maker().runs(2, 45)
-    bent = [
-        replace(run, radius=np.full(run.time.size, 400.0), tunnel=np.heaviside(run.position - 200.0, 1.0))
-        for run in made
-    ]
-    model = Model.of(bent, TRAIN)
-    known = [one for one in variables(model) if one.source]
-    assert len(known) > 15
-    for k, point in enumerate(points(model)):
-        for one in known:
-            assert evaluated(one.source, at=point) == pytest.approx(one.x[k], abs=1e-9), one.name
-            assert evaluated(one.factor_source, at=point) == pytest.approx(one.weight[k]), one.name
-
-
-def test_what_the_data_do_not_tell_apart_is_no_variable() -> None:
-    one_way = [replace(run, positioned=False) for run in Maker().runs(5, 45)[::2]]
-    names = {one.name for one in variables(Model.of(one_way, TRAIN))}
-    assert {'speed', 'traction', 'run'} <= names
-    assert names.isdisjoint({'place', 'traction-place', 'direction', 'traction-rising', 'traction-falling'})
-
-
 @pytest.mark.parametrize('form', FORMS, ids=lambda form: form.terms[0])
 @pytest.mark.parametrize('level', [False, True])
 def test_the_text_of_a_function_has_its_values(form: Form, *, level: bool) -> None:
@@ -144,15 +120,3 @@ def test_a_shape_without_width_is_no_function(form: Form) -> None:
     value, size = scored(form, level=True, knots=knots, found=found, count=100, shape=(0.0, 0.0))
     assert not math.isnan(value)
     assert np.isfinite(size).all()
-
-
-def points(model: Model) -> list[TrackPoint]:
-    """Return what effects see at all stages of a model."""
-    d, length = model.dataset, TRAIN.train.length
-    parts = zip(d.runs, np.split(d.speed, d.starts[1:]), strict=True)
-    return [point for run, speed in parts for point in track_points(run, speed, length, d.inertia, TRAIN.resistance)]
-
-
-def evaluated(text: str, **names: object) -> float:
-    """Return the value of an expression that a file of an effect contains."""
-    return float(eval(text, {'exp': math.exp, 'sin': math.sin, 'cos': math.cos, **names}))

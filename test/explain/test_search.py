@@ -25,7 +25,6 @@ from trainid_ros.explain.search import (
     EffectScorer,
     Search,
     _shapes,
-    generic_groups,
     is_confirmed_by_other_runs,
     named_families,
     stretch_sums,
@@ -82,17 +81,6 @@ def test_grids_cover_the_positions_and_times_driven(dataset: Dataset) -> None:
 
 def test_sign_of_amplitudes() -> None:
     assert [EFFECTS[name].sign for name in ('local_drag', 'gradient_error', 'brake_fade')] == [1, 0, 1]
-
-
-def test_groups_are_finite_with_unique_names(dataset: Dataset) -> None:
-    groups = generic_groups(dataset, 100.0)
-    assert len({group.name for group in groups}) == len({group.text for group in groups}) == len(groups)
-    for group in groups:
-        assert group.resistance.shape[0] == dataset.dt.size
-        assert np.isfinite(group.resistance).all()
-    columns = {group.name: group.resistance for group in groups}
-    for name in ('run', 'place', 'time', 'speed'):
-        np.testing.assert_allclose(columns[name].sum(axis=1), 1.0)
 
 
 Found = tuple[Hyperparameters, NDArray[np.float64]]
@@ -195,5 +183,5 @@ def test_no_set_with_an_effect_that_the_final_fit_does_not_show_is_selected(
 ) -> None:
     monkeypatch.setattr(Search, '_is_supported', lambda *_: True)
     assert Search(dragged_model).run(slipping=False).final.names == ('local_drag',)
-    monkeypatch.setattr(EffectTerm, 'is_significant', property(lambda _: False))
+    monkeypatch.setattr(EffectTerm, 'significance', property(lambda _: 1.6))
     assert Search(dragged_model).run(slipping=False).final.names == ()

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from trainid_ros.train.effects import EffectKind
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
+SIGNIFICANT: Final = 2.5
+"""Distance of the amplitude of an effect from its neutral value, by chance exceeded once in 80 times [std]."""
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
 _CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
@@ -58,11 +60,6 @@ class EffectTerm:
         at = self.index(self.kind.amplitude)
         typical = self.kind.typical_size
         return self.size * typical * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the amplitude differs from its neutral value by 2.5 std, by chance once in 80 times."""
-        return self.significance > 2.5
 
     @property
     def shape(self) -> dict[str, float]:

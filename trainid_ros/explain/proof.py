@@ -30,7 +30,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
-from trainid_ros.explain.effects import EffectTerm
+from trainid_ros.explain.effects import SIGNIFICANT, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model, Slip
 from trainid_ros.explain.nuisances import DAVIS
@@ -224,7 +224,7 @@ def assess(
     outcome = Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
     if gap is None and verdict is Verdict.EXPLAINED:
         return replace(outcome, verdict=Verdict.AMBIGUOUS, remaining='No other run confirms it.')
-    is_significant = all(term.is_significant for term in written.terms)
+    is_significant = all(term.significance > SIGNIFICANT for term in written.terms)
     if gap is not None and final.terms and not (gap.after < gap.before and gap.evidence > SHOWN and is_significant):
         # Their evidence is that of a fit: runs that it has not seen do not show the effects.
         names = ' and '.join(sorted({term.name for term in final.terms}))

@@ -26,12 +26,13 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Indices
-from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, prior_cost, unit_resistance
+from trainid_ros.explain.dataset import Array, Dataset, Indices
+from trainid_ros.explain.effects import SIGNIFICANT, EffectEvaluator, EffectTerm, prior_cost, unit_resistance
 from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
 from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
+from trainid_ros.explain.variables import variables
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
@@ -103,75 +104,6 @@ def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
     return [float(value) for value in values]
 
 
-_MAX_RUNS: Final = 60  # With more runs than this, the dependence on the run is replaced by one on time
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Columns of one dependence, with coefficients in N/kN."""
-
-    name: str  # Short name
-    text: str  # What the resistance depends on, as text
-    resistance: Array  # Resistance per unit of each coefficient [1], shape (n, k)
-
-
-def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
-    """Return all groups for a dataset and the length of the train [m]."""
-    v, traction, brake = dataset.speed, dataset.joined('traction'), dataset.joined('brake')
-    pulling, braking = traction > PULLING, brake < BRAKING
-    coasting = ~pulling & ~braking
-    direction = dataset.direction.astype(float)[:, None]
-    tunnel, radius, gradient = (dataset.joined(name) for name in ('tunnel', 'radius', 'gradient'))
-    curvature = np.where(radius > 0.0, 300.0 / np.maximum(radius, 100.0), 0.0)
-    since = dataset.time - dataset.time[dataset.starts][dataset.run_of]
-    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
-    acceleration = traction + brake - gradient - 2.0
-    relative = v / max(float(v.max()), 1.0)
-    heat = dataset.joined('heat')
-    heat = heat / max(float(heat.max()), 1.0)
-    powers = np.stack((np.ones_like(v), relative, relative**2), axis=1)
-    heats = np.stack((heat, heat**2, heat * relative), axis=1)
-    modes = np.stack((pulling, braking), axis=1)
-    if len(dataset.runs) > _MAX_RUNS:
-        runs = _hats(dataset.time, _MAX_RUNS)
-    else:
-        runs = np.asarray(dataset.run_of[:, None] == np.arange(len(dataset.runs)), dtype=float)
-    bins = Bins.of(dataset, length)
-    places = [Group('place', 'the place', bins.shares(dataset, length))] if dataset.positioned else []
-    return (
-        Group('run', 'the run', runs),
-        *places,
-        Group('time', 'the time', _hats(dataset.time, 6)),
-        Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
-        Group('speed', 'the speed', _hats(v, 7)),
-        Group('traction-speed', 'the speed in traction', _hats(v, 5) * pulling[:, None]),
-        Group('coast-speed', 'the speed while coasting', _hats(v, 5) * coasting[:, None]),
-        Group('traction', 'the tractive force', _hats(np.maximum(traction, 0.0), 5) * pulling[:, None]),
-        Group('brake-speed', 'the speed while braking', _hats(v, 5) * brake[:, None] / 30.0),
-        Group('brake', 'the braking force', _hats(brake, 5) * braking[:, None]),
-        Group('brake-heat', 'the heat of the brake', heats * brake[:, None] / 30.0),
-        Group('direction', 'the direction', direction * powers),
-        Group('inertia', 'the acceleration', np.stack((acceleration, np.abs(acceleration)), axis=1) / 50.0),
-        Group('tunnel', 'the tunnel', tunnel[:, None] * powers),
-        Group('curve', 'curves', np.stack((curvature, curvature**2, curvature * relative**2), axis=1)),
-        Group('gradient', 'the gradient', np.stack((gradient / 10.0, np.abs(gradient / 10.0)), axis=1)),
-        Group('mode-direction', 'the direction and the driving mode', direction * modes),
-    )
-
-
-def _hats(x: Array, count: int) -> Array:
-    """Return piecewise-linear hat functions with knots at quantiles, which sum to one; shape (n, up to count)."""
-    knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))
-    if knots.size < 2:
-        return np.ones((x.size, 1))
-    return hats(x, knots)
-
-
-def hats(x: Array, knots: Array) -> Array:
-    """Return functions linear between knots (k,), each one at one of them, constant beyond, shape (n, k)."""
-    return np.stack([np.interp(x, knots, values) for values in np.eye(knots.size)], axis=1)
-
-
 # Prior std of the amplitude of an effect, in units of its typical value; the Bayes factor is averaged over them.
 _SHARES: Final = (0.3, 1.0)
 
@@ -191,13 +123,16 @@ class EffectScorer:
 
     def __init__(self, model: Model) -> None:
         dataset, length = model.dataset, model.train_file.train.length
-        self._families, self._groups = named_families(model.evaluator), generic_groups(dataset, length)
+        self._families, self._groups = (
+            named_families(model.evaluator),
+            {one.name: one for one in reversed(variables(model))},
+        )
         self._bins = Bins.of(dataset, length, fine=True)
         shares = self._bins.shares(dataset, length)
         # In the order of SECTIONS: the sign of a gradient error depends on the direction, that of a drag does not.
         sections = (dataset.direction[:, None] * shares, shares) if dataset.positioned else ()
         self._sections = SECTIONS[: len(sections)]
-        resistances = [*(f.resistance for f in self._families), *(g.resistance for g in self._groups)]
+        resistances = [*(f.resistance for f in self._families), *(one.coarse() for one in self._groups.values())]
         self._columns = [dataset.column(r) for r in (*resistances, *sections)]
 
     def scores(self, model: Model, hyper: Hyperparameters) -> tuple[list[EffectScore], list[EffectScore]]:
@@ -209,17 +144,16 @@ class EffectScorer:
             if family.kind.name == WHEEL:
                 A, b = A + model.odometry.precision, b + model.odometry.precision * model.odometer_excess
             named.append(_family(family, np.diag(A), b))
-        for group in self._groups:
+        for name, group in self._groups.items():
             A, b = next(blocks)
             values = [group_log_bayes(A, b, std) for std in (0.1, 0.3, 1.0)]  # prior std of coefficients [N/kN]
-            groups.append(EffectScore(group.name, _mean_evidence(np.array(values)), {}, group.text))
+            groups.append(EffectScore(name, _mean_evidence(np.array(values)), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return _by_evidence(named), _by_evidence(groups)
 
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the grid points, shape (m, k)."""
-        k = next(i for i, group in enumerate(self._groups) if group.name == name)
-        return self._columns[len(self._families) + k]
+        return self._columns[len(self._families) + [*self._groups].index(name)]
 
 
 def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Array, Array]:
@@ -340,7 +274,7 @@ class Search:
         while True:
             found = self._described(states.pop(), slipping=slipping)
             is_certain = probabilities(found.hypotheses).at_least(len(found.final.names)) >= CERTAIN
-            if is_certain and all(term.is_significant for term in found.final.model.terms):
+            if is_certain and all(term.significance > SIGNIFICANT for term in found.final.model.terms):
                 return found
 
     def _described(self, state: State, *, slipping: bool) -> Selection:
@@ -395,8 +329,9 @@ class Search:
         for candidate in self._candidates(state):
             self._advance(candidate.name)
             found.append(self._extend(state.model, candidate, state))
+        least = Hypothesis(state.names, self._beyond(state)).weight
         for extended in sorted(found, key=lambda one: -self._evidence(one)):
-            if not _is_better(extended.names, self._beyond(extended), state.names, self._beyond(state)):
+            if Hypothesis(extended.names, self._beyond(extended)).weight <= least:
                 break
             if self._is_supported(exchanged := self._exchange(extended)):
                 return exchanged
@@ -465,7 +400,8 @@ class Search:
             return state
         for k in range(len(state.model.terms)):
             without = state.model.without(k)
-            best = self._best_alternative(state.model.terms[k].name, without, state.hyper)
+            others = (one for one in self._named(without, state.hyper) if one.name != state.model.terms[k].name)
+            best = next(others, None)
             if best is not None and best.evidence > self._gain(state, k) + 2.0:
                 state = self._extend(without, best, state)
         return state
@@ -474,15 +410,12 @@ class Search:
         """Return True if every effect of the joint fit is significant and probable, and shows in the other runs."""
         model, reached = state.model, self._beyond(state)
         return all(
-            term.is_significant
+            term.significance > SIGNIFICANT
             and Hypothesis(state.names, reached).weight
             > Hypothesis(_less(state.names, k), reached - self._gain(state, k)).weight
             and (term.name not in SECTIONS or is_confirmed_by_other_runs(model, k, state.hyper))
             for k, term in enumerate(model.terms)
         )
-
-    def _best_alternative(self, name: str, model: Model, hyper: Hyperparameters) -> EffectScore | None:
-        return next((score for score in self._named(model, hyper) if score.name != name), None)
 
 
 def _alternative(name: str, names: tuple[str, ...], hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
@@ -490,11 +423,6 @@ def _alternative(name: str, names: tuple[str, ...], hypotheses: Sequence[Hypothe
     others = probabilities(one for one in hypotheses if name not in one.names).present
     rivals = [(p, other) for other, p in others if other not in names]
     return (max(rivals)[1],) if rivals else ()
-
-
-def _is_better(names: tuple[str, ...], evidence: float, than: tuple[str, ...], its: float) -> bool:
-    """Return whether a set of effects with an evidence is more probable than another with its evidence."""
-    return Hypothesis(names, evidence).weight > Hypothesis(than, its).weight
 
 
 def _less(names: tuple[str, ...], k: int) -> tuple[str, ...]:

@@ -91,12 +91,13 @@ def explain(
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
     causes = _causes(selection, outcome, slip, learned)
-    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, train_file)
+    davis, davis_std, davis_distance = _davis(outcome.final, outcome.hyper)
+    fit = FitSummary(train_file, davis, davis_std, outcome.hyper)
+    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, fit)
     if slip is not None:
         found.append(_effect(slip.term, slip.evidence, causes, (), 'bursts under traction and braking'))
     # 6. Result: the train file with the effects added, and the numbers of the report.
-    gap, (davis, davis_std, davis_distance) = outcome.gap, _davis(outcome.final, outcome.hyper)
-    added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
+    gap, added = outcome.gap, tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
@@ -173,41 +174,31 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
     return [runs[i] for i in places.tolist()]
 
 
-def _found(
-    selection: Selection,
-    outcome: Outcome,
-    causes: Probabilities,
-    train_file: TrainFile,
-) -> list[FoundEffect]:
+def _found(selection: Selection, outcome: Outcome, causes: Probabilities, fit: FitSummary) -> list[FoundEffect]:
     """Return the effects of the model, the most evident first."""
     model, found = outcome.final, []
-    davis, davis_std, _ = _davis(model, outcome.hyper)
-    fit = FitSummary(train_file, davis, davis_std, outcome.hyper)
     rows = sorted(zip(outcome.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     for term, evidence, twins in rows:
         others = [one for one in outcome.terms if one is not term]
         alternatives = [Twin(name, _test_run(term, name, others, fit)) for name in twins]
-        if term.name == MASS and not twins and not FORCES & {one.name for one in others}:
-            ratio = 1.0 / term.parameters[term.kind.amplitude]
-            alternatives = [
-                Twin('+'.join(sorted(FORCES)), f'no drive does, as {ratio:.3f} of both acts alike; {_WEIGH}')
-            ]
+        if term.name == _MASS and not twins and _FORCES.isdisjoint(one.name for one in others):
+            text = f'no drive does, as {1.0 / term.parameters["ratio"]:.3f} of both acts alike; weigh the train'
+            alternatives = [Twin('+'.join(sorted(_FORCES)), text)]
         place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset)
         found.append(_effect(term, evidence, causes, tuple(alternatives), place))
     return found
 
 
-FORCES: Final = frozenset({'brake_scale', 'traction_scale'})
-"""Effects of the forces, which together act like another mass."""
-MASS: Final = 'mass_error'
-"""The effect of another mass."""
-_WEIGH: Final = 'weigh the train'
+_MASS, _FORCES = (
+    'mass_error',
+    frozenset({'brake_scale', 'traction_scale'}),
+)  # Both forces together act like another mass
 
 
 def _test_run(term: EffectTerm, twin: str, others: Sequence[EffectTerm], fit: FitSummary) -> str:
     """Return what distinguishes an effect from a twin, beside the other effects of the model."""
-    if FORCES | {MASS} <= {term.name, twin, *(one.name for one in others)}:
-        return f'no drive does, as any two of mass, traction and brake act like the third; {_WEIGH}'
+    if _FORCES | {_MASS} <= {term.name, twin, *(one.name for one in others)}:
+        return 'no drive does, as any two of mass, traction and brake act like the third; weigh the train'
     text = {item.name: item.drive for item in term.kind.twins}.get(twin, term.kind.needs)
     drive = distinguishing_drive(term.name, term.parameters, twin, fit, others)
     return f'{text}; for example {drive}' if drive else text
@@ -336,24 +327,20 @@ class _Motion(NamedTuple):
 
     def resistances(self, kind: EffectKind, parameters: Mapping[str, float], davis: Davis) -> Array:
         """Return the resistance of an effect at each step [N/kN], shape (n,)."""
-        if kind.resistance is None:
-            return np.zeros(self.speed.size)
-        points = map(self._point, range(self.speed.size))
-        return np.array([kind.resistance(parameters, davis, point) for point in points])
+        resistance = kind.resistance or (lambda *_: 0.0)
+        return np.array([resistance(parameters, davis, self._point(k)) for k in range(self.speed.size)])
 
     def _point(self, k: int) -> TrackPoint:
-        traction, brake = (partial(_ago, force, k) for force in (self.traction, self.brake))
+        def before(force: Array, seconds: float) -> float:
+            return float(force[min(max(k - round(seconds / STEP_S), 0), force.size - 1)])
+
+        traction, brake = (partial(before, force) for force in (self.traction, self.brake))
         return TrackPoint(
             k * STEP_S, math.nan, 1, float(self.speed[k]),
             distance_run=1e6,  # the bearings are warm
             since_release=0.0 if self.brake[k] else k * STEP_S, traction=traction(0.0), brake=brake(0.0),
             acceleration=float(self.rate[k]), brake_before=brake, traction_before=traction,
         )  # fmt: skip
-
-
-def _ago(values: Array, k: int, seconds: float) -> float:
-    """Return the value a number of seconds before step k."""
-    return float(values[min(max(k - round(seconds / STEP_S), 0), values.size - 1)])
 
 
 def _information(motion: _Motion, effects: Sequence[Array], fit: FitSummary) -> Array:
