@@ -55,7 +55,7 @@ def test_a_pair_shares_its_probability_and_both_are_present() -> None:
 
 
 def test_number_of_effects_and_other_causes() -> None:
-    found = probabilities([NOTHING, Hypothesis(('headwind',), 12.0), dependence(('headwind',), 30.0, 17)])
+    found = probabilities([NOTHING, Hypothesis(('headwind',), 12.0), dependence(('headwind',), 30.0)])
     of_none = dict(found.shares)[NONE]
     assert found.at_least(0) == pytest.approx(1.0)
     assert found.at_least(1) == pytest.approx(1.0 - of_none)
@@ -70,8 +70,8 @@ def test_the_same_set_counts_once_by_its_best_fit() -> None:
 
 
 def test_a_dependence_without_a_name_or_much_noise_is_another_cause() -> None:
-    assert shares(Hypothesis(('mass_error',), 15.0), dependence((), 60.0, 17))[OTHER] > 0.99
-    assert shares(Hypothesis(('mass_error',), 60.0), dependence(('mass_error',), 60.0, 17))['mass_error'] > 0.99
+    assert shares(Hypothesis(('mass_error',), 15.0), dependence((), 60.0))[OTHER] > 0.99
+    assert shares(Hypothesis(('mass_error',), 60.0), dependence(('mass_error',), 60.0))['mass_error'] > 0.99
     assert shares(noise((), 40.0))[OTHER] > 0.99
     assert shares(noise((), 2.0))[NONE] > 0.9
 

@@ -207,7 +207,7 @@ def learn(state: State, whole: Model, read: Array, provenance: str) -> Learned |
     train file read is ``read`` [m/s], shape (m,).
     """
     varied = variables(state.model)
-    found, count = fits(state, varied), len({one.name for one in varied})
+    found = fits(state, varied)
     if not found or found[0].evidence < SHOWN:
         return None
     chosen = found[0].variable
@@ -225,7 +225,7 @@ def learn(state: State, whole: Model, read: Array, provenance: str) -> Learned |
         deviation = np.eye(mean.size) - (dt @ variable.hats(fit.knots) / dt.sum())[None, :]
         mean, covariance = deviation @ mean, deviation @ covariance @ deviation.T
     learned = Learned(
-        variable.name, variable.text, variable.unit, variable.of, fit.evidence, dependence((), fit.evidence, count),
+        variable.name, variable.text, variable.unit, variable.of, fit.evidence, dependence((), fit.evidence),
         tuple(dict.fromkeys(twin.text for twin in twins if twin.text != variable.text)),
         fit.knots, mean, np.sqrt(np.maximum(np.diag(covariance), 0.0)),
     )  # fmt: skip

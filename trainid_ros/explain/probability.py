@@ -29,7 +29,7 @@ OTHER: Final = 'other'
 _TEMPERATURE: Final = 1.2
 # Logarithms of the prior odds against a set of one effect: of none, of each further effect, of a dependence without a
 # name, and of noise beyond the usual.
-_LN_NONE, _LN_FURTHER, _LN_DEPENDENCE, _LN_NOISE = -1.1, -2.2, -3.6, -6.1
+_LN_NONE, _LN_FURTHER, _LN_DEPENDENCE, _LN_NOISE = -1.1, -2.2, -6.4, -6.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +56,9 @@ class Hypothesis:
         return prior + 0.5 * self.evidence / _TEMPERATURE
 
 
-def dependence(names: tuple[str, ...], evidence: float, count: int) -> Hypothesis:
-    """Return the hypothesis of one of ``count`` dependences without a name beside effects."""
-    return Hypothesis(names, evidence, _LN_DEPENDENCE - math.log(count))
+def dependence(names: tuple[str, ...], evidence: float) -> Hypothesis:
+    """Return the hypothesis of a dependence without a name beside effects."""
+    return Hypothesis(names, evidence, _LN_DEPENDENCE)
 
 
 def noise(names: tuple[str, ...], evidence: float) -> Hypothesis:

@@ -32,7 +32,7 @@ from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
 from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
-from trainid_ros.explain.variables import variables
+from trainid_ros.explain.variables import OF_CURVES, variables
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 
 _SHAPES: Final = 6  # Grid points of a shape parameter
@@ -123,10 +123,8 @@ class EffectScorer:
 
     def __init__(self, model: Model) -> None:
         dataset, length = model.dataset, model.train_file.train.length
-        self._families, self._groups = (
-            named_families(model.evaluator),
-            {one.name: one for one in reversed(variables(model))},
-        )
+        varied = (one for one in reversed(variables(model)) if one.name not in OF_CURVES)
+        self._families, self._groups = named_families(model.evaluator), {one.name: one for one in varied}
         self._bins = Bins.of(dataset, length, fine=True)
         shares = self._bins.shares(dataset, length)
         # In the order of SECTIONS: the sign of a gradient error depends on the direction, that of a drag does not.
@@ -303,7 +301,7 @@ class Search:
         hidden = max(max(fitted, default=0.0) - base[0].evidence, 0.0)
         for score in groups_of_base:
             evidence = score.evidence + (hidden if score.evidence > _MIN_SCORE else 0.0)
-            yield dependence((), evidence, len(groups_of_base))
+            yield dependence((), evidence)
         names, reached = final.names, self._beyond(final)
         for k, gain in enumerate(gains):
             rest = _less(names, k)
@@ -315,7 +313,7 @@ class Search:
             for score in self._named(final.model, final.hyper):
                 yield Hypothesis((*names, score.name), reached + score.evidence)
         for score in groups:
-            yield dependence(names, reached + score.evidence, len(groups))
+            yield dependence(names, reached + score.evidence)
         if not slipping:  # whose bursts look like gusts
             yield noise(names, reached + final.excess)
 

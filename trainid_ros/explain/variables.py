@@ -29,6 +29,8 @@ _MOST_COARSE: Final = 60  # Most knots in the search over places and runs
 _USUAL_FORCE: Final = 30.0  # Force of which the missing one may be a share [N/kN]
 _SIZES: Final = (0.1, 0.3, 1.0, 3.0, 10.0)  # Prior std of a curve [N/kN, or over _USUAL_FORCE]
 _LENGTHS: Final = (0.03, 0.1, 0.3, 1.0)  # Correlation length of a curve as a share of the range of x [1]
+OF_CURVES: Final = frozenset({'brake-time', 'release', 'traction-falling', 'traction-place', 'traction-rising'})
+"""Variables of curves alone: effects of the library depend on them, or they are the speed or place of one mode."""
 _LONGEST_S: Final = 120.0  # Time beyond which nothing depends on it any more [s]
 
 
