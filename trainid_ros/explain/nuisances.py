@@ -104,7 +104,9 @@ def common_std(train_file: TrainFile, period: float, *, weighed: bool) -> Array:
     share of the expected noise of gradients [1]; losses of a motor that feeds back [1]; half the time by which
     applications of the brake are later than releases [s]; gain of the brake at standstill [1].
 
-    ``period`` is the time between samples [s]: a change was at any time since the sample before.
+    ``period`` is the time between samples [s]: a change was at any time since the sample before. Assumed, without a
+    source, are the sizes of a, b, c, of a clock (0.1 s is half a sample at 5 Hz), of the shift, and of gains, which no
+    sensor states; a mass that is not weighed is off by half of `train.mass_std`, the rest differs by run.
     """
     davis, brake = train_file.resistance, train_file.brake
     sampled = period / math.sqrt(12.0)
