@@ -69,8 +69,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
     stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
     gap, deviation, shown, fitted = np.zeros((4, model.residual.size))
-    likelihood = fitted_likelihood = 0.0
-    hidden = model.grid.hiding
+    likelihood, fitted_likelihood, hidden = 0.0, 0.0, model.grid.hiding
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
@@ -134,8 +133,7 @@ def _fitted(model: Model, at: Flags, known: Array, left: Array, unknown: Array, 
     By the other runs it has the mean ``known`` and the covariance ``unknown``; ``left`` is the residual without it.
     """
     measured = model.dataset.point_count[at] > 0.0
-    # The initial speed is not known: 10 m/s.
-    expected = (unknown + noise + 100.0)[np.ix_(measured, measured)]
+    expected = (unknown + noise + 100.0)[np.ix_(measured, measured)]  # 10 m/s: the initial speed is not known
     gain = np.linalg.solve(expected, unknown[measured]).T
     mean = known + gain @ left[measured]
     return np.asarray(np.outer(mean, mean) + unknown - gain @ unknown[measured])
