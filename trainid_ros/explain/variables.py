@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 _KNOTS: Final = 32  # Knots of a curve
 _PLACES_M: Final = 50.0  # Distance of knots along the line [m]: waves of 200 m are resolved
 _MOST_KNOTS: Final = 160  # Most knots along the line, to bound the time
-_COARSE: Final = 4  # Knots in the search, at quantiles
+_COARSE, _FINER = 4, 7  # Knots in the search, at quantiles; the latter over speeds and times, which vary all the time
 _MOST_COARSE: Final = 60  # Most knots in the search over places and runs
 _USUAL_FORCE: Final = 30.0  # Force of which the missing one may be a share [N/kN]
 _SIZES: Final = (0.1, 0.3, 1.0, 3.0, 10.0)  # Prior std of a curve [N/kN, or over _USUAL_FORCE]
 _LENGTHS: Final = (0.03, 0.1, 0.3, 1.0)  # Correlation length of a curve as a share of the range of x [1]
-OF_CURVES: Final = frozenset({'brake-time', 'release', 'traction-falling', 'traction-place', 'traction-rising'})
-"""Variables of curves alone: effects of the library depend on them, or they are the speed or place of one mode."""
+OF_CURVES: Final = frozenset({'brake-time', 'release', 'traction-place'})
+"""Variables of curves alone: effects of the library depend on them, or they have many knots."""
 _LONGEST_S: Final = 120.0  # Time beyond which nothing depends on it any more [s]
 
 
@@ -74,7 +74,8 @@ class Variable:
         if self.unit in {'', 'm'}:
             knots = self.knots[:: max(2 if self.unit else 1, math.ceil(self.knots.size / _MOST_COARSE))]
         else:
-            knots = np.unique(np.quantile(self.x[self.weight != 0.0], np.linspace(0.0, 1.0, _COARSE)))
+            count = _FINER if self.unit in {'m/s', 's'} else _COARSE
+            knots = np.unique(np.quantile(self.x[self.weight != 0.0], np.linspace(0.0, 1.0, count)))
         shares = hats(self.x, knots)
         if self.of:  # a gain of the force is an effect
             size = np.abs(self.weight) / _USUAL_FORCE
