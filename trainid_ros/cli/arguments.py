@@ -123,7 +123,7 @@ VERBS: Final = (
     ),
     Verb(
         'explain', 'find the effects that a train file lacks and add them',
-        'bags --map --max-chunk --train --out --namespace --json',
+        'bags --map --max-chunk --train --out --propose --watch --namespace --json',
     ),
     Verb(
         'info', 'show what is in bags and whether they can be used',
@@ -165,6 +165,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'run --train': _path('T.yaml', 'train file (parameter train_file)'),
     'view --train': _path('T.yaml', 'train file (default: train.yaml in the bag)'),
     'simulate --train': _path('T.yaml', 'the true train; with --world the train as an engineer states it'),
+    'explain bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file; with --watch folders of them', nargs='+'),
     'explain --train': _path('T.yaml', 'train file: the model to check', required=True),
     'info --train': _path('T.yaml', 'train file: its mass shows units, its line has gradients'),
     'import --train': _path('T.yaml', 'train file, if the gradient comes from its line'),
@@ -180,6 +181,8 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         'bags, to one bag each in this folder',
     ),
     'explain --out': _path('DIR', 'write report.html, report.json and the new train.yaml there'),
+    '--propose': _path('DIR', 'the same as --out, and a note on the change and a test of the new train file'),
+    '--watch': _flag('explain again whenever a bag is added to the folders, and print only what is new'),
     'fleet --out': _path('TABLE.parquet', 'table to write; .csv needs no pyarrow', required=True),
     'fleet report --out': _path('REPORT.html', 'write a report with plots'),
     '--report': _path('FILE.html', 'write a report with plots; of several bags, one each in this folder'),
