@@ -19,10 +19,11 @@ from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.nuisances import Spread
+from trainid_ros.explain.nuisances import Bins, Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
+    _section,
     _shapes,
     generic_groups,
     is_confirmed_by_other_runs,
@@ -186,3 +187,13 @@ def test_effect_in_one_run_of_many_is_not_confirmed(dragged: list[Run]) -> None:
     for runs, expected in ((dragged, True), (one_of_many, False), (Maker().runs(1, 73, drag(4.0)), True)):
         model = Model.of(runs, TRAIN).with_terms((local_drag(100.0, 350.0, 2.0),)).fit(HYPER)
         assert is_confirmed_by_other_runs(model, 0, HYPER) is expected
+
+
+def test_a_section_may_be_as_long_as_the_line() -> None:
+    bins = Bins(0.0, 100.0, 80)
+    true = np.zeros(bins.count)
+    true[5:68] = 2.0  # per mille
+    A = 4.0 * np.eye(bins.count)
+    found = _section('local_drag', bins, A, A @ true)
+    assert (found.parameters['start'], found.parameters['end']) == (500.0, 6800.0)
+    assert found.parameters['permille'] == pytest.approx(2.0, abs=0.05)
