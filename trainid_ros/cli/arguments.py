@@ -95,7 +95,10 @@ class Verb(NamedTuple):
 
 
 VERBS: Final = (
-    Verb('demo', 'play a bag through the live nodes and write a report', 'bag --rate --out --only --quick --json'),
+    Verb(
+        'demo', 'play a bag through the live nodes and write a report',
+        'bag --rate --out --only --quick --seed --json',
+    ),
     Verb('run', 'run the estimator nodes live', '--train --map --node --ros-args', 'live.run_nodes'),
     Verb(
         'monitor', 'show inputs, estimates and diagnostics live in a terminal', '--namespace --duration --ros-args',
@@ -213,6 +216,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--unknown': _repeated('quantity that is wrong in the train file or missing from it; repeatable: '),
     '--effect': _repeated('add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable', 'NAME:key=value'),
     '--runs': _value(int, 4, 'N', 'runs from stop to stop (default: 4)'),
+    'demo --seed': _value(whole, 1, 'S', 'first of three seeds that draw the hidden effects (default: 1)'),
     '--seed': _value(whole, 1, 'S', 'seed of the random numbers, >= 0 (default: 1)'),
     '--label': _value(
         str,
