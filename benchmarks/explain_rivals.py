@@ -332,7 +332,7 @@ def measure(seeds: int) -> list[Table]:
         training = over_seeds(try_rivals, _drawn(_TRAINING, _TRAINING_SEED), 'training cases', _JOBS)
         model = trained(training)
         outcomes[BOOSTING] = [classified(trial, model) for trial in trials]
-        note = f'Gradient boosting has learned from {len(training)} cases of other seeds.'
+        note = f'Gradient boosting learned from {len(training)} cases of other seeds; its probabilities add up to one.'
     return [comparison(outcomes, note)]
 
 
