@@ -26,6 +26,7 @@ from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel
 from trainid_ros.client.live_estimate import MAX_AGE_S
+from trainid_ros.client.train_model import MAX_STAMP_AGE
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos
@@ -47,7 +48,9 @@ class NodeValues:
         """Publish on the input topics of a node's namespace, ``rate`` times as fast as real time."""
         # The time of the train: values move as fast as they would in real time.
         self._now_s = 0.0
-        self.model = TrainModel(node, train_file, max_age=MAX_AGE_S * rate, clock=lambda: self._now_s)
+        self.model = TrainModel(
+            node, train_file, max_age=MAX_AGE_S * rate, max_stamp_age=MAX_STAMP_AGE.high, clock=lambda: self._now_s
+        )
         self._publishers = {
             topic: node.create_publisher(message_class(topic), topic.name, source_qos()) for topic in INPUT_TOPICS
         }

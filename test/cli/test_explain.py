@@ -224,6 +224,25 @@ def test_outputs_are_written_before_a_closed_pipe_stops_printing(
     assert {path.name for path in (tmp_path / 'a').iterdir()} == {'report.html', 'report.json', 'train.yaml'}
 
 
+def test_a_proposal_is_written_beside_the_train_file_if_that_is_new(
+    tmp_path: Path, driven_bag: Path, make_explanation: Make, stub: Stub, capsys: pytest.CaptureFixture[str],
+    one_error: Callable[[], str],
+) -> None:  # fmt: skip
+    train, options = driven_bag / 'train.yaml', ('--propose', str(tmp_path))
+    stub(make_explanation)
+    assert call(driven_bag, train=train, options=options) == 0
+    written = {'migration.md', 'test_train.py', 'report.html', 'report.json', 'train.yaml'}
+    assert {path.name for path in tmp_path.iterdir()} == written
+    assert 'proposal: ' in capsys.readouterr().out
+    stub(partial(make_explanation, effects=(), train_file=load_train_file(train)))
+    assert call(driven_bag, train=train, options=options) == 0
+    assert {path.name for path in tmp_path.iterdir()} == written - {'migration.md', 'test_train.py'}
+    assert 'no proposal: the train file stays as it is' in capsys.readouterr().out
+    (tmp_path / 'migration.md').write_text('my own', encoding='utf-8')
+    assert call(driven_bag, train=train, options=options) == 2
+    assert 'migration.md: exists and was not written by trainid' in one_error()
+
+
 @pytest.mark.parametrize(('error', 'code'), [(KeyboardInterrupt, 130), (NoAnswerError, 1)])
 def test_folders_created_for_a_failed_run_are_removed(
     tmp_path: Path, driven_bag: Path, stub: Stub, error: type[BaseException], code: int

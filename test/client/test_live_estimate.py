@@ -250,6 +250,60 @@ def test_a_repeated_stamp_is_no_news(status: Status) -> None:
     assert one.state() == (False, 'train file: FAULT, the node has failed')
 
 
+def test_two_stamps_in_turn_are_no_news() -> None:
+    one = estimate()
+    for k in range(20):
+        one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=7 + k % 2)
+    one.go_on(4.0)
+    assert one.state() == (False, SILENT)
+
+
+def test_older_stamps_between_newer_ones_are_no_news() -> None:
+    one = estimate()
+    for k in range(20):
+        one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=10**12 + 200_000_000 * k)
+        one.take_new(Status.VALID, rate(0.5), 0.2 * k + 0.1, stamp_ns=200_000_000 * k)
+    assert one.is_live
+    assert one.normal('rate').mean[0] > 0.79
+
+
+def test_stamps_that_start_again_are_news_once_they_have_risen_for_the_allowed_age() -> None:
+    one = estimate()
+    one.take_new(Status.VALID, LIVE, 0.0, stamp_ns=10**12)
+    lives = []
+    for k in range(1, 9):
+        one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=200_000_000 * k)
+        one.go_on(0.2 * k)
+        lives.append(one.is_live)
+    assert lives == [True] * 3 + [False] + [True] * 4  # 0.75 s after the last one, and 0.8 s of rising stamps
+
+
+@pytest.mark.parametrize(
+    ('value', 'variance', 'said'),
+    [
+        (2.1, 0.01, 'train file: rate: more than 5 standard deviations of the train file from its value'),
+        (0.8, 3.9e-6, 'train file: rate: a std below 1% of that of the train file is not credible'),
+        (1.9, 4.1e-6, ''),
+    ],
+)
+def test_an_estimate_that_is_not_credible_beside_the_train_file_is_not_used(
+    value: float, variance: float, said: str
+) -> None:
+    one = estimate()
+    one.take(Status.VALID, rate(value, variance), 0.0)
+    one.go_on(0.1)
+    assert (one.is_live, one.state()[1]) == (not said, said or 'VALID, moving to the live value')
+
+
+def test_a_refused_estimate_brings_the_train_file_back_at_once() -> None:
+    one = estimate(10.0)
+    one.refuse('two publishers', 10.1)
+    one.go_on(10.1 + FALL_BACK_S)
+    assert (one.normal('rate').mean, one.state()) == (FILE.mean, (False, 'train file: two publishers'))
+    one.take(Status.VALID, LIVE, 10.4)
+    assert one.is_live
+
+
 def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
     one = estimate(10.0)
     one.take(Status.STALE, LIVE, 10.2)

@@ -445,6 +445,16 @@ def test_time_goes_on_from_where_the_clock_went_back() -> None:
     assert [clock.now() for _ in range(7)] == [80.0, 81.0, 81.0, 81.5, 81.5, 83.5, 167.5]
 
 
+def test_a_clock_without_a_number_stands_still_and_one_that_has_stopped_goes_on_with_a_steady_one() -> None:
+    readings = iter([5.0, 6.0, math.nan, math.inf, 6.5])
+    clock = ForwardClock(lambda: next(readings))
+    assert [clock.now() for _ in range(4)] == [6.0, 6.0, 6.0, 6.5]
+    steady = iter([0.0, 1.0, 2.0, 2.1, 2.2, 4.3])
+    clock = ForwardClock(lambda: 100.0, lambda: next(steady))
+    found = [clock.now() for _ in range(5)]
+    assert found == pytest.approx([100.0, 100.0, 102.1, 102.2, 104.3])
+
+
 @pytest.mark.parametrize('wrong', [None, 5.0, time, 'now', math.nan])
 def test_a_clock_that_is_no_function_or_returns_no_number_is_named(wrong: Any) -> None:
     with pytest.raises(InputError, match=r'^clock = .* must be a function'):

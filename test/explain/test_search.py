@@ -19,11 +19,12 @@ from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.nuisances import Spread
+from trainid_ros.explain.nuisances import Bins, Spread
 from trainid_ros.explain.search import (
     SECTIONS,
     EffectScorer,
     Search,
+    _section,
     _shapes,
     is_confirmed_by_other_runs,
     named_families,
@@ -185,3 +186,13 @@ def test_no_set_with_an_effect_that_the_final_fit_does_not_show_is_selected(
     assert Search(dragged_model).run(slipping=False).final.names == ('local_drag',)
     monkeypatch.setattr(EffectTerm, 'significance', property(lambda _: 1.6))
     assert Search(dragged_model).run(slipping=False).final.names == ()
+
+
+def test_a_section_may_be_as_long_as_the_line() -> None:
+    bins = Bins(0.0, 100.0, 80)
+    true = np.zeros(bins.count)
+    true[5:68] = 2.0  # per mille
+    A = 4.0 * np.eye(bins.count)
+    found = _section('local_drag', bins, A, A @ true)
+    assert (found.parameters['start'], found.parameters['end']) == (500.0, 6800.0)
+    assert found.parameters['permille'] == pytest.approx(2.0, abs=0.05)

@@ -9,7 +9,7 @@ from typing import Any
 
 import rclpy
 
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, OutputTopic
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, OutputTopic
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.ros.topics import fill_estimate, latched_qos, message_class, offered_estimate_qos
 
@@ -18,11 +18,12 @@ F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.0
 
 
 class Estimates:
-    """Publishes resistance and brake rate."""
+    """Publishes resistance and brake rate, with stamps that are late by a time [s]."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, late_s: float = 0.0) -> None:
         topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
         self.live = [node.create_publisher(message_class(x), x.name, offered_estimate_qos()) for x in topics]
+        self._clock, self._late_ns = node.get_clock(), round(late_s * NS_PER_S)
         self._latched = [node.create_publisher(message_class(x), x.last_valid, latched_qos()) for x in topics]
 
     def publish(self, status: Status = Status.VALID, *, latched: bool = True, live: bool = True) -> None:
@@ -32,9 +33,9 @@ class Estimates:
                 if wanted:
                     publisher.publish(message)
 
-    @staticmethod
-    def _message(topic: OutputTopic, estimate: Any, status: Status) -> Any:
-        return fill_estimate(message_class(topic)(), Output(10**18, estimate, status, 5, 0, None))
+    def _message(self, topic: OutputTopic, estimate: Any, status: Status) -> Any:
+        stamp_ns = self._clock.now().nanoseconds - self._late_ns
+        return fill_estimate(message_class(topic)(), Output(stamp_ns, estimate, status, 5, 0, None))
 
 
 if __name__ == '__main__':

@@ -19,6 +19,7 @@ from test.ros import published_estimates
 from test.ros.graph import NARROW, Graph, coasting, feed
 from test.ros.published_estimates import Estimates
 from trainid_ros.client import TrainModel
+from trainid_ros.client.train_model import MAX_STAMP_AGE
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.topics import message_class
@@ -104,7 +105,7 @@ def test_a_killed_node_is_replaced_by_the_train_file_within_a_second(
 
 def test_a_node_without_inputs_is_replaced_by_the_train_file(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file, **NARROW)
-    model = TrainModel(graph.plain('controller'), train_file)
+    model = TrainModel(graph.plain('controller'), train_file, max_stamp_age=MAX_STAMP_AGE.high)
     graph.until(lambda: 'STALE' in model.resistance(10.0).reason)
     feed(node, coasting(160))
     graph.until(lambda: model.resistance(20.0).live)
@@ -121,3 +122,31 @@ def test_a_publisher_that_offers_less_is_named(graph: Graph, train_file: str) ->
     )
     graph.until(lambda: 'incompatible' in model.brake_rate().reason)
     assert model.brake_rate().reason.endswith('incompatible quality of service (RELIABILITY)')
+
+
+def test_two_publishers_bring_the_train_file_back_until_one_is_left(graph: Graph, train_file: str) -> None:
+    estimates, others = (Estimates(graph.plain(name)) for name in ('estimator', 'bag'))
+    model = TrainModel(graph.plain('controller'), train_file)
+    publishers = [*estimates.live, *others.live]
+    graph.until(lambda: all(publisher.get_subscription_count() for publisher in publishers))
+
+    def reason(*sources: Estimates) -> str:
+        for source in sources:
+            source.publish(latched=False)
+        graph.spin(6)  # takes in what was published
+        return model.brake_rate().reason
+
+    graph.until(lambda: 'two publishers' in reason(estimates, estimates, others))
+    assert model.brake_rate().reason.startswith('train file: trainid/brake_rate has two publishers')
+    assert not model.resistance(10.0).live
+    graph.until(lambda: reason(estimates).startswith('VALID'))
+
+
+def test_a_bag_of_another_day_is_not_believed(graph: Graph, train_file: str) -> None:
+    estimates = Estimates(graph.plain('bag'), late_s=3600.0)
+    model = TrainModel(graph.plain('controller'), train_file)
+    graph.until(lambda: all(publisher.get_subscription_count() for publisher in estimates.live))
+    estimates.publish(latched=False)
+    graph.until(lambda: 's behind the clock' in model.brake_rate().reason)
+    assert model.brake_rate().reason.endswith('is a bag played without use_sim_time?')
+    assert not model.brake_rate().live

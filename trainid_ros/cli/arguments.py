@@ -95,7 +95,10 @@ class Verb(NamedTuple):
 
 
 VERBS: Final = (
-    Verb('demo', 'play a bag through the live nodes and write a report', 'bag --rate --out --only --quick --json'),
+    Verb(
+        'demo', 'play a bag through the live nodes and write a report',
+        'bag --rate --out --only --quick --seed --json',
+    ),
     Verb('run', 'run the estimator nodes live', '--train --map --node --ros-args', 'live.run_nodes'),
     Verb(
         'monitor', 'show inputs, estimates and diagnostics live in a terminal', '--namespace --duration --ros-args',
@@ -123,7 +126,7 @@ VERBS: Final = (
     ),
     Verb(
         'explain', 'find the effects that a train file lacks and add them',
-        'bags --map --max-chunk --train --out --namespace --json',
+        'bags --map --max-chunk --train --out --propose --watch --namespace --json',
     ),
     Verb(
         'info', 'show what is in bags and whether they can be used',
@@ -165,6 +168,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'run --train': _path('T.yaml', 'train file (parameter train_file)'),
     'view --train': _path('T.yaml', 'train file (default: train.yaml in the bag)'),
     'simulate --train': _path('T.yaml', 'the true train; with --world the train as an engineer states it'),
+    'explain bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file; with --watch folders of them', nargs='+'),
     'explain --train': _path('T.yaml', 'train file: the model to check', required=True),
     'info --train': _path('T.yaml', 'train file: its mass shows units, its line has gradients'),
     'import --train': _path('T.yaml', 'train file, if the gradient comes from its line'),
@@ -180,6 +184,8 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         'bags, to one bag each in this folder',
     ),
     'explain --out': _path('DIR', 'write report.html, report.json and the new train.yaml there'),
+    '--propose': _path('DIR', 'the same as --out, and a note on the change and a test of the new train file'),
+    '--watch': _flag('explain again whenever a bag is added to the folders, and print only what is new'),
     'fleet --out': _path('TABLE.parquet', 'table to write; .csv needs no pyarrow', required=True),
     'fleet report --out': _path('REPORT.html', 'write a report with plots'),
     '--report': _path('FILE.html', 'write a report with plots; of several bags, one each in this folder'),
@@ -210,6 +216,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--unknown': _repeated('quantity that is wrong in the train file or missing from it; repeatable: '),
     '--effect': _repeated('add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable', 'NAME:key=value'),
     '--runs': _value(int, 4, 'N', 'runs from stop to stop (default: 4)'),
+    'demo --seed': _value(whole, 1, 'S', 'first of three seeds that draw the hidden effects (default: 1)'),
     '--seed': _value(whole, 1, 'S', 'seed of the random numbers, >= 0 (default: 1)'),
     '--label': _value(
         str,

@@ -8,13 +8,12 @@ node runs V-MILS beside it, under a name and on topics of its own.
 from __future__ import annotations
 
 import math
-import shutil
 import signal
 import sys
 import time
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
@@ -22,10 +21,8 @@ import numpy as np
 import yaml
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli import demo_explain
 from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
-from trainid_ros.cli.explain import REPORT_HTML, describe, explain_runs, prepare_folder, to_json, write_all
 from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show
 from trainid_ros.cli.processes import ProcessGroup, isolate
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
@@ -36,9 +33,7 @@ from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceE
 from trainid_ros.report import drive_report
 from trainid_ros.report.recording import Recorder
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
-from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import Truth, load_truth
-from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, TrainFile, load_train_file
 
@@ -47,12 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from trainid_ros.explain.result import Explanation
-
     Say = Callable[[str], None]
     Replayed = dict['Node', tuple[EstimatorPipeline[Any], 'Published']]
 
-HIDDEN: Final = 'local_drag:start=4500,end=5700,permille=1.5'
 _TITLES: Final = {
     'altrios_manifest': 'Freight train on a real route, from an independent simulator',
     'yizhuang_day': 'A day on the Beijing Yizhuang line',
@@ -91,7 +83,7 @@ NODES: Final = (*MISSION, V_MILS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if live estimates equal the replayed ones and the effect was found."""
+    """Run the demo; return 0 only if live estimates equal the replayed ones and every hidden effect was found."""
 
     def say(text: str) -> None:
         print(for_output(text), file=sys.stderr if args.json else sys.stdout, flush=True)
@@ -100,21 +92,21 @@ def run(args: argparse.Namespace) -> int:
     names = [name for name in DEMO_BAGS if args.only in (None, name)]
     bags = [load_demo_bag(path) for path in args.bag or map(stock_bag, names)]
     report = prepare_page(args.out / 'report.html') if bags else None
-    hides, folder = not args.bag and args.only in (None, EXPLAIN_CHAPTER), args.out / EXPLAIN_CHAPTER
+    hides = not args.bag and args.only in (None, EXPLAIN_CHAPTER)
+    hidden = args.out / EXPLAIN_CHAPTER, args.seed, stock_bag('yizhuang') / 'train.yaml'
     if hides:
-        prepare_folder(folder, stock_bag('yizhuang') / 'train.yaml')
+        demo_explain.prepare(*hidden)
     with _interruptible():
         played = [] if report is None else _live(bags, args, report, say)
-        found = _hidden(folder, say) if hides else None
-    worked = all(one.worked for one in played) and (found is None or is_found(found[1]))
+        cases = [*demo_explain.run_cases(*hidden, say)] if hides else []
+    worked = all(one.worked for one in played) and all(case.is_found for case in cases)
     wall_s = time.monotonic() - start
     if args.json:
-        explained = found and {'hidden': HIDDEN, 'found': to_json(found[1]), 'report': folder / REPORT_HTML}
-        answer = {'bags': [one.answer for one in played], 'explain': explained}
+        answer = {'bags': [one.answer for one in played], 'explain': [case.answer for case in cases]}
         print_json(answer | {'report': report, 'wall_s': wall_s, 'worked': worked})
     else:
         show(''.join(f'\n{one.summary()}\n' for one in played))
-        show('' if found is None else describe_hidden(*found, folder))
+        show(f'\n{demo_explain.describe_cases(cases)}' if cases else '')
         show(f'\nreport: {report}' if report else '')
         print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
     return 0 if worked else EXIT_NO_ANSWER
@@ -449,35 +441,6 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         'live_against_replay': {node.label: comparison._asdict() for node, comparison in compared.items()},
     }
     return Played(chapter, answer, all(comparison.exact for comparison in compared.values()))
-
-
-def _hidden(folder: Path, say: Say) -> tuple[TrainFile, Explanation]:
-    """Simulate runs with an effect that the train file lacks, explain the gap, and return that file and the result."""
-    say(f'8 runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and a, b, c unlike the train file')
-    path, hidden = stock_bag('yizhuang') / 'train.yaml', Davis(1.74, 0.02, 0.0086)
-    full = load_train_file(path)
-    stated = replace(full, line=replace(full.line, stops=full.line.stops[:5]))
-    true = replace(stated, resistance=hidden, effects=parse_effects([HIDDEN]))
-    bag = folder / 'bag'
-    shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo
-    with BagWriter(bag) as writer:
-        for record in simulate(Scenario(true, runs=8), np.random.default_rng(2017)).records:
-            writer.write_record(record)
-    explanation = explain_runs(read_runs([bag], stated), stated, [bag])
-    notes = (f'Hidden in the simulation: {HIDDEN}; a = {hidden.a}, b = {hidden.b}, c = {hidden.c}.',)
-    write_all(folder, explanation, stated, str(path), [bag], notes)
-    return stated, explanation
-
-
-def is_found(explanation: Explanation) -> bool:
-    """Return whether the hidden effect is among those found."""
-    return HIDDEN.partition(':')[0] in [effect.name for effect in explanation.effects]
-
-
-def describe_hidden(stated: TrainFile, explanation: Explanation, folder: Path) -> str:
-    """Return the hidden and the found effects as text."""
-    text = f'hidden: {HIDDEN}\n\n{describe(explanation, stated)}\n\nreport: {folder / REPORT_HTML}'
-    return '\n'.join(('\nEffect missing from the train file', *(f'  {x}'.rstrip() for x in text.split('\n'))))
 
 
 @contextmanager

@@ -32,16 +32,27 @@ REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
 TRAIN_FILE: Final = 'train.yaml'
 LEARNED: Final = 'learned'
+NOTE: Final = 'migration.md'
+NOTE_START: Final = '# Change of the train file'
+TEST: Final = 'test_train.py'
+TEST_START: Final = '"""The train file beside this test'
 _NAMED_BAGS: Final = 3
 
 
 def run(args: argparse.Namespace) -> int:
     """Explain the gap between bags and train file; NoAnswerError with too little motion, or wrong units or signs."""
     train_file = load_train_file(args.train)
+    if args.watch:
+        from trainid_ros.cli.explain_watch import watch  # noqa: PLC0415
+
+        return watch(args, train_file)
     notes: list[str] = []
+    args.out = args.propose or args.out
     with _outputs(args.out, args.train):
+        if args.propose is not None:
+            prepare_proposal(args.propose)
         try:
-            explanation = _explain(args, train_file, notes)
+            explanation = explain_bags(args, args.bags, train_file, notes)
         except NoAnswerError as error:
             if args.json:
                 print_json(to_json(None, str(error)))
@@ -50,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
             # Written before printing, which a closed pipe may interrupt.
             warnings = tuple(f'Warning: {line}' for line in notes)
             write_all(args.out, explanation, train_file, str(args.train), args.bags, warnings)
+            if args.propose is not None:
+                propose(args.propose, explanation, train_file, str(args.train), args.bags)
     if (point := explanation.gradient_point) is not None:
         warn(
             f'the gradients in the bags are those at the {point} of the train and were used as such here, but '
@@ -61,31 +74,36 @@ def run(args: argparse.Namespace) -> int:
     show(describe(explanation, train_file))
     if args.out is not None:
         show(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
+        if args.propose is not None:
+            is_new = (args.out / NOTE).exists()
+            show(f'proposal: {args.out / NOTE} and {TEST}' if is_new else 'no proposal: the train file stays as it is')
         if explanation.learned and explanation.learned.effect:
             show(f'effect learned and train file with it: {args.out / LEARNED}')
     return 0
 
 
-def _explain(args: argparse.Namespace, train_file: TrainFile, notes: list[str]) -> Explanation:
-    """Read the bags and explain them; each fault of theirs is printed and added to ``notes``."""
+def explain_bags(
+    args: argparse.Namespace, bags: Sequence[Path], train_file: TrainFile, notes: list[str]
+) -> Explanation:
+    """Read bags and explain them; each fault of theirs is printed and added to ``notes``."""
 
     def note(line: str) -> None:
         warn(line)
         notes.append(line)
 
     inputs = mapped_inputs(args.map, train_file)
-    name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
-    with progress(f'open {name}', total=len(args.bags)) as advance:
-        found = survey(args.bags, args.namespace, args.max_chunk, inputs, advance)
+    name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
+    with progress(f'open {name}', total=len(bags)) as advance:
+        found = survey(bags, args.namespace, args.max_chunk, inputs, advance)
     for line in found.warnings:
         note(line)
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(
-            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
+            bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
         )
     try:
-        return explain_runs(runs, train_file, args.bags)
+        return explain_runs(runs, train_file, bags)
     except NoAnswerError as error:
         raise NoAnswerError('; '.join((f'{name}: {error}', *notes))) from None
 
@@ -253,3 +271,22 @@ def write_all(
         write_page(learned.source, kept / f'{learned.effect}.py')
         write_page(dump_train_file(learned.train_file), kept / TRAIN_FILE)
     write_page(render_explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
+
+
+def prepare_proposal(folder: Path) -> None:
+    """Remove an earlier proposal from a folder; InputError if a file there is something else."""
+    for path, start in ((folder / NOTE, NOTE_START), (folder / TEST, TEST_START)):
+        check_output(path, (), start)
+        path.unlink(missing_ok=True)
+
+
+def propose(folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path]) -> None:
+    """Write the note and the test of a train file that differs from the one explained, beside it."""
+    from trainid_ros.report import proposal  # noqa: PLC0415
+    from trainid_ros.report.page import write_page  # noqa: PLC0415
+
+    if explanation.train_file == prior or explanation.gap is None:
+        return
+    names = [str(bag.resolve()) for bag in bags]
+    write_page(proposal.migration_note(explanation, prior, train, names), folder / NOTE)
+    write_page(proposal.regression_test(explanation.gap, names), folder / TEST)

@@ -29,6 +29,7 @@ from typing import Final
 import numpy as np
 
 from trainid_ros.interface.results import Status
+from trainid_ros.interface.scalars import seconds
 
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
@@ -136,6 +137,10 @@ _WORDS: Final = {
     Status.STALE: 'STALE, inputs of the node are missing',
     Status.FAULT: 'FAULT, the node has failed',
 }
+FAR: Final = 5.0
+"""Distance from the train file's value beyond which an estimate is not credible [standard deviations of it]."""
+LEAST_STD: Final = 0.01
+"""Smallest credible standard deviation as a share of that of the train file [1]: drift between two stops is more."""
 _REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
 
 
@@ -150,17 +155,26 @@ class Parameter:
     max_std: float = ABSURD  # largest possible standard deviation along a probe
 
     def problem(self, name: str, found: Normal) -> str:
-        """Return what is not possible of an estimate; empty if it is."""
+        """Return what is not possible or not credible of an estimate; empty if it is."""
         if found.is_possible():
             sums = [found.along(probe) for probe in self.probes]
             values = (*found.mean, *(value for value, _ in sums))
             stds_fit = all(variance <= self.max_std * self.max_std for _, variance in sums)
             if stds_fit and self.minimum <= min(values) and max(values) <= self.maximum:
-                return ''
+                return self._doubt(name, sums)
         if len(found.mean) > 1:
             return f'{name} or their covariance are not possible'
         std = math.copysign(math.sqrt(abs(found.covariance[0])), found.covariance[0])
         return f'{name} = {found.mean[0]:g} with a std of {std:g} is not possible'
+
+    def _doubt(self, name: str, sums: Sequence[tuple[float, float]]) -> str:
+        """Return why means and variances along the probes are not credible beside the train file; empty if they are."""
+        file = [self.file.along(probe) for probe in self.probes]
+        if any(abs(x - y) > FAR * math.sqrt(P) for (x, _), (y, P) in zip(sums, file, strict=True) if P > 0.0):
+            return f'{name}: more than {FAR:g} standard deviations of the train file from its value'
+        if all(LEAST_STD**2 * prior > P for (_, P), (_, prior) in zip(sums, file, strict=True) if prior > 0.0):
+            return f'{name}: a std below {LEAST_STD:.0%} of that of the train file is not credible'
+        return ''
 
     def is_refuted(self, value: Normal, present: Normal) -> bool:
         """Return whether a value is more than 3 standard deviations of the present estimate from it along any probe."""
@@ -181,7 +195,9 @@ class LiveEstimate:
         self._values = {name: RateLimitedValue(x.file, x.probes) for name, x in parameters.items()}
         self._max_age_s = max_age_s
         self._heard_s = self._now_s = self._moving_until_s = -math.inf
-        self._stamp_ns = -1
+        self._newest_ns = -1
+        # First and last stamp of those that rise again after they went back [ns]; none if the newest is the last.
+        self._back_ns: tuple[int, int] | None = None
         self._lost = ''
         self._status = Status.UNINITIALIZED
         self._problem = 'no estimate yet'
@@ -196,11 +212,30 @@ class LiveEstimate:
         return time_s - self._heard_s <= self._max_age_s
 
     def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> None:
-        """Take in an estimate; one of the previous stamp [ns] only if it says that the previous must not be used."""
-        is_repeated, self._stamp_ns = stamp_ns == self._stamp_ns, stamp_ns
-        is_no_news = status in USABLE or status is self._status is Status.CONVERGING
-        if not (is_repeated and is_no_news):
+        """Take in an estimate; one of no newer stamp [ns] only if it says that the previous must not be used.
+
+        Stamps that go back, as when a bag starts again, are those of estimates once they have risen for the time
+        without an estimate after which the last is not used any more.
+        """
+        is_news = self._is_newer(stamp_ns)
+        if is_news or not (status in USABLE or status is self._status is Status.CONVERGING):
             self.take(status, values, time_s)
+
+    def _is_newer(self, stamp_ns: int) -> bool:
+        if stamp_ns < self._newest_ns:
+            first, last = self._back_ns or (stamp_ns, stamp_ns)
+            self._back_ns = (first if stamp_ns > last else stamp_ns), stamp_ns
+            if seconds(stamp_ns - self._back_ns[0]) < self._max_age_s:
+                return False
+        is_newer = stamp_ns != self._newest_ns
+        self._newest_ns, self._back_ns = stamp_ns, None
+        return is_newer
+
+    def refuse(self, reason: str, time_s: float) -> None:
+        """Use the train file although an estimate has arrived, for a reason."""
+        self.go_on(time_s)
+        self._heard_s, self._lost = time_s, ''
+        self._fall_back(reason, time_s)
 
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
         """Take in an estimate that arrived at a time [s]."""

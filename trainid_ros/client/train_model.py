@@ -25,6 +25,7 @@ from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, NO_BRAKE, RateSha
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig, prior_variances
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.interface.scalars import seconds
 from trainid_ros.train.effects import TrackPoint, resistance_terms
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
@@ -70,6 +71,7 @@ COMMAND: Final = Argument('command', 'm/s^2', -20.0, -1e-3)  # accepted brake co
 APPLIED: Final = Argument('applied', 'm/s^2', -20.0, 0.0)  # accepted brake commands that act now, 0 without
 CONFIDENCE: Final = Argument('confidence', '', 0.5, 1.0 - 1e-6)  # accepted probabilities that a bound holds [1]
 MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)  # accepted limits of the age of the last estimate
+MAX_STAMP_AGE: Final = Argument('max_stamp_age', 's', 0.1, 1e12)  # accepted differences between stamp and clock
 DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)  # accepted distances to go
 STOP: Final = Argument('stop', 'm', -1e9, 1e9)  # accepted positions of the stop
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
@@ -90,24 +92,33 @@ def distance_to(stop: float, position: float, direction: int) -> float:
 _TIME: Final = Argument('clock()', 's', -1e12, 1e12)
 
 
+STOPPED_S: Final = 2.0
+"""Time after which a clock that stands still is taken to have stopped [s]; ``/clock`` comes several times a second."""
+
+
 class ForwardClock:
     """The time of a clock [s] plus all that it has gone back: it goes on from where the clock jumped.
 
-    A clock that is not callable or returns no number raises InputError.
+    A clock that returns no finite number stands still. One that has stood still for ``STOPPED_S`` of a ``steady``
+    clock, if there is one, goes on with that, so that silence is noticed. A clock that is not callable, or returns no
+    number at first, raises InputError.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], steady: Callable[[], float] | None = None) -> None:
         if not callable(clock):
             raise InputError(f'clock = {clock!r} must be a function that returns the time in s')
         self._clock, self._offset_s, self._last_s = clock, 0.0, _TIME.checked(clock())
+        self._steady, self._moved_s, self._stood_s = steady, steady() if steady else 0.0, 0.0
 
     def now(self) -> float:
         """Return the time [s], which is not before that of the last call."""
-        read_s = self._clock()
-        if read_s < self._last_s:
-            self._offset_s += self._last_s - read_s
-        self._last_s = read_s
-        return read_s + self._offset_s
+        read_s, steady_s = self._clock(), self._steady() if self._steady else 0.0
+        if math.isfinite(read_s) and read_s != self._last_s:
+            self._offset_s += self._stood_s + max(0.0, self._last_s - read_s)
+            self._last_s, self._moved_s, self._stood_s = read_s, steady_s, 0.0
+        elif steady_s - self._moved_s > STOPPED_S:
+            self._stood_s = steady_s - self._moved_s
+        return self._last_s + self._offset_s + self._stood_s
 
 
 # Traction or braking force for which shares are calculated: effects are (nearly) linear in it [N/kN].
@@ -250,6 +261,11 @@ def _factor(value: float, std: float) -> Normal:
     return Normal((value,), (math.copysign(std * std, std),))
 
 
+MAX_STAMP_AGE_S: Final = 60.0
+"""Difference between stamps and the clock of the node that is allowed unless another is given [s].
+
+Clocks of two computers on board that are not synchronised differ by some seconds; a forgotten bag is of another day.
+"""
 FULL_SERVICE: Final = -1.0
 """Brake command of a stop unless another is given [m/s^2]."""
 # What the nodes start with unless they are set otherwise.
@@ -275,6 +291,8 @@ class TrainModel:
         train_file: Train file, or its path.
         max_age: Time without a new estimate after which the train file applies [s]. Estimates come as often as the
             speed; with speeds slower than 2 Hz it must be longer.
+        max_stamp_age: Difference between stamp and clock of the node beyond which an estimate is that of another time
+            [s], such as of a bag that somebody plays. With ``use_sim_time`` that clock is the one of the bag.
         clock: Present time [s]. If it goes back, time goes on from there.
         prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
@@ -285,18 +303,21 @@ class TrainModel:
 
     def __init__(
         self, node: Any, train_file: TrainFile | str | Path, *, max_age: float = MAX_AGE_S,
+        max_stamp_age: float = MAX_STAMP_AGE_S,
         clock: Callable[[], float] = time.monotonic, prior: PriorSettings = _PRIOR, brake: BrakeRateConfig = _BRAKE,
     ) -> None:  # fmt: skip
-        max_age = MAX_AGE.checked(max_age)
+        max_age, self._max_stamp_age = MAX_AGE.checked(max_age), MAX_STAMP_AGE.checked(max_stamp_age)
         check_settings(prior)
         check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
-        self._file, self._clock, self._lock = FileValues(known, prior, brake), ForwardClock(clock), Lock()
+        self._file, self._lock = FileValues(known, prior, brake), Lock()
+        self._clock = ForwardClock(clock, None if node is None else time.monotonic)
         self._resistance = LiveEstimate(self._file.resistance(), max_age)
         self._brake_rate = LiveEstimate(self._file.brake_rate(), max_age)
         self._estimates = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
+        self._node = node
         if node is not None:
             from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
@@ -323,9 +344,19 @@ class TrainModel:
         self.take_message(output_topic(output.estimate), output.status, output.estimate, output.stamp_ns)
 
     def take_message(
-        self, topic: OutputTopic, status: Status, estimate: Any, stamp_ns: int, *, latched: bool = False
+        self,
+        topic: OutputTopic,
+        status: Status,
+        estimate: Any,
+        stamp_ns: int,
+        *,
+        latched: bool = False,
+        doubt: str = '',
     ) -> None:
-        """Take in status, fields and stamp [ns] of an estimate or message; a latched copy is of the last valid one."""
+        """Take in status, fields and stamp [ns] of an estimate or message; a latched copy is of the last valid one.
+
+        ``doubt`` says why no message of the topic is to be believed now; empty if they are.
+        """
         live = self._estimates.get(topic)
         if live is None:
             return
@@ -335,12 +366,23 @@ class TrainModel:
             values = {BRAKE_RATE: _factor(estimate.brake_rate, estimate.brake_rate_std)}
         with self._lock:
             now = self._clock.now()
+            if doubt := doubt or ('' if latched else self._age_doubt(stamp_ns)):
+                live.refuse(doubt, now)
+                return
             if latched and not live.take_latched(status, values, now):
                 return
             if not latched:
                 live.take_new(status, values, now, stamp_ns)
             if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
+
+    def _age_doubt(self, stamp_ns: int) -> str:
+        """Return how far a stamp [ns] is from the clock of the node if that is too far, else nothing."""
+        age_s = 0.0 if self._node is None else seconds(self._node.get_clock().now().nanoseconds - stamp_ns)
+        if abs(age_s) <= self._max_stamp_age:
+            return ''
+        side = 'behind' if age_s > 0.0 else 'ahead of'
+        return f'the estimate is {abs(age_s):.0f} s {side} the clock; is a bag played without use_sim_time?'
 
     def mark_lost(self, topic: OutputTopic, reason: str) -> None:
         """Say why an estimate does not come any more: the train file applies, at once or when the next is overdue."""

@@ -179,7 +179,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     kind = EFFECTS[name]
     i, j = np.triu_indices(bins.count + 1, 1)
     length = (j - i) * bins.width
-    usable = (length >= 60.0) & (length <= max(2500.0, 2.0 * bins.width))  # m
+    usable = length >= 60.0  # m
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)

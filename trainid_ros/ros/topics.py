@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import re
+import time
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -218,6 +219,31 @@ def foreign_class(name: str) -> Any:
     raise InputError(f'{name}: {problem}')
 
 
+class _Rivals:
+    """Whether messages of a topic come from two publishers at a time.
+
+    Each publisher numbers its messages. So the number falls where another one takes over: once after a restart, again
+    and again where two publish. The graph does not tell: it keeps a killed publisher for its lease, up to 20 s. A
+    middleware that gives no numbers shows nothing.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self._doubt = f'{topic} has two publishers, see ros2 topic info --verbose'
+        self._last, self._falls_s = -1, (-math.inf, -math.inf)
+
+    def doubt(self, info: Mapping[str, int | None]) -> str:
+        """Return why messages are not to be believed after one more with this information; empty if they are."""
+        now_s, number = time.monotonic(), info.get('publication_sequence_number')
+        if number is not None:
+            if number <= self._last:
+                self._falls_s = self._falls_s[1], now_s
+            self._last = number
+        return self._doubt if now_s - self._falls_s[0] < _RIVALS_S else ''
+
+
+_RIVALS_S: Final = 5.0  # time in which two falls show two publishers; nobody restarts a node twice within it [s]
+
+
 def subscribe_estimates(
     node: Any, topic: OutputTopic, receive: Callable[..., object], lose: Callable[[OutputTopic, str], object]
 ) -> tuple[Any, Any]:
@@ -227,9 +253,13 @@ def subscribe_estimates(
     from it, and publishers of slow inputs offer less. The receiver measures silence, in less time than the deadline of
     the nodes. The latched one asks for the lease of the nodes and tells when a node is gone; without it, silence does.
     """
+    rivals = _Rivals(topic.name)
 
-    def take(message: Any, *, latched: bool = False) -> None:
-        receive(topic, status_of(message), message, stamp_of(message), latched=latched)
+    def take(message: Any, info: Mapping[str, int | None]) -> None:
+        receive(topic, status_of(message), message, stamp_of(message), doubt=rivals.doubt(info))
+
+    def keep(message: Any) -> None:
+        receive(topic, status_of(message), message, stamp_of(message), latched=True)
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -243,5 +273,4 @@ def subscribe_estimates(
     events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
     live = node.create_subscription(kind, topic.name, take, estimate_qos(), event_callbacks=events)
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
-    keep = partial(take, latched=True)
     return live, node.create_subscription(kind, topic.last_valid, keep, latched_qos(), event_callbacks=events)
