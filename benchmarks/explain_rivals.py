@@ -30,7 +30,8 @@ from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices, Run
 from trainid_ros.explain.model import Model, find_slip
 from trainid_ros.explain.nuisances import DAVIS, Bins
 from trainid_ros.explain.probability import NONE, OTHER
-from trainid_ros.explain.search import SECTIONS, generic_groups, named_families
+from trainid_ros.explain.search import SECTIONS, named_families
+from trainid_ros.explain.variables import OF_CURVES, variables
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import NamedValues, TrainFile, parse_train_file
 
@@ -70,7 +71,7 @@ class Problem:
         model, length = Model.of(runs, train_file), train_file.train.length
         dataset = model.dataset
         names, candidates = _candidates(model, length)
-        groups = [dataset.column(group.resistance) for group in generic_groups(dataset, length)]
+        groups = [dataset.column(one.coarse()) for one in variables(model) if one.name not in OF_CURVES]
         nuisances = model.nuisance_columns[:, DAVIS]
         everything = np.concatenate([model.residual[:, None], candidates, *groups], axis=1)
         white, run = _whitened(nuisances, everything, sum(name not in SECTIONS for name in names), dataset)
@@ -84,7 +85,7 @@ class Problem:
             tuple(names[k - 1] for k in kept.tolist()),
             tuple(np.split(white, edges, axis=1)[1:-1]),
             run,
-            0.0 if slip is None else slip[1],
+            0.0 if slip is None else slip.evidence,
         )
 
 
