@@ -391,7 +391,7 @@ class InputCheck:
             learn_lead(self._lead, blocks.block(2), self._last, block)
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
-            by_position, step = prior.row.position * block.by_position, prior.row.speed * block.speed_step
+            by_position, step = prior.by_position(block), prior.row.speed * block.speed_step
             if block.state == MOVING and is_finite(by_position) and not self._slips:
                 slack = by_speed * WHEEL.std
                 R = position_variance(block, blocks.distance_var()) + slack * slack
