@@ -42,7 +42,7 @@ from trainid_ros.stream.fault_filter import (
     position_variance,
     wind_std,
 )
-from trainid_ros.stream.fault_table import GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, V
+from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, V
 from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
@@ -511,7 +511,12 @@ class InputCheck:
 def _told(trial: Trial, place: int) -> str:
     """Return the sentence of a row with the size of the fault by a trial."""
     row = TABLE[place]
-    return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
+    return row.sentence.format(
+        gain=trial.x[GAIN] * row.force,
+        brake=trial.x[BRAKE] * row.command,
+        offset=trial.x[OFFSET],
+        wheel=trial.wheel,
+    )
 
 
 def _off_line(gradient: float, at: Block, variance: float) -> float:
