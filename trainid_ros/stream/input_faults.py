@@ -266,7 +266,8 @@ class InputFaults:
         """Return why nothing is valid although the inputs agree, empty if it may be."""
         if self._moved_s < _CONFIRMED_S:
             return 'the inputs have not yet confirmed each other'
-        return self.check.at_limit((GAIN, FORCE_LATE)) or self.check.resistance_objection()
+        check = self.check
+        return check.scale_objection() or check.at_limit((GAIN, FORCE_LATE)) or check.resistance_objection()
 
     def _objection(self) -> str:
         """Return why no brake rate is valid although its inputs agree, empty if it may be."""
