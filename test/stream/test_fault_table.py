@@ -15,7 +15,7 @@ def test_the_first_row_says_that_all_is_well() -> None:
 
 @pytest.mark.parametrize('row', TABLE[1:], ids=lambda row: row.sentence)
 def test_each_row_names_what_it_condemns_and_corrects_something(row: Row) -> None:
-    text = row.sentence.format(gain=2.0, offset=5.0, wheel=0.05)
+    text = row.sentence.format(gain=2.0, brake=0.5, offset=5.0, wheel=0.05)
     assert row.condemns
     assert any(item.value.split(' ')[0] in text or item.value in text for item in row.condemns)
     factors = {row.force, row.command, row.gradient, row.speed, row.position}

@@ -230,6 +230,17 @@ def test_a_resistance_that_no_healthy_train_has_is_told() -> None:
         assert ('off that of the train file' in told) is is_told, told
 
 
+@pytest.mark.parametrize(('factor', 'told'), [(1.05, ' +5% off'), (0.93, ' -7% off'), (1.015, '')])
+def test_a_wheel_that_scales_speed_and_position_alike_shows_on_the_line(factor: float, told: str) -> None:
+    drive, check = driven(900.0), InputCheck(KnownForce(FILE))
+    drive.speed *= factor
+    drive.position = drive.position[0] + factor * (drive.position - drive.position[0])
+    for sample in samples_of(drive):
+        check.take(sample)
+    assert told in check.scale_objection() if told else check.scale_objection() == ''
+    assert check.verdict.finding == ''
+
+
 def test_a_speed_behind_a_low_pass_is_not_off_its_position() -> None:
     drive, gain = driven(900.0), 1.0 - math.exp(-DT / 0.4)
     drive.speed = lfilter([gain], [1.0, gain - 1.0], drive.speed)

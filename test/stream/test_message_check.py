@@ -12,6 +12,7 @@ import pytest
 from trainid_ros.stream.known_force import SpeedNoise
 from trainid_ros.stream.message_check import (
     CommandCheck,
+    EmergencyCheck,
     ExcursionCheck,
     MassCheck,
     ReleaseCheck,
@@ -119,6 +120,21 @@ def test_a_stepped_command_does_not_alternate() -> None:
     check = CommandCheck()
     for k in range(50):
         check.add((BrakeCommandChange(k + 1, -0.2 * (k % 5)),), PERIOD_S)
+    assert check.finding == ''
+
+
+@pytest.mark.parametrize(
+    ('force', 'seconds', 'is_found'),
+    [(40.0, 6.0, True), (40.0, 4.0, False), (-40.0, 60.0, False), (math.nan, 6.0, False)],
+)
+def test_a_train_that_pulls_under_an_emergency_command_is_named_until_it_ends(
+    force: float, seconds: float, is_found: bool
+) -> None:
+    check = EmergencyCheck()
+    for _ in range(round(seconds / PERIOD_S)):
+        check.add(force, PERIOD_S, emergency=True)
+    assert ('says emergency' in check.finding) is is_found
+    check.add(force, PERIOD_S, emergency=False)
     assert check.finding == ''
 
 

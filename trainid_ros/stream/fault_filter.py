@@ -129,6 +129,11 @@ class Prior:
         if self.ignores_gradient or row.gradient != 1.0:
             self.anew[OFFSET] = 1.0
 
+    def by_position(self, block: Block) -> float:
+        """Return the distance by position over a block [m]; one in km does not show the direction of travel."""
+        scale, distance = self.row.position, block.by_position
+        return distance if scale == 1.0 else scale * abs(distance)
+
 
 PRIORS: Final = [Prior(row) for row in TABLE]
 
@@ -325,10 +330,11 @@ class Trial:
             std = min(std, WHEEL.std)
         self.wheel += share * (self.wheel_centre - self.wheel)
         self.wheel_var += 2.0 * share * (std * std - self.wheel_var)
-        scale = prior.row.position
         step = prior.row.speed * block.speed_step
+        # A position in km is no noisier for its unit.
+        scale = min(prior.row.position, 1.0)
         R = scale * scale * position_variance(block, learned) + lag.variance * step * step
-        nu, H = scale * block.by_position - by_speed / (1.0 + self.wheel) - lag.mean * step, -by_speed
+        nu, H = prior.by_position(block) - by_speed / (1.0 + self.wheel) - lag.mean * step, -by_speed
         S = R + H * H * self.wheel_var
         score, weight = student_t(nu * nu / S, S / R)
         K = H * self.wheel_var / (H * H * self.wheel_var + R / weight)

@@ -39,7 +39,9 @@ GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themsel
 _GRADIENT_MEMORY_M: Final = 1000.0  # m: distance over which that error is learned: ten such lengths
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
-_PLACE_SHARE: Final = WHEEL.std  # ... and by which share of the distance it grows
+_PLACE_WALK: Final = 0.025  # m: growth of its variance per distance: 5 m in 1 km, by balises and maps
+_SCALE_STD: Final = 0.03  # error of the scale of the position at first [1]: worn wheels, or those of another train
+_MAX_SCALE: Final = 0.12  # largest such error [1]: a worn wheel in place of a new one is 10 % off
 _FITS: Final = 4.0  # variances within which a gradient is one of the line, and tells the place
 _LEARNED: Final = 0.01  # weight of a new square in the learned noise of the position: 100 blocks ...
 _FIRST: Final = 10.0  # blocks ... of which its first value counts for so many
@@ -100,7 +102,8 @@ class InputBlocks:
     STATE: ClassVar[State] = declare(
         several('_blocks', Block), '_filling', 'count', '_actuator', 'noise', '_stamp_ns', '_direction',
         unknown('_speed'), unknown('_position'), unknown('_force'), 'brake', 'still', 'is_weighed', 'position_var',
-        '_position_step', '_is_held', '_compared', '_off', '_place', '_place_std', 'gradient_var',
+        '_position_step', '_is_held', '_compared', '_off', '_place', 'scale', '_place_var',
+        '_place_scale', 'scale_var', 'gradient_var',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -122,7 +125,8 @@ class InputBlocks:
         self._position_step, self._is_held = 0.0, False  # Step of the position [m]; whether it waits for the next one
         self._compared = 0  # Number of distances from which it was learned
         self._off = 0.0  # Distance by position less that by speed of the last block [m]
-        self._place, self._place_std = 0.0, _PLACE_M  # Place on the line less the position, and its error [m]
+        self._place, self.scale = 0.0, 0.0  # Place on the line less the position [m], and its loss per distance [1]
+        self._place_var, self._place_scale, self.scale_var = _PLACE_M * _PLACE_M, 0.0, _SCALE_STD * _SCALE_STD
 
     def take(self, sample: Sample) -> bool:
         """Take in a sample; return whether it completes a block."""
@@ -152,6 +156,9 @@ class InputBlocks:
         block, dt, known = self._filling, sample.dt, self._known
         before, position, direction = self._speed, self._position, self._direction
         self._speed, self._position, self._direction = sample.speed, sample.position, sample.direction
+        jump = abs(sample.position - position) - sample.speed * dt
+        if jump * jump > _SURE * self.distance_var():  # as where a position is set right
+            self._place_var += min(jump * jump, _PLACE_M * _PLACE_M)
         is_known = 0.0 < dt < _GAP_S and sample.direction == direction and not (sample.emergency or sample.brake_gap)
         if not (is_known and is_finite(sample.force_mean) and is_finite(sample.gradient_mean)
                 and is_finite(before) and is_finite(sample.brake_command)):  # fmt: skip
@@ -231,7 +238,7 @@ class InputBlocks:
 
     def _look_up(self, block: Block, sample: Sample) -> None:
         """Look up the line in the middle of the block, and on either side of it where that may be."""
-        line, direction, std = self._line, sample.direction, self._place_std
+        line, direction, std = self._line, sample.direction, math.sqrt(self._place_var)
         here = sample.position - 0.5 * direction * block.by_speed + self._place
         block.line = block.least = block.most = math.nan
         if line is None or not line.first <= here <= line.last or not block.by_speed > 0.0:
@@ -268,16 +275,27 @@ class InputBlocks:
 
     def learn_place(self, block: Block, *, is_line_right: bool) -> None:
         """Learn the place on a line with a known gradient, and the error of the topic where the line is right."""
+        # A position whose scale is off leaves the line as the train moves: x = F x, P = F P F' + Q.
+        d, std = self._direction * block.by_speed, _SCALE_STD
+        share = block.seconds / WHEEL.time_s
+        self._place -= d * self.scale
+        self._place_var += d * (d * self.scale_var - 2.0 * self._place_scale) + _PLACE_WALK * block.by_speed
+        self._place_scale -= d * self.scale_var
+        self.scale -= share * self.scale
+        self.scale_var += 2.0 * share * (std * std - self.scale_var)
         off = max(block.gradient - block.most, block.least - block.gradient, 0.0)
         square = off * off / self.gradient_var
         if square < _FITS:
             # One error of the gradient for each length in which errors of a map repeat themselves.
-            H, P = block.steepness, self._place_std * self._place_std
+            H, P, C = block.steepness, self._place_var, self._place_scale
             R = self.gradient_var * max(GRADIENT_M / block.by_speed, 1.0)
-            K = H * P / (H * H * P + R)
-            self._place += K * (block.gradient - block.line)
-            self._place_std = max(math.sqrt((1.0 - K * H) * P), _MIN_PLACE_M)
-        self._place_std += _PLACE_SHARE * block.by_speed
+            nu, S = block.gradient - block.line, H * H * P + R
+            gain = H / S if nu * nu < _FITS * S else 0.0
+            self._place += gain * P * nu
+            self.scale = min(max(self.scale + gain * C * nu, -_MAX_SCALE), _MAX_SCALE)
+            self._place_var = max((1.0 - gain * H * P) * P, _MIN_PLACE_M * _MIN_PLACE_M)
+            self._place_scale -= gain * H * P * C
+            self.scale_var -= gain * H * C * C
         if is_line_right:
             change = min(square, 1.0) / CAPPED_MEAN - 1.0
             share = min(block.by_speed / _GRADIENT_MEMORY_M, _LEARNED)

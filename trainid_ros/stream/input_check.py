@@ -42,7 +42,7 @@ from trainid_ros.stream.fault_filter import (
     position_variance,
     wind_std,
 )
-from trainid_ros.stream.fault_table import GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, V
+from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, Input, V
 from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
@@ -169,6 +169,17 @@ class InputCheck:
         if abs(excess) < _LIMIT * std:
             return ''
         return f'the resistance is {excess:+.0f} N/kN off that of the train file: is ato/force or ato/gradient off?'
+
+    def scale_objection(self) -> str:
+        """Return by how much the position runs off the line, empty if by no more than on healthy trains.
+
+        Speed and position of one odometer are off alike, which nothing but the line shows.
+        """
+        scale, std = self.blocks.scale, math.sqrt(self.blocks.scale_var)
+        if abs(scale) > _CREDIBLE * WHEEL.std + std:
+            off = scale / (1.0 - scale)
+            return f'ato/speed and its position are {off:+.0%} off by line.gradient: is the wheel diameter right?'
+        return ''
 
     @property
     def gain(self) -> float:
@@ -391,13 +402,13 @@ class InputCheck:
             learn_lead(self._lead, blocks.block(2), self._last, block)
         if not (prior.ignores_speed or prior.ignores_position):
             by_speed = prior.row.speed * block.by_speed / (1.0 + trial.wheel)
-            by_position, step = prior.row.position * block.by_position, prior.row.speed * block.speed_step
+            by_position, step = prior.by_position(block), prior.row.speed * block.speed_step
             if block.state == MOVING and is_finite(by_position) and not self._slips:
                 slack = by_speed * WHEEL.std
                 R = position_variance(block, blocks.distance_var()) + slack * slack
                 self._lag.correct(by_position - by_speed, step, R, block.seconds)
             blocks.learn_position(block, by_position - self._lag.mean * step, by_speed)
-        if is_finite(block.line) and not prior.is_of_line:
+        if is_finite(block.line) and not (prior.is_of_line or Input.POSITION in prior.row.condemns):
             # What may be a fault is not learned as noise.
             is_line_odd = any(PRIORS[other.row].is_of_line and other.sum > 1.0 for other in self._others)
             blocks.learn_place(block, is_line_right=not is_line_odd)
@@ -494,6 +505,10 @@ class InputCheck:
             return abs(trial.x[OFFSET]) / healthy[OFFSET]
         if prior.row.unusual:
             return abs(prior.row.force * trial.x[GAIN] - 1.0) / healthy[GAIN]
+        if prior.row.command != 1.0 and abs(prior.row.command * trial.x[BRAKE] - 1.0) < 0.5 * abs(
+            prior.row.command - 1.0
+        ):
+            return 0.0  # nearer to a healthy brake than to the fault
         return abs(trial.wheel) / WHEEL.std if prior.row.wheel_std != WHEEL.std else math.inf
 
     def _accept(self, trial: Trial) -> None:
@@ -511,7 +526,12 @@ class InputCheck:
 def _told(trial: Trial, place: int) -> str:
     """Return the sentence of a row with the size of the fault by a trial."""
     row = TABLE[place]
-    return row.sentence.format(gain=trial.x[GAIN] * row.force, offset=trial.x[OFFSET], wheel=trial.wheel)
+    return row.sentence.format(
+        gain=trial.x[GAIN] * row.force,
+        brake=trial.x[BRAKE] * row.command,
+        offset=trial.x[OFFSET],
+        wheel=trial.wheel,
+    )
 
 
 def _off_line(gradient: float, at: Block, variance: float) -> float:

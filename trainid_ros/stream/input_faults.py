@@ -26,6 +26,7 @@ from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import (
     MAX_MASS,
     CommandCheck,
+    EmergencyCheck,
     ExcursionCheck,
     MassCheck,
     MessageCheck,
@@ -111,7 +112,7 @@ class InputFaults:
     """
 
     STATE: ClassVar[State] = declare(
-        'finding', 'last_finding', 'resistance', 'brake_rate', 'check', 'shape', '_mass', '_commands',
+        'finding', 'last_finding', 'resistance', 'brake_rate', 'check', 'shape', '_mass', '_commands', '_emergency',
         '_command_spikes', '_releases', '_force_spikes', '_gradient_spikes', '_repeats', '_speed', '_held_s',
         '_slowest', '_moved_s', '_blocks',
     )  # fmt: skip
@@ -126,6 +127,7 @@ class InputFaults:
         self.shape = BrakeShapeCheck()
         self._mass = MassCheck()
         self._commands = CommandCheck()
+        self._emergency = EmergencyCheck()
         self._command_spikes = ExcursionCheck(
             topic=Input.COMMAND.value,
             height=_COMMAND_SPIKE,
@@ -183,6 +185,7 @@ class InputFaults:
         self._command_spikes.add(sample.brake_command, dt)
         self._gradient_spikes.add(sample.gradient, dt)
         force = known.traction(sample.force, sample)
+        self._emergency.add(force, dt, emergency=sample.emergency)
         self._releases.add(sample.brake_command if is_moving else math.nan, force, self._followed_s, dt)
         if dt > 0.0:
             self._check_force(sample, force)
@@ -236,7 +239,7 @@ class InputFaults:
         for spikes in (self._force_spikes, self._gradient_spikes):
             found, suspected = found or spikes.finding, suspected or spikes.suspicion
         of_command, command_suspected = found, suspected
-        checks: tuple[MessageCheck, ...] = (self._commands, self._command_spikes, self._releases)
+        checks: tuple[MessageCheck, ...] = (self._commands, self._emergency, self._command_spikes, self._releases)
         for check in checks:
             of_command, command_suspected = of_command or check.finding, command_suspected or check.suspicion
         self.resistance.update(
@@ -263,7 +266,8 @@ class InputFaults:
         """Return why nothing is valid although the inputs agree, empty if it may be."""
         if self._moved_s < _CONFIRMED_S:
             return 'the inputs have not yet confirmed each other'
-        return self.check.at_limit((GAIN, FORCE_LATE)) or self.check.resistance_objection()
+        check = self.check
+        return check.scale_objection() or check.at_limit((GAIN, FORCE_LATE)) or check.resistance_objection()
 
     def _objection(self) -> str:
         """Return why no brake rate is valid although its inputs agree, empty if it may be."""

@@ -111,6 +111,23 @@ class CommandCheck(MessageCheck):
             self.finding = ''
 
 
+# Specific force that pulls, beyond errors of a report [N/kN], and the longest time until traction is cut [s].
+_PULLS: Final = 3.0
+_CUT_S: Final = 5.0
+
+
+@dataclass(slots=True)
+class EmergencyCheck(MessageCheck):
+    """Traction under an emergency brake command: every train cuts it within a second or two."""
+
+    pulled_s: float = 0.0  # Time of it since the command [s]
+
+    def add(self, force: float, dt: float, *, emergency: bool) -> None:
+        """Add a reported force [N/kN], NaN if it is missing, and the time since the last one [s]."""
+        self.pulled_s = self.pulled_s + dt * (force > _PULLS) if emergency else 0.0
+        self.finding = 'ato/brake_command says emergency while the train pulls' if self.pulled_s > _CUT_S else ''
+
+
 MAX_MASS: Final = 5.0
 """Largest plausible ratio of weighed to stated mass (full over empty wagon); the smallest is its reciprocal [1]."""
 _TONNE: Final = 1000.0
