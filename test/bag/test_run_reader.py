@@ -103,8 +103,8 @@ POSITIVE = scaled(BrakeRecord, 'target_acceleration', -1.0)
 @pytest.mark.parametrize(
     ('change', 'share', 'said'),
     [
-        (KM_PER_H, 0.0, 'of the time: ato/speed is in km/h;'),
-        (KM_PER_H, 0.7, 'of the time: ato/speed is in km/h;'),
+        (KM_PER_H, 0.0, 'of the time: ato/speed is in km/h or ft/s;'),
+        (KM_PER_H, 0.7, 'of the time: ato/speed is in km/h or ft/s;'),
         (scaled(ForceRecord, 'force', -1.0), 0.0, 'of the time: ato/force has the wrong sign;'),
         (scaled(SpeedRecord, 'speed', -1.0), 0.0, 'of the time: ato/speed has the wrong sign: it is negative;'),
         (POSITIVE, 0.0, '100% of the braking: ato/brake_command has the wrong sign: it is positive'),

@@ -126,7 +126,7 @@ VERBS: Final = (
     ),
     Verb(
         'explain', 'find the effects that a train file lacks and add them',
-        'bags --map --max-chunk --train --out --propose --watch --namespace --json',
+        'bags --map --max-chunk --train --out --propose --watch --namespace --json', 'explain_watch.run',
     ),
     Verb(
         'info', 'show what is in bags and whether they can be used',

@@ -42,10 +42,6 @@ _NAMED_BAGS: Final = 3
 def run(args: argparse.Namespace) -> int:
     """Explain the gap between bags and train file; NoAnswerError with too little motion, or wrong units or signs."""
     train_file = load_train_file(args.train)
-    if args.watch:
-        from trainid_ros.cli.explain_watch import watch  # noqa: PLC0415
-
-        return watch(args, train_file)
     notes: list[str] = []
     args.out = args.propose or args.out
     with _outputs(args.out, args.train):

@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import time
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from trainid_ros.bag.bag_files import bags_below
-from trainid_ros.cli.explain import explain_bags, to_json
+from trainid_ros.cli import explain
 from trainid_ros.cli.output import print_json, show, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import words
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
@@ -26,8 +27,14 @@ _PERIOD_S: Final = 5.0  # Between two looks at the folders; a bag whose size has
 _NEWS_STD: Final = 2.0  # Change of a parameter that is news [standard deviations, of both estimates together]
 
 
-def watch(args: argparse.Namespace, train_file: TrainFile) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Explain bags once, or with ``--watch`` whenever one is added."""
+    return watch(args) if args.watch else explain.run(args)
+
+
+def watch(args: argparse.Namespace) -> NoReturn:
     """Explain and tell news until interrupted; InputError if there is no folder, or an option that writes files."""
+    train_file = load_train_file(args.train)
     if args.out is not None or args.propose is not None:
         raise InputError('--watch writes no files; give --out or --propose without it')
     before: Explanation | None = None
@@ -56,13 +63,13 @@ def _tell(
 ) -> Explanation | None:
     """Explain bags and print what is new; return the explanation, the one before if the bags give none."""
     try:
-        now = explain_bags(args, bags, train_file, [])
+        now = explain.explain_bags(args, bags, train_file, [])
     except (InputError, NoAnswerError) as error:  # a bag may be mended or removed
         warn(error, 'error')
         return before
     if found := news(before, now):
         if args.json:
-            print_json({'bags': [str(bag) for bag in bags], 'news': found, **to_json(now)})
+            print_json({'bags': [str(bag) for bag in bags], 'news': found, **explain.to_json(now)})
         else:
             show('\n  '.join((f'{pluralise(len(bags), "bag")}: {found[0]}', *found[1:])))
     return now

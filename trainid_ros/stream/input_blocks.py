@@ -157,7 +157,8 @@ class InputBlocks:
         before, position, direction = self._speed, self._position, self._direction
         self._speed, self._position, self._direction = sample.speed, sample.position, sample.direction
         jump = abs(sample.position - position) - sample.speed * dt
-        if jump * jump > _SURE * self.distance_var():  # as where a position is set right
+        # As where a position is set right.
+        if abs(jump) > _MIN_PLACE_M and jump * jump > _SURE * self.distance_var():
             self._place_var += min(jump * jump, _PLACE_M * _PLACE_M)
         is_known = 0.0 < dt < _GAP_S and sample.direction == direction and not (sample.emergency or sample.brake_gap)
         if not (is_known and is_finite(sample.force_mean) and is_finite(sample.gradient_mean)
