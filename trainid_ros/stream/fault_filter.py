@@ -46,11 +46,11 @@ _WIND_WIND: Final = 13  # place of the variance of the wind in the upper triangl
 
 _APPLICATION: Final = 5.0  # nats: the most that one application of the brake counts: none is suspected by one
 
-# Scores
+# Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
 MOST: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
 
-# Noise
+# Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
 _FORCE_STD: Final = 0.6  # N/kN, white: ripple of the resistance within a block
 _SLACK: Final = 4.0  # N/kN: jerks of couplers and of the friction brake of a train that hardly moves ...

@@ -29,7 +29,7 @@ _SURE: Final = 32.0  # times the variance of a position: ... if it has moved by 
 _SAME: Final = 1e-9  # share of a constant force by which rounding changes its mean
 _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
-# Noise
+# Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
 _SPEED_STD: Final = 0.02  # m/s: least noise of a speed
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned

@@ -68,7 +68,7 @@ _START_SHARE: Final = 0.5  # share of the variance of a speed by which its squar
 _START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
 _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one nat starts afresh
 
-# Scores
+# Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
 _NO_LINE: Final = 1.0  # nats per length of the line: the same if it is not compared with the gradient of the topic
