@@ -304,6 +304,20 @@ def test_a_refused_estimate_brings_the_train_file_back_at_once() -> None:
     assert one.is_live
 
 
+def test_copies_for_late_joiners_do_not_replace_what_is_refused_or_does_not_come() -> None:
+    one = estimate()
+    one.take_new(Status.CONVERGING, UNSURE, 0.0, stamp_ns=1)
+    one.refuse('two publishers', 0.2)
+    assert not one.take_latched(Status.VALID, LIVE, 0.3)
+    assert one.state() == (False, 'train file: two publishers')
+    new = estimate()
+    assert [new.take_latched(Status.VALID, LIVE, 0.2 * k) for k in range(8)] == [True, *[False] * 7]
+    new.go_on(1.4)
+    assert new.state() == (False, SILENT)
+    new.take_new(Status.CONVERGING, LIVE, 1.5, stamp_ns=1)
+    assert new.take_latched(Status.VALID, LIVE, 1.6)
+
+
 def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
     one = estimate(10.0)
     one.take(Status.STALE, LIVE, 10.2)

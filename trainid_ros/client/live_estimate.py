@@ -198,6 +198,7 @@ class LiveEstimate:
         self._newest_ns = -1
         # First and last stamp of those that rise again after they went back [ns]; none if the newest is the last.
         self._back_ns: tuple[int, int] | None = None
+        self._is_refused = self._is_kept = False  # The newest estimate; a copy since the last one that came
         self._lost = ''
         self._status = Status.UNINITIALIZED
         self._problem = 'no estimate yet'
@@ -217,6 +218,7 @@ class LiveEstimate:
         Stamps that go back, as when a bag starts again, are those of estimates once they have risen for the time
         without an estimate after which the last is not used any more.
         """
+        self._is_kept = self._is_refused = False
         is_news = self._is_newer(stamp_ns)
         if is_news or not (status in USABLE or status is self._status is Status.CONVERGING):
             self.take(status, values, time_s)
@@ -234,7 +236,7 @@ class LiveEstimate:
     def refuse(self, reason: str, time_s: float) -> None:
         """Use the train file although an estimate has arrived, for a reason."""
         self.go_on(time_s)
-        self._heard_s, self._lost = time_s, ''
+        self._heard_s, self._lost, self._is_refused = time_s, '', True
         self._fall_back(reason, time_s)
 
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
@@ -267,14 +269,16 @@ class LiveEstimate:
     def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
         """Take in the copy of the last valid estimate that is kept for those who join later; return if it counts.
 
-        It does where nothing else is known, and as the last valid one where a CONVERGING one came before it.
+        It does where nothing else is known, and as the last valid one where a CONVERGING one came before it. It comes
+        once: further ones do not replace estimates that do not come, or that are refused.
         """
         is_heard = self.is_heard(time_s)
-        if is_heard and (self.is_live or self._status is not Status.CONVERGING):
+        if self._is_refused or self._is_kept or (is_heard and (self.is_live or self._status is not Status.CONVERGING)):
             return False
         self.take(status, values, time_s)
         if is_heard:
             self.take(Status.CONVERGING, {}, time_s)
+        self._is_kept = True
         return True
 
     def _find_problem(self, values: Mapping[str, Normal]) -> str:

@@ -235,7 +235,7 @@ class _Rivals:
         """Return why messages are not to be believed after one more with this information; empty if they are."""
         now_s, number = time.monotonic(), info.get('publication_sequence_number')
         if number is not None:
-            if number <= self._last:
+            if 0 < number <= self._last:  # some number none
                 self._falls_s = self._falls_s[1], now_s
             self._last = number
         return self._doubt if now_s - self._falls_s[0] < _RIVALS_S else ''

@@ -142,7 +142,13 @@ _RATE: Final = 'ato/brake_command or brake.rate of the train file is off: the tr
 
 TABLE: Final[tuple[Row, ...]] = (
     Row('', NOTHING),
-    Row('the position in ato/speed is twice what it should be', _only(Input.POSITION), position=0.5, misread=True),
+    Row(
+        'the position in ato/speed is twice what it should be',
+        _only(Input.POSITION),
+        position=0.5,
+        asks=_FOLLOWS_NOTHING,  # explains any noise of the position
+        misread=True,
+    ),
     Row('ato/speed is in km/h or ft/s', _only(Input.SPEED), speed=1.0 / KM_H, misread=True),
     Row(
         'ato/speed is in km/h and its position in km',

@@ -133,7 +133,7 @@ class InputCheck:
         self._others = list[Trial]()
         self._waited_s = self._usual_s = 0.0
         self._scratch = vec[float]([0.0] * STATES)
-        self._mismatch = self._distance_score = self._line_score = 0.0
+        self._mismatch = self._speed_score = self._distance_score = self._line_score = 0.0
         self._now = self._last = Block()  # The last block, and the one before
         self._slips = False  # Whether the wheels seem to slip or slide in the last block
         self._braked_s = math.nan  # Time for which the brake has acted on a moving train [s], NaN at a stand
@@ -212,7 +212,7 @@ class InputCheck:
             for i in range(1, STATES):
                 self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
         self._before.copy(accepted)
-        self._mismatch = self._distance_score = self._line_score = 0.0
+        self._mismatch = self._speed_score = self._distance_score = self._line_score = 0.0
         self._slips = False
         score = self._score(accepted, accepted=True)
         for other in self._others:
@@ -320,9 +320,7 @@ class InputCheck:
 
     def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
-        # A position that is ignored costs the same in every block, odd or not.
-        blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
-        is_odd = score + blank < _ODD
+        is_odd = self._speed_score < _ODD  # whatever the position says
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         speed = at.speed * PRIORS[trial.row].row.speed
@@ -340,6 +338,7 @@ class InputCheck:
         factor, has_position = prior.row.speed, is_finite(at.by_position)
         if prior.ignores_speed:
             score = -_FROZEN if at.is_frozen else -_BLANK
+            self._speed_score = 0.0 if accepted else self._speed_score
             if prior.ignores_position:
                 return score - (_FROZEN if at.by_position == 0.0 else _BLANK)
             if has_position:  # the mean speed by position, half a block ago
@@ -347,6 +346,7 @@ class InputCheck:
                 score += trial.correct(at.by_position / at.seconds + 0.5 * (trial.x[V] - was), R)
             return score
         score = trial.correct(at.speed * factor, at.variance * factor * factor, most)
+        self._speed_score = score if accepted else self._speed_score
         if not has_position:
             return score
         if prior.ignores_position:
