@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,7 +32,7 @@ def test_only_what_differs_is_news(make_explanation: Make) -> None:
     found, nothing = make_explanation(), make_explanation(verdict=Verdict.NO_GAP, effects=())
     assert news(None, found)[0].startswith('EXPLAINED: The current model lacks local_drag')
     assert news(found, found) == []
-    assert [line[:42] for line in news(found, nothing)] == ['NO_GAP: The data show no missing effect (p']
+    assert [line[:30] for line in news(found, nothing)] == ['NO_GAP: The data do not tell w']
     assert news(found, moved(found, 0.14)) == []  # its standard deviation is 0.05, that of the difference 0.071
     (line,) = news(found, moved(found, 0.15))
     assert 'local_drag is now start' in line
@@ -81,6 +82,7 @@ def test_complete_bags_are_explained_and_news_told(
         lambda: add('a'), lambda: None, lambda: add('b'), grow, grow, lambda: None, lambda: None, lambda: add('c'),
         lambda: None,
     )  # fmt: skip
+    (folder / 'gone.mcap').symlink_to(tmp_path / 'nowhere')
     found = make_explanation()
     explained = drive(monkeypatch, looks, (found, NoAnswerError('b: damaged'), moved(found, 0.5)))
     command = ['explain', str(folder), '--train', str(driven_bag / 'train.yaml'), '--watch', '--json']
@@ -103,3 +105,17 @@ def test_what_cannot_be_watched_is_an_error(tmp_path: Path, driven_bag: Path, on
     ):
         assert main(['explain', str(bag), '--train', train, '--watch', *options]) == 2
         assert reason in one_error()
+
+
+def test_a_damaged_bag_is_left_out_with_a_warning(
+    tmp_path: Path, driven_bag: Path, make_explanation: Make, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    (tmp_path / 'a.mcap').write_bytes(b'no bag at all')
+    shutil.copytree(driven_bag, tmp_path / 'b')
+    explained = drive(monkeypatch, [lambda: None], [make_explanation()])
+    assert main(['explain', str(tmp_path), '--train', str(driven_bag / 'train.yaml'), '--watch']) == 130
+    assert explained == [['b']]
+    out, err = capsys.readouterr()
+    assert out.startswith('1 bag: EXPLAINED')
+    assert 'a.mcap' in err
+    assert err.count('\n') == 1

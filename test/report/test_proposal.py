@@ -53,12 +53,13 @@ def test_the_test_fails_where_the_gap_is_nearer_to_the_old_one(
     monkeypatch: pytest.MonkeyPatch, now: float, passes: bool
 ) -> None:
     def run(command: list[Any], **_: object) -> SimpleNamespace:
-        assert command[:4] == ['trainid', 'explain', 'a b', "it's"]
+        assert command[3:6] == ['explain', 'a b', "it's"]
+        assert command[-3:] == ['--namespace', '/x', '--json']
         return SimpleNamespace(stdout=json.dumps({'gap': {'before': now}}))
 
     monkeypatch.setattr(subprocess, 'run', run)
     module: dict[str, Any] = {'__file__': '/folder/test_train.py'}
-    exec(regression_test(GAP, ('a b', "it's")), module)
+    exec(regression_test(GAP, ('a b', "it's"), ('--namespace', '/x')), module)
     if passes:
         module['test_the_gap_stays_small']()
     else:

@@ -66,7 +66,11 @@ def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make
     # Slip is reported whatever else is missing.
     assert 'lacks local_drag (probability 97%), and some' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
     none = make_explanation(verdict=Verdict.NO_GAP, effects=())
-    text = 'The data show no missing effect (probability that none is missing <1%)'
+    assert headline(none).startswith(
+        'The data do not tell whether an effect is missing (probability of none <1%, local_d'
+    )
+    none = replace(none, probabilities=(('none', 0.97), ('other', 0.03)))
+    text = 'The data show no missing effect (probability that none is missing 97%)'
     assert headline(none) == f'{text}, but a, b and c that differ from the train file by 5.2 std.'
     assert headline(replace(none, davis_distance=3.0)) == f'{text}.'
 
@@ -93,7 +97,7 @@ def test_alternatives_name_the_test_run_that_distinguishes_them(make_explanation
 
 def test_what_to_do_next_follows_from_verdict_and_probabilities(make_explanation: Make) -> None:
     assert ['Use the train file' in text for text in next_steps(make_explanation())] == [True]
-    slip = make_explanation(effects=tuple(replace(one, origin='sensor') for one in make_explanation().effects))
+    slip = make_explanation(effects=tuple(replace(one, name='wheel_slip') for one in make_explanation().effects))
     assert next_steps(slip)[0].endswith('no gap but that of slip.')
     lacks = 'The data should also contain 6 runs or more.'
     assert next_steps(make_explanation(ambiguous=True)) == [*alternatives(make_explanation(ambiguous=True)), lacks]

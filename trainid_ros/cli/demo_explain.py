@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 CASES: Final = 3
-# Effects that the line of the demo can show: it has no tunnels, and the runs are too short for heat to matter.
+# Effects that half an hour on the line of the demo shows at any size drawn.
 _HIDEABLE: Final = (
     'brake_delay', 'brake_scale', 'gradient_error', 'headwind', 'local_drag', 'mass_error', 'traction_scale',
     'wheel_diameter',

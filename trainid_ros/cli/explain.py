@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
             warnings = tuple(f'Warning: {line}' for line in notes)
             write_all(args.out, explanation, train_file, str(args.train), args.bags, warnings)
             if args.propose is not None:
-                propose(args.propose, explanation, train_file, str(args.train), args.bags)
+                propose(args, explanation, train_file)
     if (point := explanation.gradient_point) is not None:
         warn(
             f'the gradients in the bags are those at the {point} of the train and were used as such here, but '
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     show(describe(explanation, train_file))
     if args.out is not None:
-        show(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
+        show(f'\nreport: {args.out / REPORT_HTML}\ntrain file: {args.out / TRAIN_FILE}')
         if args.propose is not None:
             is_new = (args.out / NOTE).exists()
             show(f'proposal: {args.out / NOTE} and {TEST}' if is_new else 'no proposal: the train file stays as it is')
@@ -276,13 +276,15 @@ def prepare_proposal(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def propose(folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path]) -> None:
+def propose(args: argparse.Namespace, explanation: Explanation, prior: TrainFile) -> None:
     """Write the note and the test of a train file that differs from the one explained, beside it."""
     from trainid_ros.report import proposal  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
 
     if explanation.train_file == prior or explanation.gap is None:
         return
-    names = [str(bag.resolve()) for bag in bags]
-    write_page(proposal.migration_note(explanation, prior, train, names), folder / NOTE)
-    write_page(proposal.regression_test(explanation.gap, names), folder / TEST)
+    bags = [str(bag.resolve()) for bag in args.bags]
+    options = ['--namespace', args.namespace, '--max-chunk', str(args.max_chunk >> 20)]
+    options += [] if args.map is None else ['--map', str(args.map.resolve())]
+    write_page(proposal.migration_note(explanation, prior, str(args.train), bags), args.propose / NOTE)
+    write_page(proposal.regression_test(explanation.gap, bags, options), args.propose / TEST)

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from trainid_ros.bag.bag_files import bags_below
+from trainid_ros.bag.run_reader import survey
 from trainid_ros.cli import explain
 from trainid_ros.cli.output import print_json, show, warn
+from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import words
@@ -53,25 +56,40 @@ def watch(args: argparse.Namespace) -> NoReturn:
 
 
 def _sizes(folders: Sequence[Path]) -> dict[Path, int]:
-    """Return all bags in folders with their size [bytes]."""
-    bags = chain.from_iterable(bags_below(folder) for folder in folders)
-    return {bag: sum(file.stat().st_size for file in (bag.rglob('*') if bag.is_dir() else [bag])) for bag in bags}
+    """Return all bags in folders with their size [bytes], but those that have just been removed."""
+    found = {}
+    for bag in chain.from_iterable(bags_below(folder) for folder in folders):
+        with suppress(OSError):
+            found[bag] = sum(file.stat().st_size for file in (bag.rglob('*') if bag.is_dir() else [bag]))
+    return found
 
 
 def _tell(
     args: argparse.Namespace, bags: Sequence[Path], train_file: TrainFile, before: Explanation | None
 ) -> Explanation | None:
-    """Explain bags and print what is new; return the explanation, the one before if the bags give none."""
+    """Explain bags and print what is new; return the explanation, the one before if the bags give none.
+
+    Those that cannot be read are left out, each with a warning.
+    """
+    usable = []
+    for bag in bags:
+        try:
+            survey([bag], args.namespace, args.max_chunk, mapped_inputs(args.map, train_file))
+            usable.append(bag)
+        except InputError as error:
+            warn(error)
+    if not usable:
+        return before
     try:
-        now = explain.explain_bags(args, bags, train_file, [])
+        now = explain.explain_bags(args, usable, train_file, [])
     except (InputError, NoAnswerError) as error:  # a bag may be mended or removed
         warn(error, 'error')
         return before
     if found := news(before, now):
         if args.json:
-            print_json({'bags': [str(bag) for bag in bags], 'news': found, **explain.to_json(now)})
+            print_json({'bags': [str(bag) for bag in usable], 'news': found, **explain.to_json(now)})
         else:
-            show('\n  '.join((f'{pluralise(len(bags), "bag")}: {found[0]}', *found[1:])))
+            show('\n  '.join((f'{pluralise(len(usable), "bag")}: {found[0]}', *found[1:])))
     return now
 
 

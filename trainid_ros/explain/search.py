@@ -243,6 +243,13 @@ class Selection:
     groups: tuple[EffectScore, ...]  # Evidence of generic dependences, given all effects
     hypotheses: tuple[Hypothesis, ...]  # All sets of effects, and other causes, that were compared
 
+    def without(self, k: int) -> Selection:
+        """Return the same without effect k; what is left is fitted again."""
+        final, evidence, twins = self.final, [*self.evidence], [*self.twins]
+        del evidence[k], twins[k]
+        state = replace(final, model=final.model.without(k).fit(final.hyper)) if evidence else self.base
+        return replace(self, final=state, evidence=tuple(evidence), twins=tuple(twins))
+
 
 class Search:
     """Search for the effects that explain a dataset; ``base`` is the model without effects."""

@@ -24,7 +24,7 @@ from trainid_ros.explain.likelihood import integrated_covariance
 from trainid_ros.explain.model import Model, Slip, find_slip, read_at
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import Probabilities, probabilities
-from trainid_ros.explain.proof import SHOWN, assess, locate, unexplained, where
+from trainid_ros.explain.proof import SHOWN, assess, leaves_more_than_noise, locate, unexplained, weakest, where
 from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
@@ -85,6 +85,9 @@ def explain(
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
     outcome = assess(selection, compared, train_file, stated or train_file, slip)
+    while (k := weakest(outcome)) is not None:
+        selection = selection.without(k)
+        outcome = assess(selection, compared, train_file, stated or train_file, slip)
     # 4. Curve: what the missing force depends on where nothing of the library fits it.
     outcome, learned = _with_curve(selection, outcome, provenance, advance, slipping=slip is not None)
     # 5. Location: where along position, speed, mode and time the gap lies.
@@ -102,7 +105,7 @@ def explain(
         verdict=outcome.verdict,
         effects=tuple(found),
         gap=gap and replace(gap, evidence=gap.evidence + (slip.evidence if slip else 0.0)),
-        remaining=(learned.sentence if learned else outcome.remaining) + _odd_runs(learned, locations),
+        remaining=(learned.sentence if learned else outcome.remaining) + _odd_runs(outcome, learned, locations),
         train_file=replace(train_file, resistance=outcome.davis, effects=merged(train_file.effects, added)),
         davis=davis,
         davis_std=davis_std,
@@ -155,12 +158,12 @@ def _causes(selection: Selection, outcome: Outcome, slip: Slip | None, learned: 
     return probabilities(compared, () if slip is None else (slip.term.name,))
 
 
-def _odd_runs(learned: Learned | None, locations: Sequence[Location]) -> str:
-    """Return a sentence with the runs that differ by three standard deviations, if the gap depends on the run."""
-    if learned is None or learned.name != 'run':
+def _odd_runs(outcome: Outcome, learned: Learned | None, locations: Sequence[Location]) -> str:
+    """Return a sentence with the runs that differ by three standard deviations, if the gap may depend on the run."""
+    if not (leaves_more_than_noise(outcome.gap) if learned is None else learned.name == 'run'):
         return ''
     places = [place for location in locations if location.axis == 'run' for place in location.places]
-    odd = [f'{place.label} ({place.before:+.2f} N/kN)' for place in places if abs(place.before) > 3.0 * place.std]
+    odd = [f'{place.label} ({place.after:+.2f} N/kN)' for place in places if abs(place.after) > 3.0 * place.std]
     return f' It is that of {pluralise(len(odd), "run")}: {", ".join(odd)}.' if odd else ''
 
 

@@ -18,15 +18,17 @@ _TEST: Final = '''"""The train file beside this test simulates runs better than 
 
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 TRAIN = Path(__file__).with_name('train.yaml')
 BAGS = {bags}
+OPTIONS = {options}
 MOST = {most:.6g}  # m/s: geometric mean of the gaps of the file before ({before:.4g}) and of this one ({after:.4g})
 
 
 def test_the_gap_stays_small():
-    command = ['trainid', 'explain', *BAGS, '--train', TRAIN, '--json']
+    command = [sys.executable, '-m', 'trainid_ros.cli.main', 'explain', *BAGS, '--train', TRAIN, *OPTIONS, '--json']
     answer = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     assert answer['gap']['before'] < MOST
 '''
@@ -74,10 +76,13 @@ def migration_note(explanation: Explanation, before: TrainFile, train: str, bags
     return '\n\n'.join(parts) + '\n'
 
 
-def regression_test(gap: Gap, bags: Sequence[str]) -> str:
-    """Return a test for pytest: the gap on these bags is nearer to that of the new train file than to the old one."""
+def regression_test(gap: Gap, bags: Sequence[str], options: Sequence[str]) -> str:
+    """Return a test for pytest: the gap on these bags is nearer to that of the new train file than to the old one.
+
+    ``options`` are those with which the bags were read.
+    """
     most = (gap.before * gap.after) ** 0.5
-    return _TEST.format(bags=list(bags), most=most, before=gap.before, after=gap.after)
+    return _TEST.format(bags=list(bags), options=list(options), most=most, before=gap.before, after=gap.after)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

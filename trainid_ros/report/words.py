@@ -56,6 +56,11 @@ def headline(explanation: Explanation) -> str:
             other = (
                 f', but a, b and c that differ from the train file by {moved:.1f} std' if moved > _OTHER_DAVIS else ''
             )
+            if (likeliest := explanation.probabilities[0])[0] != 'none' and shares.get('none', 0.0) < 0.5:
+                rival = f'{_CAUSES.get(likeliest[0], likeliest[0])} {percent(likeliest[1])}'
+                return (
+                    f'The data do not tell whether an effect is missing (probability of none {none}, {rival}){other}.'
+                )
             return f'The data show no missing effect (probability that none is missing {none}){other}.'
 
 
@@ -141,7 +146,7 @@ def learned_sentence(learned: Learned | None) -> str:
 def next_steps(explanation: Explanation) -> list[str]:
     """Return as sentences what to do next: the drive that would tell, and what the data lack."""
     if explanation.verdict is Verdict.EXPLAINED:
-        slip = ' but that of slip' if any(effect.origin == 'sensor' for effect in explanation.effects) else ''
+        slip = ' but that of slip' if any(effect.name == 'wheel_slip' for effect in explanation.effects) else ''
         use = f'Use the train file written, and explain further drives with it: they should show no gap{slip}.'
         return [*alternatives(explanation), use]
     steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
