@@ -250,6 +250,17 @@ def test_a_speed_behind_a_low_pass_is_not_off_its_position() -> None:
     assert check._lag.mean == pytest.approx(0.4, abs=0.1)
 
 
+def test_the_noise_of_a_position_makes_no_speed_odd_and_no_fault() -> None:
+    drive, check = driven(600.0), InputCheck(KnownForce(FILE))
+    drive.position += np.random.default_rng(5).normal(0.0, 3.0, drive.position.size)  # m, as of satellites
+    verdicts, odd = set(), []
+    for sample in samples_of(drive):
+        verdicts.add(check.take(sample).finding)
+        odd.append(check.is_speed_odd)
+    assert verdicts == {''}
+    assert np.mean(odd) < 0.15  # as without the noise, by the jerks of this drive
+
+
 @pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, '')])
 def test_a_force_that_brakes_before_its_command_is_told(late_s: float, expected: str) -> None:
     """The balance of forces is the same for all three: the reported force is right."""
