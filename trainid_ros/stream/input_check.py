@@ -114,7 +114,7 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         'blocks', '_accepted', several('_others', Trial), '_waited_s', '_usual_s', unknown('_braked_s'),
-        'is_brake_confirmed', '_lead', '_lag', 'verdict',
+        'is_brake_confirmed', '_lead', '_lag', 'verdict', '_speed_score',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
@@ -188,8 +188,8 @@ class InputCheck:
 
     @property
     def is_speed_odd(self) -> bool:
-        """True while the wheels seem to slip or slide, and for twice as long after it."""
-        return self._accepted.odd_s > 0.0
+        """True while the speed, whatever the position, is as odd as where wheels slip or slide."""
+        return self._accepted.odd_s > 0.0 and self._speed_score < _ODD
 
     def timing_objection(self) -> str:
         """Return by how much the force is ahead of the brake command, empty if no more than on healthy trains.
@@ -320,7 +320,9 @@ class InputCheck:
 
     def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
-        is_odd = self._speed_score < _ODD  # whatever the position says
+        # A position that is ignored costs the same in every block, odd or not.
+        blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
+        is_odd = score + blank < _ODD
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         speed = at.speed * PRIORS[trial.row].row.speed
