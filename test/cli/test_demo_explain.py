@@ -14,7 +14,6 @@ from trainid_ros.cli.demo_explain import CASES, Case, describe_cases, draw_effec
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.train.effects import EFFECTS, parse_effects
-from trainid_ros.train.train_file import TrainFile
 
 HIDDEN = 'local_drag:permille=1.6,start=300,end=480'
 
@@ -32,9 +31,9 @@ def test_effects_are_drawn_within_the_line_and_of_noticeable_size() -> None:
             assert 499.0 <= values['end'] - values['start'] <= 3001.0
 
 
-def test_the_truth_stands_beside_the_answer(make_explanation: Callable[..., Explanation], stated: TrainFile) -> None:
+def test_the_truth_stands_beside_the_answer(make_explanation: Callable[..., Explanation]) -> None:
     nothing = make_explanation(verdict=Verdict.NO_GAP, effects=(), gap=None)
-    cases = [Case(7, HIDDEN, stated, found, Path('out')) for found in (make_explanation(), nothing)]
+    cases = [Case(7, HIDDEN, found, Path('out')) for found in (make_explanation(), nothing)]
     _, head, first, second, *reports = describe_cases(cases).splitlines()
     assert head.split()[:2] == ['seed', 'hidden']
     assert first.startswith(f'7     {HIDDEN}  local_drag: start = ')

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.explain.result import Explanation
-    from trainid_ros.train.train_file import TrainFile
 
 CASES: Final = 3
 # Effects that half an hour on the line of the demo shows at any size drawn.
@@ -44,7 +43,6 @@ class Case:
 
     seed: int
     hidden: str  # Effect as for --effect
-    stated: TrainFile  # The train file without it
     explanation: Explanation
     folder: Path  # Of the report
 
@@ -89,7 +87,7 @@ def run_cases(folder: Path, seed: int, train: Path, say: Callable[[str], None]) 
         explanation = explain_runs(read_runs([bag], stated), stated, [bag])
         notes = (f'Hidden in the simulation: {hidden}; a = {a:.3g}, b = {b:.3g}, c = {c:.3g}.',)
         write_all(place, explanation, stated, str(train), [bag], notes)
-        yield Case(each, hidden, stated, explanation, place)
+        yield Case(each, hidden, explanation, place)
 
 
 def draw_effect(rng: np.random.Generator, end: float) -> str:

@@ -71,10 +71,10 @@ def _tell(
 
     Those that cannot be read are left out, each with a warning.
     """
-    usable = []
+    usable, inputs = [], mapped_inputs(args.map, train_file)
     for bag in bags:
         try:
-            survey([bag], args.namespace, args.max_chunk, mapped_inputs(args.map, train_file))
+            survey([bag], args.namespace, args.max_chunk, inputs)
             usable.append(bag)
         except InputError as error:
             warn(error)

@@ -507,9 +507,8 @@ class InputCheck:
             return abs(trial.x[OFFSET]) / healthy[OFFSET]
         if prior.row.unusual:
             return abs(prior.row.force * trial.x[GAIN] - 1.0) / healthy[GAIN]
-        if prior.row.command != 1.0 and abs(prior.row.command * trial.x[BRAKE] - 1.0) < 0.5 * abs(
-            prior.row.command - 1.0
-        ):
+        command = prior.row.command
+        if command != 1.0 and abs(command * trial.x[BRAKE] - 1.0) < 0.5 * abs(command - 1.0):
             return 0.0  # nearer to a healthy brake than to the fault
         return abs(trial.wheel) / WHEEL.std if prior.row.wheel_std != WHEEL.std else math.inf
 
