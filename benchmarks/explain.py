@@ -23,7 +23,7 @@ from benchmarks import hidden_cases, hidden_cases_b, hidden_cases_c
 from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
-from trainid_ros.explain.dataset import Run, RunCollector
+from trainid_ros.explain.dataset import Run, RunCollector, numbered
 from trainid_ros.explain.probability import NONE, OTHER
 from trainid_ros.explain.result import Learned
 from trainid_ros.explain.workflow import explain
@@ -159,7 +159,7 @@ def runs_of(bags: Sequence[Sequence[Record]], assumed: TrainFile) -> tuple[Run, 
         collector.end_run()
         origin = origin or collector.origin_ns
         runs += collector.runs
-    return tuple(runs)
+    return tuple(numbered(runs))
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,8 @@ def call(*bags: Path, train: Path, options: tuple[str, ...] = ()) -> int:
 
 
 def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
-    answer = to_json(make_explanation(ambiguous=True))
+    explanation = make_explanation(ambiguous=True)
+    answer = to_json(explanation)
     assert set(answer) == KEYS
     assert answer['verdict'] == 'ambiguous'
     (effect,) = answer['effects']
@@ -56,6 +57,8 @@ def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
     assert effect['parameters'] == {'start': 300.0, 'end': 500.0, 'permille': 1.5}
     assert effect['std'] == {'start': 12.0, 'end': 9.0, 'permille': 0.05}
     assert effect['indistinguishable_from'] == ['gradient_error']
+    of_two_runs = replace(explanation, effects=(replace(explanation.effects[0], runs=(2, 5)),))
+    assert to_json(of_two_runs)['effects'][0] == {**effect, 'runs': [2, 5]}
     expected = {'before': 0.4, 'after': 0.05, 'noise_floor': 0.049, 'runs_held_out': 2, 'evidence': 25.0}
     fitted = {'before': 0.3, 'after': 0.04}
     assert answer['gap'] == {'metric': 'rms speed', 'unit': 'm/s', 'fitted': fitted, **expected}

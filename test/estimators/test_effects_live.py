@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 
 from test.estimators.makers import NAMES, make, run
+from trainid_ros.explain.dataset import RunCollector
+from trainid_ros.explain.model import Model
+from trainid_ros.explain.proof import read_gap
 from trainid_ros.interface.records import Record
 from trainid_ros.interface.results import Reason, Status
 from trainid_ros.resistance.davis_fit import PieceCollector
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
-from trainid_ros.stream.sample_stream import DriveHistory
+from trainid_ros.stream.sample_stream import DriveHistory, SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import EFFECTS, parse_effects
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Effect, TrainFile
 
 SPEEDS = np.linspace(4.0, 20.0, 9)
 # Allowed increase of the error over that of a train without any effect: N/kN, N/kN, brake rate [1].
@@ -46,6 +49,7 @@ CASES = {
     'local_drag': Case('local_drag:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'gradient_error': Case('gradient_error:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.4),
+    'run_drag': Case('run_drag:size=1.5', 'resistance', 0.7),
     'starting_resistance': Case('starting_resistance:value=9,speed=5', 'speed_model', 0.4),
     'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.4),
     'bearing_warmup': Case('bearing_warmup:value=3,distance=4000', 'resistance', 0.7),
@@ -171,6 +175,24 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     fresh.estimator.restore(first.estimator.save())
     fresh.push(records[-1])
     assert fresh.save() != first.save()
+
+
+def test_simulator_stream_and_explain_count_runs_alike(metro: TrainFile) -> None:
+    true = replace(metro, effects=(Effect('run_drag', (('size', 4.0),), runs=(2,)),))
+    stream, collector, seen = SampleStream(StreamConfig(true)), RunCollector(true), set[tuple[int, float]]()
+    for record in day(true, 3).records:
+        for event in stream.push(record):
+            if isinstance(event, Sample):
+                collector.add(event)
+                seen.add((event.motion.run, event.extra))
+    collector.end_run()
+    assert seen - {(0, 0.0)} == {(1, 0.0), (2, 4.0), (3, 0.0)}
+    assert [run.number for run in collector.runs] == [1, 2, 3]
+    gaps = {}
+    for file in (true, metro):
+        model = Model.of(collector.runs, file)
+        gaps[file] = np.square(read_gap(model))[model.dataset.point_run == 1].mean()
+    assert gaps[true] < 0.01 * gaps[metro]
 
 
 def test_a_fit_uses_the_drive_history_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from test.explain.made_runs import TRAIN, Maker, disturbed
-from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers
+from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers, numbered
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, specific_force, specific_inertia
@@ -278,3 +278,9 @@ def test_direction_of_runs_and_samples(dataset: Dataset) -> None:
     assert run.direction == -1
     assert dataset.direction.shape == dataset.time.shape
     assert [int(dataset.direction[start]) for start in dataset.starts] == [1, -1, 1]
+
+
+def test_runs_are_numbered_on_from_bag_to_bag() -> None:
+    numbers = ((0, 1), (0, 2), (0, 2), (1, 1), (1, 3), (1, 0))  # a run in two parts, one too short, one not counted
+    runs = [replace(Maker().runs(1, 6)[0], bag=bag, number=number) for bag, number in numbers]
+    assert [run.number for run in numbered(runs)] == [1, 2, 2, 3, 5, 6]

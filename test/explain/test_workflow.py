@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag
-from trainid_ros.explain.dataset import Run
+from trainid_ros.explain.dataset import Run, numbered
 from trainid_ros.explain.effects import EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.nuisances import Spread
@@ -20,6 +20,7 @@ from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.explain.search import CERTAIN
 from trainid_ros.explain.workflow import FitSummary, distinguishing_drive, explain
 from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.report import words
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, Train, TrainFile
@@ -134,16 +135,33 @@ def test_an_effect_is_named_if_it_is_certain(permille: float) -> None:
 
 
 @pytest.mark.slow
-def test_runs_with_more_resistance_are_named() -> None:
-    """Rain on two of eight runs: no effect of the library is one of some runs."""
-    dry, wet = Maker().runs(8, 44), Maker().runs(8, 44, lambda *_: 1.5)
-    reported = explain([wet[k] if k in {2, 5} else dry[k] for k in range(8)], TRAIN)
+def of_sizes(*sizes: float) -> list[Run]:
+    """Return runs, each with a further resistance [N/kN]."""
+    made = {size: Maker().runs(len(sizes), 44, lambda *_, size=size: size) for size in set(sizes)}
+    return numbered(made[size][k] for k, size in enumerate(sizes))
+
+
+def test_an_effect_of_some_runs_is_told_with_them() -> None:
+    """Rain on two of eight runs."""
+    reported = explain(of_sizes(0.0, 0.0, 3.0, 0.0, 0.0, 3.0, 0.0, 0.0), TRAIN)
+    (found,) = reported.effects
+    assert (reported.verdict, found.name, found.runs) == (Verdict.EXPLAINED, 'run_drag', (3, 6))
+    assert dict(found.parameters)['size'] == pytest.approx(3.0, abs=3.0 * dict(found.std)['size'])
+    assert words.parameters_text(found).endswith('N/kN, on runs 3 and 6 only')
+    assert reported.train_file.effects[0].runs == (3, 6)
+    assert reported.gap is not None
+    assert reported.gap.after < 0.5 * reported.gap.before
+
+
+def test_runs_of_which_each_has_another_resistance_are_named() -> None:
+    """No effect acts on some runs only."""
+    reported = explain(of_sizes(0.0, 0.0, 1.5, 0.0, 0.0, -1.5, 0.0, 0.0), TRAIN)
     assert reported.verdict is Verdict.UNEXPLAINED
     assert 'depends on the run' in reported.remaining
     assert reported.learned is not None
     assert (reported.learned.name, reported.learned.gap, reported.learned.is_confirmed) == ('run', None, False)
     assert 'It is that of 2 runs: 3 (+' in reported.remaining
-    assert ', 6 (+' in reported.remaining
+    assert ', 6 (-' in reported.remaining
     # What no effect explains bends a, b, c of the fit; they are not written.
     assert reported.train_file.resistance == TRAIN.resistance
     assert reported.gap is not None

@@ -78,7 +78,7 @@ def test_another_time_base_keeps_the_motion_and_forgets_commands(train_file: Tra
     assert (after.time_s, after.distance_run, after.heat) == (before.time_s, before.distance_run, before.heat)
     assert not tracker._actuator.commands.changes
     tracker.reset()
-    assert tracker.follow(sample(4)) == Motion(time_s=0.0, distance_run=0.0)
+    assert tracker.follow(sample(4)) == Motion(time_s=0.0, distance_run=0.0, run=1)
 
 
 def test_without_drive_history_effects_have_set_in_and_bearings_are_warm(sample: Make) -> None:

@@ -110,6 +110,18 @@ def test_an_effect_without_its_own_position_or_time_may_occur_only_once() -> Non
     check_effects(parse_effects([*drags, 'resistance_step:time=9,a=1', 'resistance_step:time=99,a=1']))
 
 
+def test_an_effect_may_act_on_some_runs_only() -> None:
+    (mass,) = parse_effects(['mass_error:ratio=1.25'])
+    (term,) = resistance_terms([replace(mass, runs=(2, 5))])
+    values = [term(DAVIS, at(traction=50.0, run=run)) for run in range(7)]
+    assert values == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.0, 10.0, 0.0])
+    assert effect_value([replace(mass, runs=(2, 5))], 'mass_error', 'ratio', 1.0) == 1.0  # not of all runs
+    check_effects([mass, replace(mass, runs=(2,)), replace(mass, runs=(3,))])
+    (wheel,) = parse_effects(['wheel_diameter:ratio=1.01'])
+    with pytest.raises(InputError, match='wheel_diameter: runs: it acts on all records'):
+        check_effects([replace(wheel, runs=(2,))])
+
+
 def test_a_force_stamped_late_already_acts_now() -> None:
     kind = EFFECTS['stamp_skew']
     assert kind.resistance is not None

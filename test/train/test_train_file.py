@@ -42,7 +42,7 @@ FULL = TrainFile(
     Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),), ((0.0, 20.0),)),
     (
         Effect('tunnel_drag', (('factor', 1.7),), (('factor', 0.05),), 'run 3: "tunnels" — 1 of 4'),
-        Effect('unknown_effect', (('x', 1e5),)),
+        Effect('unknown_effect', (('x', 1e5),), runs=(3, 4)),
     ),
 )
 
@@ -85,6 +85,7 @@ INVALID = [
     ('line: {gradient: [[0, 501]]}', 'line.gradient[0][1] = 501 per mille must be <= 500'),
     ('line: {tunnel: [[0, 1e9]]}', 'line.tunnel[0][1] = 1e+09 m must be <= 1e+08'),
     ('zzz: 1', 'zzz is not a known field; known: brake, effects, line, resistance, train'),
+    ('effects: [{name: headwind, runs: [2, 0]}]', 'effects[0].runs[1] = 0 must be a whole number from 1 on'),
     ('brake: {rate: 0}', 'brake.rate = 0 must be >= 0.01'),
     ('brake: {rate: []}', 'brake.rate = [] must be a number or have at least one row'),
     ('brake: {rate: }', 'brake.rate = None must be a number or a table [[speed m/s, rate], ...]'),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, in_two, require_topics
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
-from trainid_ros.explain.dataset import BRAKING, Run, RunCollector
+from trainid_ros.explain.dataset import BRAKING, Run, RunCollector, numbered
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason
@@ -20,7 +20,8 @@ from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
-from trainid_ros.stream.samples import STANDING, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.forces import STANDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -119,11 +120,11 @@ def read_runs(
         )
     known = [reading for reading in readings if reading.origin_ns]
     first_ns = min((reading.origin_ns for reading in known), default=0)
-    return [
+    return numbered(
         replace(run, time=run.time + (reading.origin_ns - first_ns) / NS_PER_S)
         for reading in known
         for run in reading.runs
-    ]
+    )
 
 
 def worker_count(inputs: Sequence[int]) -> int:

@@ -303,7 +303,7 @@ class MotionModel:
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig) -> None:
         self.brake = true_brake(train_file)
         # The brake has its scale already.
-        effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
+        effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale' or effect.runs)
         self.known = KnownForce(replace(train_file, brake=self.brake, effects=effects))
         self.inertia = self.known.inertia
         self._resistance, train = train_file.resistance, train_file.train

@@ -170,6 +170,7 @@ def to_json(explanation: Explanation | None, reason: str = '') -> dict[str, Any]
                     'evidence': effect.evidence,
                     'probability': effect.probability,
                     'where': effect.where,
+                    **({'runs': [*effect.runs]} if effect.runs else {}),
                     'indistinguishable_from': [twin.name for twin in effect.twins],
                 }
                 for effect in (e.effects if e else ())

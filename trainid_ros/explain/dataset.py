@@ -13,8 +13,8 @@ the *response* ``-sum dt r / inertia``, which is linear in r. w(v) uses the meas
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-from trainid_ros.train.forces import BrakeActuator, davis, specific_force, specific_inertia
+from trainid_ros.train.forces import STANDING, BrakeActuator, davis, specific_force, specific_inertia
 from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
@@ -67,6 +67,19 @@ class Run:
     weighed: bool  # True if the mass was measured
     stops: tuple[float, float]  # Measured positions at the standstills before and after [m], NaN if there is none
     travelled: float  # Integral of measured speed between those standstills [m]
+    number: int = 0  # Number of departures since the start of the record; 0 if not known
+
+
+def numbered(runs: Iterable[Run]) -> list[Run]:
+    """Return runs whose numbers count on from bag to bag; those without a number follow the one before."""
+    out, before, last, bag = list[Run](), 0, 0, -1
+    for run in runs:
+        if run.bag != bag:
+            before, bag = last, run.bag
+        number = before + run.number if run.number else last + 1
+        last = max(last, number)
+        out.append(replace(run, number=number))
+    return out
 
 
 class RunCollector:
@@ -82,11 +95,14 @@ class RunCollector:
         self._distance = self._travelled = 0.0
         self._start_position = self._speed = math.nan
         self._weighed, self._releasing = 0, False
+        self._number, self._before = 0, 0.0  # As in stream.sample_stream.DriveHistory
         self.start_over()
 
     def add(self, sample: Sample) -> None:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
+        self._number += self._before < STANDING <= sample.speed
+        self._before = sample.speed
         self._actuator.commands.follow(sample.brake_changes)
         gap = math.isnan(sample.dt)
         brake = self._follow_brake(sample, gap=gap)
@@ -158,7 +174,7 @@ class RunCollector:
         run = Run(
             self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
             traction, brake, heat, release, distance, positioned, weighed, (start, stop_position),
-            self._travelled,
+            self._travelled, self._number,
         )  # fmt: skip
         self.runs.append(run)
 

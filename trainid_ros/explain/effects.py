@@ -36,6 +36,7 @@ class EffectTerm:
     name: str  # Its name in train files
     parameters: Mapping[str, float]  # Its parameters, in the units of the effect
     covariance: Array | None = None  # Their covariance in the same order, None before a fit
+    runs: tuple[int, ...] = ()  # Numbers of the runs on which it acts; empty: on all
 
     @property
     def kind(self) -> EffectKind:
@@ -91,16 +92,16 @@ class EffectTerm:
         if start is not None and end is not None and end - start < _MIN_LENGTH_M:
             middle = 0.5 * (start + end)
             parameters |= {'start': middle - 0.5 * _MIN_LENGTH_M, 'end': middle + 0.5 * _MIN_LENGTH_M}
-        return EffectTerm(self.name, parameters, covariance)
+        return replace(self, parameters=parameters, covariance=covariance)
 
 
 def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
     """Return -2 ln of the prior of an effect relative to the priors of the fit, which are centred at its parameters.
 
     The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
-    a place or a time that of the data.
+    a place or a time that of the data. Any set of runs of a size is as probable as any other.
     """
-    cost = 0.0
+    cost = runs_cost(len(dataset.runs), len(term.runs))
     for name, value in term.parameters.items():
         width, limits = prior_width(term.kind, name, value), term.kind.parameters[name]
         if name == term.kind.amplitude:
@@ -114,6 +115,11 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
         # A uniform density as high as the peak of a normal one is sqrt(2 pi) std wide.
         cost += 2.0 * math.log(max(span / (math.sqrt(2.0 * math.pi) * width), 1.0))
     return cost
+
+
+def runs_cost(runs: int, chosen: int) -> float:
+    """Return -2 ln of the prior of one set of chosen runs, of any size up to half of all; 0 without a choice."""
+    return 2.0 * math.log(math.comb(runs, chosen) * max(runs // 2, 1)) if chosen else 0.0
 
 
 def prior_width(kind: EffectKind, name: str, value: float) -> float:
@@ -132,20 +138,25 @@ class EffectEvaluator:
     def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
         self.dataset, self.davis = dataset, train_file.resistance
         self._cache: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
+        self._number = np.array([run.number for run in dataset.runs])[dataset.run_of]
         length = train_file.train.length
         self._points: list[TrackPoint] = []
         for run, start in zip(dataset.runs, dataset.starts.tolist(), strict=True):
             speed = dataset.speed[start : start + run.time.size]
             self._points += track_points(run, speed, length, dataset.inertia, self.davis)
 
-    def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
-        """Return the resistance of an effect on each stage [N/kN], shape (n,).
+    def resistance(
+        self, name: str, parameters: Mapping[str, float], davis: Davis | None = None, runs: Sequence[int] = ()
+    ) -> Array:
+        """Return the resistance of an effect on each stage [N/kN], shape (n,); 0 on other than ``runs`` if given.
 
         ``davis`` is given where it differs from the train file: headwind and tunnel act through c.
 
         Raises:
             InputError: The resistance is not finite or cannot be calculated.
         """
+        if runs:
+            return np.where(np.isin(self._number, runs), self.resistance(name, parameters, davis), 0.0)
         kind = EFFECTS[name]
         if not kind.linear:
             return self._cached(name, parameters, davis or self.davis)
@@ -176,8 +187,10 @@ class EffectEvaluator:
             raise InputError(f'effect {name}: its resistance is not finite for {shown}')
         return values
 
-    def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
-        """Return the derivative of an effect's resistance by a, b, c, shape (n, 3); None if independent of them."""
+    def by_davis(
+        self, name: str, parameters: Mapping[str, float], davis: Davis, runs: Sequence[int] = ()
+    ) -> Array | None:
+        """Return the derivative of :meth:`resistance` by a, b, c, shape (n, 3); None if independent of them."""
         function = EFFECTS[name].resistance
         some = self._points[:: max(1, len(self._points) // 60)]  # tell whether the effect depends on a, b, c
         changed = [replace(davis, **{key: getattr(davis, key) + step}) for key, step in _DAVIS_STEPS.items()]
@@ -187,16 +200,17 @@ class EffectEvaluator:
             for point in some
         ):
             return None
-        here = self.resistance(name, parameters, davis)
+        here = self.resistance(name, parameters, davis, runs)
         rows = zip(changed, _DAVIS_STEPS.values(), strict=True)
-        return np.stack([(self.resistance(name, parameters, other) - here) / step for other, step in rows], axis=1)
+        moved = (((self.resistance(name, parameters, other, runs) - here) / step) for other, step in rows)
+        return np.stack([*moved], axis=1)
 
     def total(self, effects: Sequence[Effect]) -> Array:
         """Return the total resistance of effects, except those on the records, on each stage [N/kN], shape (n,)."""
         total = np.zeros(len(self._points))
         for effect in effects:
             if not EFFECTS[effect.name].on_records:
-                total += self.resistance(effect.name, dict(effect.parameters))
+                total += self.resistance(effect.name, dict(effect.parameters), runs=effect.runs)
         return total
 
 
@@ -220,7 +234,7 @@ def track_points(run: Run, speed: Array, length: float, inertia: float, resistan
     return [
         TrackPoint(
             t, s, run.direction, v, radius, tunnel, length, distance, release, pull, push, heat, a,
-            partial(brake.before, t), partial(traction.before, t), partial(gradient.ahead, way),
+            run.number, partial(brake.before, t), partial(traction.before, t), partial(gradient.ahead, way),
         )
         for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in zip(
             *(column.tolist() for column in columns), strict=True
@@ -243,8 +257,9 @@ def without_replaced(terms: Sequence[EffectTerm], train_file: TrainFile) -> Trai
     An effect that is found again has wrong values in the train file. Effects on the records themselves are
     kept: the records have already been corrected for them.
     """
-    again = {term.name for term in terms if not (EFFECTS[term.name].repeatable or EFFECTS[term.name].on_records)}
-    rest = tuple(effect for effect in train_file.effects if effect.name not in again)
+    found = {term.name for term in terms if not term.runs}
+    again = {name for name in found if not (EFFECTS[name].repeatable or EFFECTS[name].on_records)}
+    rest = tuple(effect for effect in train_file.effects if effect.name not in again or effect.runs)
     return replace(train_file, effects=rest) if len(rest) < len(train_file.effects) else None
 
 

@@ -413,6 +413,11 @@ class MarginalLikelihood:
         """Return hyperparameters with payload, brake and map at the median of their priors."""
         return replace(hyper, spread=_hyperparameters(self._median)[1])
 
+    def of_usual_gusts(self, hyper: Hyperparameters) -> Hyperparameters:
+        """Return :meth:`usual` hyperparameters with gusts at the median of their priors too."""
+        noise, spread = _hyperparameters(self._median)
+        return replace(hyper, noise=replace(hyper.noise, gust=noise.gust, gust_time=noise.gust_time), spread=spread)
+
     def excess(self, logs: Array) -> float:
         """Return the sum of squares of the prior std by which gusts, payload, brake and map exceed their medians [1].
 

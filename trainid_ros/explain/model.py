@@ -267,8 +267,8 @@ class Model:
         common, self._depends_on_davis = self._common, False
         beyond = _array(davis) - _array(self.train_file.resistance)
         for term in terms:
-            total += self.evaluator.resistance(term.name, term.parameters, davis)
-            by_davis = self.evaluator.by_davis(term.name, term.parameters, davis)
+            total += self.evaluator.resistance(term.name, term.parameters, davis, term.runs)
+            by_davis = self.evaluator.by_davis(term.name, term.parameters, davis, term.runs)
             if by_davis is not None:
                 self._depends_on_davis = True
                 # The columns of a, b, c are deviations from the train file.
@@ -291,8 +291,8 @@ class Model:
         """Return the derivative of an effect's resistance by one of its parameters, shape (n,)."""
         limits, value = term.kind.parameters[name], term.parameters[name]
         other = value + step if value + step <= limits.high else value - step
-        changed = self.evaluator.resistance(term.name, {**term.parameters, name: other}, self.davis)
-        here = self.evaluator.resistance(term.name, term.parameters, self.davis)
+        changed = self.evaluator.resistance(term.name, {**term.parameters, name: other}, self.davis, term.runs)
+        here = self.evaluator.resistance(term.name, term.parameters, self.davis, term.runs)
         return np.asarray((changed - here) / (other - value))
 
     @property

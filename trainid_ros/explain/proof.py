@@ -408,7 +408,7 @@ def _axes(dataset: Dataset) -> list[_Axis]:
         _kinds('tunnel', ('open air', 'tunnel'), (~inside, inside)),
         _kinds('curve', ('straight', 'curve'), (~curved, curved)),
         _cut('heat of the brake', 'J/kg', np.where(braking, heat, np.nan), 6),
-        _kinds('run', tuple(str(k + 1) for k in range(len(runs))), runs),
+        _kinds('run', tuple(str(run.number or k + 1) for k, run in enumerate(dataset.runs)), runs),
     ]
     return [axis for axis in axes if len(axis.labels) > 1]
 

@@ -44,6 +44,7 @@ class FoundEffect:
     probability: float  # That it is among the causes [1]
     where: str  # Where and when it shows, as text
     twins: tuple[Twin, ...]  # The most probable alternative to an effect that is not certain
+    runs: tuple[int, ...] = ()  # Numbers of the runs on which it acts; empty: on all
 
 
 @dataclass(frozen=True, slots=True)

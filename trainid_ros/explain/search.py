@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trainid_ros.explain.dataset import Array, Dataset, Indices
-from trainid_ros.explain.effects import SIGNIFICANT, EffectEvaluator, EffectTerm, prior_cost, unit_resistance
+from trainid_ros.explain.effects import SIGNIFICANT, EffectEvaluator, EffectTerm, prior_cost, runs_cost, unit_resistance
 from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
@@ -40,6 +40,11 @@ _PLACES: Final = (40, 16, 6)  # Grid points of each position in shapes with one,
 _LASTING_S: Final = 60.0  # Driving time needed before and after a change in time to detect it [s]
 SECTIONS: Final = ('gradient_error', 'local_drag')
 """Effects on a section of the line, scanned over all starts and ends at once by sums over bins."""
+RUN_DRAG: Final = 'run_drag'
+"""The effect that is Davis a on the runs where it acts."""
+_OF_RUNS: Final = ('brake_scale', 'headwind', 'mass_error', RUN_DRAG, 'traction_scale')  # What may differ by run
+_SCATTER: Final = (0.05, 0.1, 0.2, 0.4, 0.8)  # Std of what differs from run to run at random [typical sizes]
+_CLEAR: Final = 6.0  # 2 ln of the Bayes factor that is strong evidence (Kass, Raftery 1995)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,7 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
     """Return the families of all effects of the library except :data:`SECTIONS` and those without any response."""
     families = []
     for kind in EFFECTS.values():
-        if kind.resistance is None or kind.name in SECTIONS:
+        if kind.resistance is None or kind.name in (*SECTIONS, RUN_DRAG):
             continue
         seen = [(shape, column) for shape, column in _columns(kind, evaluator) if np.any(column)]
         if seen:
@@ -116,6 +121,7 @@ class EffectScore:
     evidence: float  # 2 ln of its Bayes factor [1]
     parameters: Mapping[str, float]  # Best parameters tried, in the units of the effect; empty for a group
     text: str = ''  # What a group depends on, as text; empty for an effect
+    runs: tuple[int, ...] = ()  # Numbers of the runs on which an effect acts; empty: on all
 
 
 class EffectScorer:
@@ -148,6 +154,45 @@ class EffectScorer:
             groups.append(EffectScore(name, _mean_evidence(np.array(values)), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return _by_evidence(named), _by_evidence(groups)
+
+    def of_runs(self, model: Model, hyper: Hyperparameters) -> list[EffectScore]:
+        """Return the evidence of effects on two of the runs to half of them, each on those that differ most.
+
+        Effects are left out where it is as probable that all runs differ at random; load, brake and wind usually do, so
+        that these need strong evidence.
+        """
+        dataset, scores = model.dataset, []
+        of_run = np.array([run.number for run in dataset.runs])
+        numbers = np.unique(of_run)
+        if numbers[0] == 0 or numbers.size < 4:
+            return []
+        inside = of_run[dataset.run_of][:, None] == numbers
+        kinds = [EFFECTS[name] for name in _OF_RUNS]
+        columns = [dataset.column(unit_resistance(model.evaluator, kind, {})[:, None] * inside) for kind in kinds]
+        for kind, found in zip(kinds, model.informations(hyper, columns), strict=True):
+            A, b = found.A, found.b
+            order = np.argsort(np.linalg.solve(A + np.eye(b.size) / kind.typical_size**2, b))
+            tried = [np.sort(ends[:k]) for ends in (order, order[::-1]) for k in range(2, b.size // 2 + 1)]
+            if kind.name == RUN_DRAG:  # on the first or the last runs it is a resistance_step
+                tried = [chosen for chosen in tried if chosen[-1] >= chosen.size and chosen[0] < b.size - chosen.size]
+            if not tried:
+                continue
+            block = np.array([A[np.ix_(chosen, chosen)].sum() for chosen in tried])
+            along = np.array([b[chosen].sum() for chosen in tried])
+            cost = np.array([runs_cost(b.size, chosen.size) for chosen in tried])
+            values = np.stack(
+                [log_bayes(block, along, share * kind.typical_size, kind.sign) - cost for share in _SHARES]
+            )
+            evidence = np.array([_mean_evidence(column) for column in values.T])
+            best = int(np.argmax(evidence))
+            by_chance = max(group_log_bayes(A, b, share * kind.typical_size) for share in _SCATTER)
+            if evidence[best] < by_chance + (0.0 if kind.name == RUN_DRAG else _CLEAR):
+                continue
+            size = along[best] / (block[best] + kind.typical_size**-2)
+            runs = tuple(numbers[tried[best]].tolist())
+            parameters = {kind.amplitude: kind.neutral + float(size)}
+            scores.append(EffectScore(kind.name, float(evidence[best]), parameters, runs=runs))
+        return _by_evidence(scores)
 
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the grid points, shape (m, k)."""
@@ -261,6 +306,7 @@ class Search:
         self._scorer = EffectScorer(model)
         self._scores = cache(self._scorer.scores)
         self._fitted: list[Hypothesis] = []
+        self._alone: dict[str, float] = {}  # Evidence of single effects on all runs
 
     def gradient_point(self) -> str | None:
         """Return the point of the train at which gradients are given, None if they are means under it."""
@@ -304,8 +350,7 @@ class Search:
         for score in base:
             yield Hypothesis((score.name,), score.evidence)
         # Hyperparameters fitted without an effect hide as much of a dependence as of the best effect.
-        fitted = (item.evidence for item in self._fitted if item.names == (base[0].name,))
-        hidden = max(max(fitted, default=0.0) - base[0].evidence, 0.0)
+        hidden = max(self._alone.get(base[0].name, 0.0) - base[0].evidence, 0.0)
         for score in groups_of_base:
             evidence = score.evidence + (hidden if score.evidence > _MIN_SCORE else 0.0)
             yield dependence((), evidence)
@@ -347,15 +392,17 @@ class Search:
 
         Estimated variances of payload and brake can absorb all of an effect that is the same in all runs.
         """
-        found: dict[str, EffectScore] = {}
+        found: dict[tuple[str, tuple[int, ...]], EffectScore] = {}
         hyper = state.model.evidence().usual(state.hyper)
         # Hyperparameters, minimum evidence and maximum number; none far behind the best.
         for at, least, count in ((state.hyper, _MIN_SCORE, 3), (hyper, 30.0, 2)):
             named = self._named(state.model, at)
             for score in named[:count]:
                 if score.evidence > max(least, named[0].evidence - 25.0):
-                    found.setdefault(score.name, score)
-        return list(found.values())
+                    found.setdefault((score.name, score.runs), score)
+        # What lasts for whole runs looks like strong gusts.
+        of_runs = self._scorer.of_runs(state.model, state.model.evidence().of_usual_gusts(state.hyper))
+        return [*found.values(), *(score for score in of_runs[:2] if score.evidence > _MIN_SCORE)]
 
     def _named(self, model: Model, hyper: Hyperparameters) -> list[EffectScore]:
         present = {term.name for term in model.terms} - set(SECTIONS)
@@ -377,11 +424,13 @@ class Search:
 
     def _extend(self, model: Model, score: EffectScore, before: State) -> State:
         """Add an effect to a model: fit the parameters, estimate the hyperparameters again, and fit once more."""
-        term = EffectTerm(score.name, score.parameters)
+        term = EffectTerm(score.name, score.parameters, runs=score.runs)
         model = model.with_terms((*model.terms, term)).fit(before.hyper)
         hyper, logs = model.evidence().maximise(before.logs)
         state = State(model.fit(hyper), hyper, logs)
-        self._fitted.append(Hypothesis(state.names, self._beyond(state)))
+        self._fitted.append(fitted := Hypothesis(state.names, self._beyond(state)))
+        if len(state.names) == 1 and not score.runs:
+            self._alone[score.name] = max(fitted.evidence, self._alone.get(score.name, 0.0))
         return state
 
     def _beyond(self, state: State) -> float:

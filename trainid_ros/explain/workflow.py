@@ -100,7 +100,7 @@ def explain(
     if slip is not None:
         found.append(_effect(slip.term, slip.evidence, causes, (), 'bursts under traction and braking'))
     # 6. Result: the train file with the effects added, and the numbers of the report.
-    gap, added = outcome.gap, tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
+    gap, added = outcome.gap, tuple(Effect(e.name, e.parameters, e.std, provenance, e.runs) for e in found)
     return Explanation(
         verdict=outcome.verdict,
         effects=tuple(found),
@@ -187,7 +187,7 @@ def _found(selection: Selection, outcome: Outcome, causes: Probabilities, fit: F
         if term.name == _MASS and not twins and _FORCES.isdisjoint(one.name for one in others):
             text = f'no drive does, as {1.0 / term.parameters["ratio"]:.3f} of both acts alike; weigh the train'
             alternatives = [Twin('+'.join(sorted(_FORCES)), text)]
-        place = where(model.evaluator.resistance(term.name, term.parameters), model.dataset)
+        place = where(model.evaluator.resistance(term.name, term.parameters, runs=term.runs), model.dataset)
         found.append(_effect(term, evidence, causes, tuple(alternatives), place))
     return found
 
@@ -215,7 +215,7 @@ def _effect(
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
     of_kind = kind.name, kind.title, kind.equation, kind.origin
     sure = float(evidence), term.significance, causes.of(kind.name)
-    return FoundEffect(*of_kind, parameters, std, *sure, place, alternatives)
+    return FoundEffect(*of_kind, parameters, std, *sure, place, alternatives, term.runs)
 
 
 def _total_std(term: EffectTerm, name: str, std: float) -> float:

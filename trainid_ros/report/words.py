@@ -94,10 +94,11 @@ def unit_of(effect: str, parameter: str) -> str:
 
 
 def parameters_text(effect: FoundEffect) -> str:
-    """Return the parameters of an effect with standard deviations and units."""
+    """Return the parameters of an effect with standard deviations and units, and the runs if not all."""
     std = dict(effect.std)
     values = [(name, plus_minus(value, std.get(name, 0.0))) for name, value in effect.parameters]
-    return join([f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values])
+    text = join([f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values])
+    return f'{text}, on runs {join([*map(str, effect.runs)])} only' if effect.runs else text
 
 
 def causes_text(explanation: Explanation) -> str:

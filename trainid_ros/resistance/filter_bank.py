@@ -78,7 +78,8 @@ from trainid_ros.resistance.hypotheses import (
 )
 from trainid_ros.resistance.suggested_drive import STEP_S, Run, Step
 from trainid_ros.stream.known_force import Admission, KnownForce, SpeedNoise
-from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.train.forces import STANDING
 from trainid_ros.train.train_file import TrainFile
 
 # Hypothetical sizes of gusts and map errors, as multiples of the settings.

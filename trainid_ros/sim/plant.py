@@ -28,6 +28,7 @@ from trainid_ros.interface.errors import check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
 from trainid_ros.train.forces import (
+    STANDING,
     BrakeActuator,
     BrakeCommandChange,
     CommandHistory,
@@ -63,6 +64,7 @@ class Plant:
         distance_run: Distance run since the start [m].
         heat: Heat in the brake, calculated without fade [J/kg].
         work: Work of the traction since the start [J].
+        run: Number of departures since the start.
     """
 
     def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
@@ -75,6 +77,7 @@ class Plant:
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
         self.gust = self.distance_run = self.heat = self.work = 0.0
+        self.run = 0
         self._train, self._brake, self._jerk, self._start_ns = train_file.train, train_file.brake, jerk, start_ns
         self._actuator = BrakeActuator(self._brake)
         self._terms = resistance_terms(train_file.effects)
@@ -143,7 +146,7 @@ class Plant:
             curve_radius=profile.curve_radius(position, direction), tunnel=profile.tunnel(position, direction),
             length=profile.length, distance_run=self.distance_run, since_release=self._since_release,
             traction=self._tractions.before(0.0), brake=self._brakes.before(0.0), heat=self.heat,
-            acceleration=self.acceleration,
+            acceleration=self.acceleration, run=self.run,
             brake_before=self._brakes.before, traction_before=self._tractions.before,
             gradient_ahead=lambda ahead: profile.gradient(position + direction * ahead, direction),
         )  # fmt: skip
@@ -157,6 +160,7 @@ class Plant:
             # The train stops within the step.
             run = 0.5 * before * before / -acceleration if before > 0.0 else 0.0
             after = 0.0
+        self.run += before < STANDING <= after
         self.speed = after
         self.acceleration = (after - before) / dt
         self.position += self.direction * run

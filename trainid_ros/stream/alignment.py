@@ -31,7 +31,7 @@ from trainid_ros.interface.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, 
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import find_fault, seconds
 from trainid_ros.interface.state import State, declare, several
-from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
 from trainid_ros.stream.topic_track import (
     ONE_LOST,
     BrakeCommands,
@@ -41,6 +41,7 @@ from trainid_ros.stream.topic_track import (
     blank_row,
     insert_row,
 )
+from trainid_ros.train.forces import STANDING
 
 # Distance that shows the direction of travel [m]: above odometer noise, below any run between stops.
 _TURNING_DISTANCE: Final = 5.0

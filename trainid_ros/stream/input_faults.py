@@ -34,8 +34,8 @@ from trainid_ros.stream.message_check import (
     RepeatCheck,
     SpikeCheck,
 )
-from trainid_ros.stream.samples import STANDING, Sample
-from trainid_ros.train.forces import davis
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.forces import STANDING, davis
 
 # Smallest spike of the gradient, which as the mean under a train cannot change for a moment [per mille].
 _GRADIENT_SPIKE: Final = 5.0

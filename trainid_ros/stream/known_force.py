@@ -22,9 +22,9 @@ from typing import ClassVar, Final
 from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, stored
-from trainid_ros.stream.samples import STANDING, Sample
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
-from trainid_ros.train.forces import G, specific_inertia
+from trainid_ros.train.forces import STANDING, G, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import TrainFile
 
@@ -230,6 +230,7 @@ class KnownForce:
         point.distance_run = motion.distance_run
         point.since_release = motion.since_release
         point.heat = motion.heat
+        point.run = motion.run
         self._gradient = sample.gradient_mean
 
     def _gradient_ahead(self, distance: float) -> float:

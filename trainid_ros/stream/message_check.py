@@ -10,8 +10,7 @@ from typing import Final
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import stored
 from trainid_ros.stream.known_force import SpeedNoise
-from trainid_ros.stream.samples import STANDING
-from trainid_ros.train.forces import BrakeCommandChange
+from trainid_ros.train.forces import STANDING, BrakeCommandChange
 
 # Density of the difference of two equal measurements at zero, times sigma: 1 / (2 sqrt(pi)), rounded.
 _DENSITY: Final = 0.2821

@@ -24,7 +24,7 @@ from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
-from trainid_ros.train.forces import BrakeActuator, CommandHistory
+from trainid_ros.train.forces import STANDING, BrakeActuator, CommandHistory
 from trainid_ros.train.train_file import Effect, TrainFile
 
 
@@ -107,6 +107,7 @@ class DriveHistory:
             since_release=0.0 if brake < BRAKE_APPLIED else before.since_release + elapsed,
             heat=heat,
             brake=brake,
+            run=before.run + (self._speed < STANDING <= sample.speed),
         )
         self._stamp_ns, self._speed = sample.stamp_ns, sample.speed
         return self.motion

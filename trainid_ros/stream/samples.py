@@ -12,8 +12,6 @@ from trainid_ros.train.forces import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
 """Default time between samples [s]."""
-STANDING: Final = 0.5
-"""A train slower than this may stand [m/s]: passengers change, and with them the mass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +24,7 @@ class Motion:
     since_release: float = math.inf
     heat: float = 0.0  # Heat of the brake by the train file [J per kg of train]
     brake: float = 0.0  # Acceleration target of the brake after the dead time and lag of the train file [m/s^2, <= 0]
+    run: int = 0  # Number of departures since the start
 
 
 NO_HISTORY: Final = Motion()

@@ -213,6 +213,18 @@ KINDS: Final[tuple[EffectKind, ...]] = (
         ),
     ),
     EffectKind(
+        name='run_drag', title='additional resistance of single runs',
+        equation='w = size on the runs listed; on all runs it is a of the resistance',
+        parameters={'size': Parameter('N/kN', -1000.0, 1000.0)},
+        amplitude='size', typical_size=0.5, linear=True,
+        resistance=lambda p, *_: p['size'],
+        needs='some runs with it and some without',
+        twins=(
+            Twin('headwind', 'these runs in both directions, fast and slow'),
+            Twin('mass_error', 'coasting on level track: another mass changes nothing there'),
+        ),
+    ),
+    EffectKind(
         name='stamp_skew', title='late force stamps',
         equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
         parameters={'delay': Parameter('s', -1.5, 1.5)},

@@ -111,7 +111,10 @@ def check_effects(effects: Sequence[Effect]) -> None:
         start, end = values.get('start', -math.inf), values.get('end', math.inf)
         if not start < end:
             raise InputError(f'effect {effect.name}:end = {end:g} m must be greater than start = {start:g} m')
-        if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
+        if effect.runs:
+            if kind.on_records or kind.resistance is None:
+                raise InputError(f'effect {effect.name}: runs: it acts on all records')
+        elif not kind.repeatable and sum(one.name == effect.name and not one.runs for one in effects) > 1:
             raise InputError(f'effect {effect.name}: given more than once')
 
 
@@ -124,24 +127,27 @@ def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
     check_effects(effects)
     kinds = ((EFFECTS[effect.name], effect) for effect in effects)
     return tuple(
-        _bind(kind, kind.resistance, dict(effect.parameters))
+        _bind(kind, kind.resistance, effect)
         for kind, effect in kinds
         if kind.resistance is not None and not kind.on_records
     )
 
 
 def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
-    """Return a parameter of the only effect of that name, or the default if there is none."""
+    """Return a parameter of the only effect of that name on all runs, or the default if there is none."""
     for effect in effects:
-        if effect.name == name:
+        if effect.name == name and not effect.runs:
             return dict(effect.parameters).get(key, default)
     return default
 
 
-def _bind(kind: EffectKind, function: Resistance, parameters: Parameters) -> Term:
+def _bind(kind: EffectKind, function: Resistance, effect: Effect) -> Term:
     """Return the resistance of an effect with its parameters; InputError where it cannot be evaluated."""
+    parameters, runs = dict(effect.parameters), frozenset(effect.runs)
 
     def evaluate(davis: Davis, point: TrackPoint) -> float:
+        if runs and point.run not in runs:
+            return 0.0
         try:
             value = float(function(parameters, davis, point))
         except Exception as error:  # the effect may be a user's

@@ -153,6 +153,15 @@ class Section:
         items = enumerate(self.items(key))
         return tuple(finite_number(self.source, f'{self.name(key)}[{i}]', item, unit) for i, item in items)
 
+    def counts(self, key: str) -> tuple[int, ...]:
+        """Return a list of whole numbers from 1 on, empty if absent."""
+        found = []
+        for i, item in enumerate(self.items(key)):
+            if isinstance(item, bool) or not isinstance(item, int) or item < 1:
+                self.fail(f'{key}[{i}]', f'= {shown(item)} must be a whole number from 1 on')
+            found.append(item)
+        return tuple(found)
+
     def named_numbers(self, key: str) -> tuple[tuple[str, float], ...]:
         """Return names and finite numbers of a nested mapping, empty if absent."""
         inner = self.section(key)

@@ -238,6 +238,8 @@ class Interpolation:
         return self.at(x + distance)
 
 
+STANDING: Final = 0.5
+"""A train slower than this may stand [m/s]: passengers change, and with them the mass. Faster ones have departed."""
 COOLING_S: Final = 300.0
 """Cooling time constant of the brake [s]: a hot brake loses 63 % of its heat in this time."""
 BRAKE_APPLIED: Final = -0.02
@@ -269,6 +271,7 @@ class TrackPoint:
     brake: float = 0.0  # Braking force of the assumed brake, including its rate, per assumed weight [N/kN, <= 0]
     heat: float = 0.0  # Heat stored in this brake after cooling [J per kg of train]
     acceleration: float = 0.0  # Acceleration [m/s^2]; 0 in live estimators, which measure only speed
+    run: int = 0  # Number of departures since the start; 0 if not known
     # ``brake`` a number of seconds ago; constant in live estimators, which shift its dead time instead
     brake_before: Callable[[float], float] = _zero
     # ``traction`` a number of seconds ago; only fits have future values (negative seconds)

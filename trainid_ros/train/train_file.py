@@ -114,6 +114,7 @@ class Effect:
     parameters: NamedValues = ()
     std: NamedValues = ()
     provenance: str = ''
+    runs: tuple[int, ...] = ()  # Runs of the record, counted by departures from 1, on which it acts; empty: on all
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ def dump_train_file(train_file: TrainFile) -> str:
     effects = [
         {
             'name': effect.name, 'parameters': plain_numbers(effect.parameters), 'std': plain_numbers(effect.std),
-            'provenance': effect.provenance,
+            'provenance': effect.provenance, **({'runs': [*effect.runs]} if effect.runs else {}),
         }
         for effect in train_file.effects
     ]  # fmt: skip
@@ -258,7 +259,7 @@ def _effect(section: Section) -> Effect:
             section.fail(f'std.{key}', f'= {value:g} must be >= 0')
         if key not in dict(parameters):
             section.fail(f'std.{key}', 'has no parameter of that name')
-    return Effect(name, parameters, std, section.text('provenance', ''))
+    return Effect(name, parameters, std, section.text('provenance', ''), section.counts('runs'))
 
 
 def _names(kind: type[Any]) -> tuple[str, ...]:
