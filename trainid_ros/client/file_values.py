@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a train file says to a client: values with their standard deviations, and effects that follow from speed alone.
+"""What a train file says to a client: values with their standard deviations, effects, and resistance over the line.
 
-The estimators remove the effects of the train file from their estimates; the client adds them again. Place, time and
-history are not known there. So effects are evaluated on level, open, straight track, long after the last brake release,
-with warm bearings and at the start of the record: what depends on anything else adds nothing. The exception is a hot
-brake, which is the worst case of a bound.
+The estimators remove the effects of the train file from their estimates; the client adds them again. Time and history
+are not known there, and place only to some answers. So effects are evaluated on level, open, straight track, long after
+the last brake release, with warm bearings and at the start of the record: what depends on anything else adds nothing.
+The exceptions are a hot brake, which is the worst case of a bound, and answers at a place on the line.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from dataclasses import replace
 from operator import sub
 from typing import TYPE_CHECKING, Final
 
@@ -18,14 +20,17 @@ from trainid_ros.client.live_estimate import Normal, Parameter
 from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, RateShape
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.effects import TrackPoint, resistance_terms
+from trainid_ros.train.effects import TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G
+from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import MAX_RATE, MIN_RATE
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
     from trainid_ros.train.train_file import TrainFile
 
+# A position beyond all lines [m].
+_ANYWHERE: Final = 1e9
 # Traction or braking force for which shares are calculated: effects are (nearly) linear in it [N/kN].
 _REFERENCE: Final = 100.0
 
@@ -41,6 +46,12 @@ class StatedEffects:
         self._terms, self._davis = resistance_terms(effects), train_file.resistance
         self._names = ', '.join(effect.name for effect in effects)
         self._length = train_file.train.length
+        self.profile = LineProfile(train_file.line, self._length)
+        # Where line or effects change for a point of the train [m], and by how much gradients are read too early [m].
+        line = train_file.line
+        self._edges = {x for x, _ in (*line.gradient, *line.curve)}
+        self._edges |= {value for effect in effects for key, value in effect.parameters if key in {'start', 'end'}}
+        self._shift = effect_value(effects, 'map_shift', 'distance', 0.0)
 
     def resistance(self, speed: float, direction: int) -> float:
         """Return what they add to the running resistance [N/kN] at a speed [m/s]."""
@@ -64,19 +75,52 @@ class StatedEffects:
             )
         return share
 
+    def along(self, direction: int) -> tuple[list[float], list[float], list[float]]:
+        """Return places on the line in a direction, and z and y of ``stopping`` for a train there.
+
+        Places are the positions of its front times the direction, rising [m]. Between two, z [N/kN] and y [N/kN per
+        (m/s)^2] are linear, exactly so for the effects built in but for a tunnel, which begins within half a metre.
+        """
+        profile, reach = self.profile, direction * self._length
+        shifts = (0.0, reach, direction * self._shift, reach + direction * self._shift)
+        fronts = {x + shift for x in self._edges for shift in shifts}
+        tunnels = (x for pair in profile.line.tunnel for x in pair)
+        fronts |= {x + 0.5 * reach + side for x in tunnels for side in (-0.25, 0.25)}
+        places, z, y = sorted({-_ANYWHERE, _ANYWHERE, *(direction * x for x in fronts)}), [], []
+        for place in places:
+            position = direction * place
+            still, fast = (
+                math.fsum(map(sub, self._values(v, direction, position=position), self._values(v, direction)))
+                for v in (0.0, MAX_SPEED)
+            )
+            z.append(profile.gradient(position, direction) + still)
+            y.append((fast - still) / MAX_SPEED**2)
+        return places, z, y
+
     def _values(
-        self, speed: float, direction: int, *, traction: float = 0.0, brake: float = 0.0, heat: float = 0.0
+        self,
+        speed: float,
+        direction: int,
+        *,
+        position: float = math.nan,
+        traction: float = 0.0,
+        brake: float = 0.0,
+        heat: float = 0.0,
     ) -> list[float]:
         """Return the resistance of each effect with a traction and a braking force [N/kN]."""
         if not self._terms:
             return []
         point = TrackPoint(
-            0.0, math.nan, direction, speed, length=self._length,
+            0.0, position, direction, speed, length=self._length,
             distance_run=1e12,  # any bearing is warm
             traction=traction, brake=brake, heat=heat,
             # As in the live estimators, which shift the dead time instead.
             brake_before=lambda _: brake, traction_before=lambda _: traction,
         )  # fmt: skip
+        if not math.isnan(position):
+            point.curve_radius = self.profile.curve_radius(position, direction)
+            point.tunnel = self.profile.tunnel(position, direction)
+            point.gradient_ahead = lambda ahead: self.profile.gradient(position + direction * ahead, direction)
         return [term(self._davis, point) for term in self._terms]
 
 
@@ -106,6 +150,7 @@ class FileValues:
         self.effects = StatedEffects(train_file)
         self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
         self._shape = self._rate_shape([], hot=False)
+        self._along: dict[int, tuple[list[float], list[float], list[float]]] = {}
         self._worst, speeds = {}, [EXTRA_STEP * k for k in range(math.ceil(MAX_SPEED / EXTRA_STEP) + 1)]
         for direction in (1, -1):
             extra = [self.effects.resistance(speed, direction) for speed in speeds]
@@ -120,9 +165,25 @@ class FileValues:
             speeds, rates = ([], []) if rates[0] == 1.0 else ([0.0], rates[:1])
         return RateShape(speeds, rates, self.train_file.train.max_speed, self.config.blend_speed, self.k, extra)
 
-    def stop_shape(self, direction: int) -> RateShape:
-        """Return the brake rate and the extra resistance over speed that bounds assume: those of a hot brake."""
-        return self._worst[direction]
+    def stop_shape(self, direction: int, position: float | None = None) -> RateShape:
+        """Return what bounds assume: brake rate of a hot brake, extra resistance over speed, and the line ahead.
+
+        InputError for a position [m] that is not on the line.
+        """
+        shape = self._worst[direction]
+        if position is None:
+            return shape
+        profile = self.effects.profile
+        if not profile.line.gradient:
+            raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
+        if not profile.first <= position <= profile.last:
+            raise InputError(f'position = {position:g} m is not on the line, {profile.first:g} to {profile.last:g} m')
+        if direction not in self._along:
+            self._along[direction] = self.effects.along(direction)
+        (places, *along), place = self._along[direction], direction * position
+        first = bisect_right(places, place) - 1
+        ahead, (z, y) = [x - place for x in places[first:]], (values[first:] for values in along)
+        return replace(shape, ahead=ahead, at_place=z, by_square=y)
 
     def resistance(self) -> dict[str, Parameter]:
         """Return (a, b, c) and the force scale."""

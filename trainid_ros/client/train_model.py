@@ -68,6 +68,7 @@ MAX_STAMP_AGE: Final = Argument('max_stamp_age', 's', 0.1, 1e12)  # accepted dif
 DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)  # accepted distances to go
 STOP: Final = Argument('stop', 'm', -1e9, 1e9)  # accepted positions of the stop
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
+_TARGET: Final = Argument('target_position', 'm', -1e9, 1e9)
 
 
 def checked_direction(direction: int) -> int:
@@ -77,7 +78,7 @@ def checked_direction(direction: int) -> int:
     return int(direction)
 
 
-def distance_to(stop: float, position: float, direction: int) -> float:
+def distance_to(stop: float, position: object, direction: int) -> float:
     """Return the distance [m] from a position to a stop in the direction of travel, 0 beyond it."""
     return DISTANCE.checked(max(0.0, direction * (stop - _POSITION.checked(position))))
 
@@ -326,7 +327,7 @@ class TrainModel:
 
     def stopping_distance(
         self, speed: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
-        *, applied: float = 0.0, direction: int = 1,
+        *, applied: float = 0.0, direction: int = 1, position: float | None = None,
     ) -> Value:  # fmt: skip
         """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
 
@@ -341,30 +342,38 @@ class TrainModel:
             confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
             direction: As of :meth:`resistance`.
+            position: Of the train's front [m]. With it, gradients and effects over the line of the train file act along
+                the way, and ``gradient`` is added to them.
 
         Raises:
             NoAnswerError: The train may not stop at all.
         """
         v = SPEED.checked(speed)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
         found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
         return Value(found.distance, found.std, live, reason)
 
     def braking_speed(
-        self, distance: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
-        *, applied: float = 0.0, direction: int = 1,
+        self, distance: float | None = None, gradient: float = 0.0, command: float = FULL_SERVICE,
+        confidence: float = 0.95, *, applied: float = 0.0, direction: int = 1,
+        target_position: float | None = None, position: float | None = None,
     ) -> Value:  # fmt: skip
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
-        It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s.
+        It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s. Where the
+        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m].
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
         """
+        if (distance is None) == (target_position is None) or (target_position is None) != (position is None):
+            raise InputError('give either distance, or target_position and position')
+        if distance is None:
+            distance = distance_to(_TARGET.checked(target_position), position, checked_direction(direction))
         away = DISTANCE.checked(distance)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
         return Value(*bounds.speed(away), live, reason)
 
     def braking_curve(
@@ -378,11 +387,13 @@ class TrainModel:
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
 
     def _bounds(
-        self, gradient: float, command: float, confidence: float, applied: float, direction: int
-    ) -> tuple[StoppingBounds, bool, str]:
+        self, gradient: float, command: float, confidence: float, applied: float, direction: int,
+        position: float | None = None,
+    ) -> tuple[StoppingBounds, bool, str]:  # fmt: skip
         i, u1 = GRADIENT.checked(gradient), -COMMAND.checked(command)
         u0, P = -APPLIED.checked(applied), CONFIDENCE.checked(confidence)
-        shape = self._file.stop_shape(checked_direction(direction))
+        place = None if position is None else _POSITION.checked(position)
+        shape = self._file.stop_shape(checked_direction(direction), place)
         with self._lock:
             self._go_on()
             posterior = self._posterior(i)
