@@ -191,9 +191,29 @@ def test_one_estimate_alone_may_be_missing(estimate: Any, reason: str) -> None:
     for k in range(100):
         drive.now = 0.2 * k
         drive.model.take(Output(k, estimate, Status.VALID, 1, 0, None))
-    answer = drive.model.braking_speed(200.0)
-    assert (answer.live, answer.reason) == (False, reason)
-    assert (drive.model.resistance(10.0).live, drive.model.brake_rate().live) == (estimate is W, estimate is F)
+    model, of_brake = drive.model, estimate is F
+    answers = (
+        model.braking_speed(200.0), model.stopping_distance(10.0), model.brake_command(10.0, 0.0, -0.5),
+        *model.braking_curve(200.0, (0.0,)),
+    )  # fmt: skip
+    assert {(answer.live, answer.reason) for answer in answers} == {(of_brake, reason)}
+    for answer in (model.resistance(10.0), model.feed_forward(10.0, 0.0, 0.5)):
+        assert (answer.live, 'brake' in answer.reason) == (not of_brake, False)
+    assert model.brake_rate().live is of_brake
+
+
+def test_a_resistance_in_doubt_does_not_make_answers_on_the_brake_those_of_the_train_file() -> None:
+    """As in a gust: its last valid value is kept, as uncertain as that of the train file."""
+    drive = Drive()
+    before = drive.on(20.0).stopping_distance(18.0)
+    drive.now += 0.2
+    drive.model.take(Output(round(drive.now * 1e9), W, Status.CONVERGING, 1, 0, None))
+    drive.model.take(Output(round(drive.now * 1e9), F, Status.VALID, 1, 0, None))
+    after = drive.model.stopping_distance(18.0)
+    assert after.live
+    assert after.reason.startswith('resistance CONVERGING, the last valid value')
+    assert after.reason.endswith('; brake rate VALID')
+    assert before.value < after.value < 1.05 * before.value
 
 
 def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile]) -> None:

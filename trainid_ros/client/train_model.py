@@ -323,7 +323,7 @@ class TrainModel:
         k, r = self._file.k, max(rate.value, NO_BRAKE)
         command = min(0.0, (wanted + k * (w.value + i)) / r)
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
-        return Value(command, std, *_both((w.live, w.reason), (rate.live, rate.reason)))
+        return Value(command, std, *_of_brake((w.live, w.reason), (rate.live, rate.reason)))
 
     def stopping_distance(
         self, speed: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
@@ -397,7 +397,7 @@ class TrainModel:
         with self._lock:
             self._go_on()
             posterior = self._posterior(i)
-            live, reason = _both(self._resistance.state(), self._brake_rate.state())
+            live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
         return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
     def _posterior(self, gradient: float) -> StopPosterior:
@@ -435,8 +435,7 @@ def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, 
     return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
 
 
-def _both(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
-    """Return whether resistance and brake rate are both live, and the reason."""
-    live = resistance[0] and rate[0]
+def _of_brake(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
+    """Return whether an answer on the brake is live, as its rate is, and the reasons of both where they differ."""
     same = resistance[1] == rate[1]
-    return live, rate[1] if same else f'resistance {resistance[1]}; brake rate {rate[1]}'
+    return rate[0], rate[1] if same else f'resistance {resistance[1]}; brake rate {rate[1]}'
