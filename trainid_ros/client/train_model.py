@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The train as it is today: answers for an autopilot from live estimates, else from the train file.
 
-Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
+Without a node nothing is subscribed: either the model learns from records itself, see :meth:`TrainModel.offline`, or
+estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
 from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
-from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
+from trainid_ros.estimators.pipeline import PipelineGroup
+from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.interface.scalars import seconds
@@ -29,9 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
-    from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
-    from trainid_ros.interface.records import OutputTopic
+    from trainid_ros.interface.records import OutputTopic, Record
     from trainid_ros.interface.results import Output, Status
+    from trainid_ros.setup.pipelines import EstimatorSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +101,20 @@ class ForwardClock:
     """
 
     def __init__(self, clock: Callable[[], float], steady: Callable[[], float] | None = None) -> None:
+        self._steady, self._offset_s, self._stood_s = steady, 0.0, 0.0
+        self._start(clock)
+
+    def _start(self, clock: Callable[[], float]) -> None:
         if not callable(clock):
             raise InputError(f'clock = {clock!r} must be a function that returns the time in s')
-        self._clock, self._offset_s, self._last_s = clock, 0.0, _TIME.checked(clock())
-        self._steady, self._moved_s, self._stood_s = steady, steady() if steady else 0.0, 0.0
+        self._last_s, self._clock = _TIME.checked(clock()), clock
+        self._moved_s = self._steady() if self._steady else 0.0
+
+    def follow(self, clock: Callable[[], float]) -> None:
+        """Go on with another clock from the present time; InputError as for the first one."""
+        now = self.now()
+        self._start(clock)
+        self._offset_s, self._stood_s = now - self._last_s, 0.0
 
     def now(self) -> float:
         """Return the time [s], which is not before that of the last call."""
@@ -159,7 +171,7 @@ class TrainModel:
             speed; with speeds slower than 2 Hz it must be longer.
         max_stamp_age: Difference between stamp and clock of the node beyond which an estimate is that of another time
             [s], such as of a bag that somebody plays. With ``use_sim_time`` that clock is the one of the bag.
-        clock: Present time [s]. If it goes back, time goes on from there.
+        clock: Present time [s]. If it goes back, time goes on from there. It may be replaced, see :meth:`set_clock`.
         prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
@@ -183,6 +195,7 @@ class TrainModel:
         self._estimates = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
+        self._group: PipelineGroup | None = None
         self._node = node
         if node is not None:
             from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
@@ -190,6 +203,48 @@ class TrainModel:
             topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
             both = (subscribe_estimates(node, topic, self.take_message, self.mark_lost) for topic in topics)
             self.subscriptions = tuple(item for pair in both for item in pair)
+
+    @classmethod
+    def offline(cls, train_file: TrainFile | str | Path, settings: EstimatorSettings | None = None) -> TrainModel:
+        """Return a train that learns from the records handed to :meth:`push`, as the nodes do; time is that of these.
+
+        A train file that cannot be used raises InputError.
+        """
+        from trainid_ros.setup.pipelines import (  # noqa: PLC0415 (estimators are not needed elsewhere)
+            EstimatorSettings,
+            brake_rate_pipeline,
+            resistance_pipeline,
+        )
+
+        settings = settings or EstimatorSettings()
+        known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
+        pipelines = resistance_pipeline(known, settings), brake_rate_pipeline(known, settings)
+        prior, brake = settings.resistance.config, settings.brake_rate.config
+        model = cls(
+            None, known, clock=lambda: seconds(pipelines[0].newest_ns),
+            prior=prior if isinstance(prior, PriorSettings) else _PRIOR,
+            brake=brake if isinstance(brake, BrakeRateConfig) else _BRAKE,
+        )  # fmt: skip
+        model._group = PipelineGroup(pipelines)
+        return model
+
+    def push(self, record: Record) -> list[Output[Any]]:
+        """Take in a record of an input, in the order of arrival; return the outputs that it completes, now taken in.
+
+        InputError unless the model is one of :meth:`offline`.
+        """
+        if self._group is None:
+            raise InputError('push: only a TrainModel.offline(train_file) learns from records')
+        outputs: list[Output[Any]] = []
+        self._group.push_rows((record.row(),), outputs.append)
+        for output in outputs:
+            self.take(output)
+        return outputs
+
+    def set_clock(self, clock: Callable[[], float]) -> None:
+        """Take the time from another clock [s] from now on, such as one that is there later; time goes on from now."""
+        with self._lock:
+            self._clock.follow(clock)
 
     @classmethod
     def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:
