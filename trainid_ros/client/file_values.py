@@ -185,6 +185,11 @@ class FileValues:
         ahead, (z, y) = [x - place for x in places[first:]], (values[first:] for values in along)
         return replace(shape, ahead=ahead, at_place=z, by_square=y)
 
+    def motion_shape(self, direction: int, position: float | None) -> RateShape:
+        """Return the same for a cold brake."""
+        cold = self._shape
+        return replace(self.stop_shape(direction, position), speeds=cold.speeds, rates=cold.rates)
+
     def resistance(self) -> dict[str, Parameter]:
         """Return (a, b, c) and the force scale."""
         w, train = self.train_file.resistance, self.train_file.train

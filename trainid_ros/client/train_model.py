@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
 from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
+from trainid_ros.client.prediction import Plan, predicted_speeds
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
@@ -27,10 +29,11 @@ from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
+    from trainid_ros.client.prediction import Steps
     from trainid_ros.interface.records import OutputTopic, Record
     from trainid_ros.interface.results import Output, Status
     from trainid_ros.setup.pipelines import EstimatorSettings
@@ -69,6 +72,9 @@ MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)  # accepted limits of the 
 MAX_STAMP_AGE: Final = Argument('max_stamp_age', 's', 0.1, 1e12)  # accepted differences between stamp and clock
 DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)  # accepted distances to go
 STOP: Final = Argument('stop', 'm', -1e9, 1e9)  # accepted positions of the stop
+HORIZON: Final = Argument('horizon', 's', 0.01, 600.0)  # accepted times to predict
+FORCE: Final = Argument('force', 'N', -1e9, 1e9)  # accepted forces at the wheel rim
+_SINCE: Final = Argument('time of a force or command', 's', -60.0, 600.0)
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
 _TARGET: Final = Argument('target_position', 'm', -1e9, 1e9)
 
@@ -380,6 +386,44 @@ class TrainModel:
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
         return Value(command, std, *_of_brake((w.live, w.reason), (rate.live, rate.reason)))
 
+    def predict(
+        self, horizons: Sequence[float], *, speed: float, force: float | Steps = 0.0, command: float | Steps = 0.0,
+        applied: float = 0.0, gradient: float = 0.0, mass: float | None = None, direction: int = 1,
+        position: float | None = None,
+    ) -> tuple[Value, ...]:  # fmt: skip
+        """Return the speed [m/s] at times from now on [s, up to 600]; for the equations see ``prediction``.
+
+        ``force`` and ``command`` are constant, or values that hold from a time on: ((0.0, 90e3), (12.0, 0.0)).
+
+        Args:
+            horizons: The times, in any order.
+            speed: Speed now [m/s].
+            force: At the wheel rim, as the drive reports it [N]; without braking, which is that of ``command``.
+            command: Brake commands [m/s^2, <= 0]; those given before now may still be in their dead time.
+            applied: Brake command that acts now, lag included, until that of ``command`` acts [m/s^2, <= 0].
+            gradient: As of :meth:`stopping_distance`.
+            mass: M [kg], as of :meth:`feed_forward`.
+            direction: As of :meth:`stopping_distance`.
+            position: As of :meth:`stopping_distance`.
+        """
+        v, i, train = SPEED.checked(speed), GRADIENT.checked(gradient), self._file.train_file.train
+        times = [HORIZON.checked(time) for time in horizons]
+        M, u0 = train.mass if mass is None else MASS.checked(mass), -APPLIED.checked(applied)
+        forces = [(t, F / ((1.0 + train.rotary_mass) * M)) for t, F in _steps(force, FORCE)]
+        plan = Plan(forces, [(t, -u) for t, u in _steps(command, APPLIED)], u0)
+        place = None if position is None else _POSITION.checked(position)
+        shape = self._file.motion_shape(checked_direction(direction), place)
+        with self._lock:
+            self._go_on()
+            posterior, of_rate = self._posterior(i), self._brake_rate.state()
+            live, reason = self._resistance.state()
+            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        if u0 or any(u for _, u in plan.command):
+            live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
+        s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
+        found = predicted_speeds(v, times, plan, shape, posterior, (s, math.sqrt(variance)), self._file.config)
+        return tuple(Value(mean, std, live, reason) for mean, std in found)
+
     def stopping_distance(
         self, speed: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
         *, applied: float = 0.0, direction: int = 1, position: float | None = None,
@@ -483,6 +527,15 @@ class TrainModel:
         now = self._clock.now()
         self._resistance.go_on(now)
         self._brake_rate.go_on(now)
+
+
+def _steps(values: float | Steps, argument: Argument) -> list[tuple[float, float]]:
+    """Return values from their time on; InputError if one is out of range, or the times do not rise."""
+    rows = ((0.0, values),) if isinstance(values, (float, Real)) else values
+    steps = [(_SINCE.checked(time), argument.checked(value)) for time, value in rows]
+    if any(after <= before for (before, _), (after, _) in pairwise(steps)):
+        raise InputError(f'{argument.name}: its times must rise')
+    return steps
 
 
 def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:
