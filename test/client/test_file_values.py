@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.client import TrainModel
+from trainid_ros.client.file_values import DAVIS, FileValues, StatedEffects
 from trainid_ros.client.live_estimate import MAX_RATE, Normal, RateLimitedValue
-from trainid_ros.client.train_model import DAVIS, FileValues, StatedEffects
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError

@@ -18,16 +18,17 @@ import pytest
 
 from test.calls import count_in_sources
 from trainid_ros.bag.bag_replay import Replay, replay
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.client import train_model as limits
 from trainid_ros.client.stopping import RateShape, StoppingBounds, StopPosterior
 from trainid_ros.client.train_model import SPEED, Argument, ForwardClock, distance_to
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.records import RESISTANCE_TOPIC
+from trainid_ros.interface.records import RESISTANCE_TOPIC, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.setup.pipelines import EstimatorSettings
+from trainid_ros.interface.scalars import seconds
+from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings
 from trainid_ros.train.forces import acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file
 
@@ -59,11 +60,37 @@ class Drive:
         return self.model
 
 
+class Listener:
+    """A client that receives the outputs of a replay as the nodes publish them, by the clock of the log."""
+
+    def __init__(self, train_file: TrainFile) -> None:
+        self._now_ns = 0
+        self._model = TrainModel(None, train_file, clock=lambda: seconds(self._now_ns))
+        self.answers: dict[int, tuple[Value, ...]] = {}
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        self._now_ns = entry.log_ns
+
+    def on_output(self, output: Output[Any], log_ns: int) -> None:  # noqa: ARG002 - the clock has it
+        self._model.take(output)
+        if isinstance(output.estimate, BrakeRateEstimate):
+            self.answers[self._now_ns] = asked(self._model)  # the last after each record
+
+
+def asked(model: TrainModel) -> tuple[Value, ...]:
+    return model.resistance(12.0), model.brake_rate(12.0), model.feed_forward(12.0, 1.0, 0.4)
+
+
 @pytest.fixture(scope='module')
-def replayed() -> tuple[Replay, TrainFile]:
+def heard() -> Listener:
+    return Listener(load_train_file(BAG / 'train.yaml'))
+
+
+@pytest.fixture(scope='module')
+def replayed(heard: Listener) -> tuple[Replay, TrainFile]:
     train_file = load_train_file(BAG / 'train.yaml')
     with BagReader(BAG) as reader:
-        return replay(reader, train_file, EstimatorSettings()), train_file
+        return replay(reader, train_file, EstimatorSettings(), observers=[heard]), train_file
 
 
 def test_the_resistance_at_a_speed_has_the_covariance_of_all_parameters() -> None:
@@ -191,9 +218,29 @@ def test_one_estimate_alone_may_be_missing(estimate: Any, reason: str) -> None:
     for k in range(100):
         drive.now = 0.2 * k
         drive.model.take(Output(k, estimate, Status.VALID, 1, 0, None))
-    answer = drive.model.braking_speed(200.0)
-    assert (answer.live, answer.reason) == (False, reason)
-    assert (drive.model.resistance(10.0).live, drive.model.brake_rate().live) == (estimate is W, estimate is F)
+    model, of_brake = drive.model, estimate is F
+    answers = (
+        model.braking_speed(200.0), model.stopping_distance(10.0), model.brake_command(10.0, 0.0, -0.5),
+        *model.braking_curve(200.0, (0.0,)),
+    )  # fmt: skip
+    assert {(answer.live, answer.reason) for answer in answers} == {(of_brake, reason)}
+    for answer in (model.resistance(10.0), model.feed_forward(10.0, 0.0, 0.5)):
+        assert (answer.live, 'brake' in answer.reason) == (not of_brake, False)
+    assert model.brake_rate().live is of_brake
+
+
+def test_a_resistance_in_doubt_does_not_make_answers_on_the_brake_those_of_the_train_file() -> None:
+    """As in a gust: its last valid value is kept, as uncertain as that of the train file."""
+    drive = Drive()
+    before = drive.on(20.0).stopping_distance(18.0)
+    drive.now += 0.2
+    drive.model.take(Output(round(drive.now * 1e9), W, Status.CONVERGING, 1, 0, None))
+    drive.model.take(Output(round(drive.now * 1e9), F, Status.VALID, 1, 0, None))
+    after = drive.model.stopping_distance(18.0)
+    assert after.live
+    assert after.reason.startswith('resistance CONVERGING, the last valid value')
+    assert after.reason.endswith('; brake rate VALID')
+    assert before.value < after.value < 1.05 * before.value
 
 
 def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile]) -> None:
@@ -205,6 +252,43 @@ def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile
     assert answer.std == pytest.approx(w.resistance_std)
     assert model.brake_rate().std == pytest.approx(rate.brake_rate_std)
     assert answer.live == (result.resistance.output.status in (Status.VALID, Status.HOLDING))
+
+
+@pytest.mark.usefixtures('replayed')
+def test_a_train_that_learns_from_records_answers_as_one_that_hears_the_nodes(heard: Listener) -> None:
+    model, found = TrainModel.offline(BAG / 'train.yaml'), {}
+    with BagReader(BAG) as reader:
+        for record in reader.records():
+            if model.push(record):
+                found[record.stamp_ns] = asked(model)
+    assert len(found) > 1000
+    assert found == heard.answers
+    assert any(answer[0].live for answer in found.values())
+
+
+def test_only_an_offline_model_takes_records() -> None:
+    with pytest.raises(InputError, match='offline'):
+        TrainModel(None, FILE).push(SpeedRecord(1, 5.0, 0.0))
+
+
+def test_the_settings_of_the_estimators_are_those_of_the_values_that_an_offline_model_starts_with() -> None:
+    settings = EstimatorSettings(brake_rate=BRAKE_RATE.choose(prior_std=0.3))
+    assert TrainModel.offline(FILE, settings).brake_rate().std == 0.3
+
+
+def test_a_clock_may_be_set_late() -> None:
+    drive = Drive()
+    drive.on(20.0)
+    late = 5e6
+    drive.model.set_clock(lambda: late)
+    assert drive.model.brake_rate().live
+    late += 0.7
+    assert drive.model.brake_rate().live
+    late += 0.1
+    assert not drive.model.brake_rate().live
+    with pytest.raises(InputError, match=r'^clock = '):
+        drive.model.set_clock(5.0)  # type: ignore[arg-type]
+    assert drive.model.brake_rate().value < 1.0  # time still goes on with the last one
 
 
 def test_a_replay_that_ends_converging_answers_by_the_train_file(replayed: tuple[Replay, TrainFile]) -> None:

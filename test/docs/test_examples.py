@@ -69,9 +69,9 @@ def test_the_controller_reads_fields_and_topics_that_exist() -> None:
     assert RESISTANCE_TOPIC.last_valid in texts
 
 
-def test_the_client_answers_after_a_replay(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_client_answers_after_a_bag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    exec(compile(titled('docs/controller.md', 'ask_replay.py').text, 'ask_replay.py', 'exec'), {})
+    exec(compile(titled('docs/controller.md', 'ask_bag.py').text, 'ask_bag.py', 'exec'), {})
     answers = capsys.readouterr().out.splitlines()
     assert len(answers) == 2
     assert all(re.fullmatch(r"Value\(value=[\d.]+, std=[\d.]+, live=True, reason='.*'\)", line) for line in answers)

@@ -20,6 +20,10 @@ calculated backwards from l = v / (-dv/dt):
 The trapezoidal rule is used for both, so a derivative is up to 7 % too small if the train stops while the brake builds
 up.
 
+At a place on the line, z(s) + y(s) v^2 is added to x(v), with the distance s run: gradients, curves and tunnels, linear
+between knots. The balance is then integrated over time down to zero, in steps that end at knots of s and of r. With
+m(t), the derivative of the distance by a shift of the line, dl/dt = -m + l d(-dv/dt)/dv and dm/dt = l d(-dv/dt)/ds.
+
 Upper bounds of the distance are stated at a confidence. The parameters p of a stop are normal with mean p0 and
 covariance S. The bound at confidence P is the distance at the design point of the first-order reliability method: of
 all p that are z = Phi^-1(P) standard deviations from p0, the one with the longest distance,
@@ -31,13 +35,14 @@ of p*. Where the distance is linear in p this is D + z std(D); a brake rate ente
 a poorly known one is longer than that.
 
 The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, a fraction of more
-than 1 - P never slows below that speed, so from higher speeds there is no bound.
+than 1 - P never slows below that speed, so from higher speeds there is no bound. At a place on the line there is none
+unless a train stops that decelerates by d0 - z std(d) all the way.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from operator import mul
 from statistics import NormalDist
@@ -68,6 +73,14 @@ _WEIGHTS: Final = (
 )  # fmt: skip
 # Half the step of the derivative by speed [m/s].
 _SPEED_STEP: Final = 0.01
+# Steps at a place on the line: share of the time to the stop, shortest and longest [s].
+_SHARE, _SHORTEST_S, _LONGEST_S = 0.1, 0.25, 2.0
+# Knots closer than this do not end a step [m, m/s]: what is left of one changes the distance by less than 1 mm.
+_NEAR_M, _NEAR_SPEED = 0.05, 0.02
+# Largest number of iterations of the design point there; near a summit they would be hundreds.
+_ON_LINE_STEPS: Final = 30
+# A train that runs further, or becomes faster, does not stop [m, m/s].
+_FURTHEST_M, _FASTEST = 1e5, 400.0
 
 
 @dataclass
@@ -81,6 +94,11 @@ class RateShape:
     k: float  # deceleration by a resistance of 1 N/kN [m/s^2]
     # x(v) at 0, EXTRA_STEP, ... [N/kN], linear between them; empty if it is zero
     resistances: list[float] = field(default_factory=list)
+    # Distances from the start of the braking [m], the first not ahead; z and y there [N/kN, N/kN per (m/s)^2], constant
+    # beyond them; empty without a place
+    ahead: list[float] = field(default_factory=list)
+    at_place: list[float] = field(default_factory=list)
+    by_square: list[float] = field(default_factory=list)
 
     def table(self, v: float) -> float:
         """Return s(v) [1]."""
@@ -106,6 +124,13 @@ class RateShape:
         k = min(int(place), last - 1)
         return resistances[k] + (place - k) * (resistances[k + 1] - resistances[k])
 
+    def place(self, run: float, v: float) -> tuple[float, float]:
+        """Return z + y v^2 after a distance [N/kN] and its derivative by the distance [N/kN per m]."""
+        x, z, y = self.ahead, self.at_place, self.by_square
+        k = min(max(bisect_right(x, run) - 1, 0), len(x) - 2)
+        slope = (z[k + 1] - z[k] + v * v * (y[k + 1] - y[k])) / (x[k + 1] - x[k])
+        return z[k] + y[k] * v * v + (run - x[k]) * slope, slope
+
     def slope(self, v: float) -> float:
         """Return p(v) [1]."""
         return min(v / self.max_speed, 1.0) - 0.5
@@ -118,6 +143,11 @@ class RateShape:
         """Return r(v) [1]."""
         by_speed = theta[SLOPE] * self.slope(v) + theta[CHANGEOVER] * self.changeover(v)
         return self.table(v) * (theta[RATE] + by_speed)
+
+    def by_parameters(self, v: float, target: float) -> list[float]:
+        """Return the derivatives of the deceleration by all parameters, at a brake target [m/s^2]."""
+        rate, k = self.table(v) * target, self.k
+        return [rate, rate * self.slope(v), rate * self.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
 
     def knots(self, v: float) -> list[float]:
         """Return the speeds from zero to v between which r is smooth [m/s]."""
@@ -151,16 +181,19 @@ class Braking:
         self._shape, self._theta = shape, theta
         self._command, self._applied = command, applied
         self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / 0.8)  # of at most 0.8 s
+        self._dead_end = 0  # Number of steps until the dead time is over; -1 if the train stops before
+        self._on_line = len(shape.ahead) > 0
+        self._knots = shape.knots(_FASTEST) if self._on_line else [0.0]
 
     def stop(self, speed: float) -> Stop:
         """Return the stop from a speed [m/s, >= 0]."""
         out = Stop()
-        times, speeds = [0.0], [speed]
-        self._build_up(out, times, speeds)
+        times, speeds, runs = [0.0], [speed], [0.0]
+        self._build_up(out, times, speeds, runs)
         last = speeds[len(speeds) - 1]
         costate = self._hold(out, last) if last > 0.0 and not math.isinf(out.distance) else 0.0
         if not math.isinf(out.distance):
-            self._go_back(out, times, speeds, costate)
+            self._go_back(out, times, speeds, runs, costate)
         return out
 
     def _target(self, t: float) -> float:
@@ -170,9 +203,11 @@ class Braking:
             return self._applied
         return self._command + (self._applied - self._command) * math.exp(-since / tau) if tau > 0.0 else self._command
 
-    def _deceleration(self, v: float, target: float) -> float:
+    def _deceleration(self, v: float, target: float, run: float = 0.0) -> float:
         theta = self._theta
         resistance = theta[A] + theta[GRADIENT] + v * (theta[B] + v * theta[C]) + self._shape.extra(v)
+        if self._on_line:
+            resistance += self._shape.place(run, v)[0]
         return self._shape.rate(v, theta) * target + self._shape.k * resistance
 
     def _steps(self) -> list[float]:
@@ -184,37 +219,58 @@ class Braking:
             times.extend([delay + lag * x for x in _BUILD_UP])
         return times
 
-    def _build_up(self, out: Stop, times: list[float], speeds: list[float]) -> None:
-        """Integrate until the brake is built up or the train stops; collect the steps."""
+    def _build_up(self, out: Stop, times: list[float], speeds: list[float], runs: list[float]) -> None:
+        """Integrate until the brake is built up, or the train stops, which at a place is the end; collect the steps."""
         steps = self._steps()
-        v = speeds[0]
-        for k in range(1, len(steps)):
-            t, end = steps[k - 1], steps[k]
-            after, run = self._step(t, v, end - t)
+        v, t, k, count = speeds[0], 0.0, 1, len(steps)
+        self._dead_end = -1 if self._dead_steps > 0 else 0
+        while k < count or (self._on_line and v > 0.0):
+            end = steps[k] if k < count else math.inf
+            if self._on_line:
+                end = min(end, t + self._smooth_s(t, v, out.distance))
+            after, run = self._step(t, v, end - t, out.distance)
             if after <= 0.0:
-                dt = self._time_of_stop(t, v, end - t, after)
-                after, run, end = 0.0, self._step(t, v, dt)[1], t + dt
+                dt = self._time_of_stop(t, v, end - t, after, out.distance)
+                after, run, end = 0.0, self._step(t, v, dt, out.distance)[1], t + dt
             out.distance += run
             times.append(end)
             speeds.append(after)
-            v = after
+            runs.append(out.distance)
+            if k < count and end >= steps[k]:
+                if k == self._dead_steps:
+                    self._dead_end = len(times) - 1
+                k += 1
+            v, t = after, end
             if v <= 0.0:
                 return
-            if v > 400.0:  # a train that becomes so fast does not stop [m/s]
+            if v > _FASTEST or out.distance > _FURTHEST_M:
                 out.distance = math.inf
                 return
 
-    def _step(self, t: float, v: float, dt: float) -> tuple[float, float]:
+    def _smooth_s(self, t: float, v: float, run: float) -> float:
+        """Return how long a step may be that ends at the next knot of place or speed at the latest [s]."""
+        knots, ahead = self._knots, self._shape.ahead
+        d = self._deceleration(v, self._target(t), run)
+        step = min(max(_SHARE * v / max(abs(d), 1e-9), _SHORTEST_S), _LONGEST_S)
+        k = bisect_right(ahead, run + _NEAR_M)
+        gap = ahead[k] - run if k < len(ahead) else _FURTHEST_M
+        square = v * v - 2.0 * d * gap  # of the speed there
+        if square > 0.0:
+            step = min(step, 2.0 * gap / (v + math.sqrt(square)))
+        k = bisect_left(knots, v - _NEAR_SPEED)
+        return min(step, (v - knots[k - 1]) / d) if d > 0.0 and k > 1 else step
+
+    def _step(self, t: float, v: float, dt: float, run: float) -> tuple[float, float]:
         """Return speed [m/s] and distance [m] after a step of Runge-Kutta."""
         start, middle, end = self._target(t), self._target(t + 0.5 * dt), self._target(t + dt)
-        k1 = self._deceleration(v, start)
-        k2 = self._deceleration(v - 0.5 * dt * k1, middle)
-        k3 = self._deceleration(v - 0.5 * dt * k2, middle)
-        k4 = self._deceleration(v - dt * k3, end)
-        run = dt * v - dt * dt * (k1 + k2 + k3) / 6.0
-        return v - dt * (k1 + 2.0 * (k2 + k3) + k4) / 6.0, run
+        k1 = self._deceleration(v, start, run)
+        k2 = self._deceleration(v - 0.5 * dt * k1, middle, run + 0.5 * dt * v)
+        k3 = self._deceleration(v - 0.5 * dt * k2, middle, run + 0.5 * dt * (v - 0.5 * dt * k1))
+        k4 = self._deceleration(v - dt * k3, end, run + dt * (v - 0.5 * dt * k2))
+        way = dt * v - dt * dt * (k1 + k2 + k3) / 6.0
+        return v - dt * (k1 + 2.0 * (k2 + k3) + k4) / 6.0, way
 
-    def _time_of_stop(self, t: float, v: float, dt: float, after: float) -> float:
+    def _time_of_stop(self, t: float, v: float, dt: float, after: float, run: float) -> float:
         """Return the time from t until the train stands [s], by regula falsi (Illinois variant).
 
         ``after`` is the negative speed after dt.
@@ -222,7 +278,7 @@ class Braking:
         low, high, above, below = 0.0, dt, v, after
         for _ in range(60):
             x = low + (high - low) * above / (above - below)
-            y = self._step(t, v, x)[0]
+            y = self._step(t, v, x, run)[0]
             if abs(y) < 1e-13 or high - low < 1e-13:
                 break
             if y > 0.0:
@@ -276,29 +332,35 @@ class Braking:
         gradient[C] += by_resistance * v * v
         gradient[GRADIENT] += by_resistance
 
-    def _go_back(self, out: Stop, times: list[float], speeds: list[float], costate: float) -> None:
-        """Calculate l backwards over the steps of the build-up, and the derivatives with it (trapezoidal rule)."""
+    def _go_back(self, out: Stop, times: list[float], speeds: list[float], runs: list[float], costate: float) -> None:
+        """Calculate l and m backwards over the steps, and the derivatives with them (trapezoidal rule)."""
         last, gradient = len(times) - 1, out.gradient
-        delay = self._theta[DELAY]
-        stiffness = self._stiffness(times[last], speeds[last])
+        delay, by_place = self._theta[DELAY], 1.0
+        stiffness = self._stiffness(times[last], speeds[last], runs[last])
         for k in range(last, -1, -1):
             width = 0.0
             if k < last:
-                dt, before = times[k + 1] - times[k], self._stiffness(times[k], speeds[k])
-                costate = (costate * (1.0 - 0.5 * dt * stiffness) + dt) / (1.0 + 0.5 * dt * before)
+                dt, before = times[k + 1] - times[k], self._stiffness(times[k], speeds[k], runs[k])
+                after = costate
+                costate = (costate * (1.0 - 0.5 * dt * stiffness) + dt * by_place) / (1.0 + 0.5 * dt * before)
                 stiffness, width = before, dt
+                if self._on_line:
+                    slope = self._shape.place(0.5 * (runs[k] + runs[k + 1]), speeds[k])[1]
+                    by_place -= 0.5 * dt * (costate + after) * self._shape.k * slope
             if k > 0:
                 width += times[k] - times[k - 1]
             self._add(gradient, -0.5 * width * costate, speeds[k], self._target(times[k]))
             self._add_lag(gradient, -0.5 * width * costate, speeds[k], times[k] - delay)
-            if k == self._dead_steps:
-                gradient[DELAY] = speeds[k] - costate * self._deceleration(speeds[k], self._applied)
+            if k == self._dead_end:
+                passed = by_place * speeds[k] - costate * self._deceleration(speeds[k], self._applied, runs[k])
+                gradient[DELAY] = passed
         out.dD_dv = costate
 
-    def _stiffness(self, t: float, v: float) -> float:
+    def _stiffness(self, t: float, v: float, run: float) -> float:
         """Return the derivative of the deceleration by speed [1/s]."""
         target = self._target(t)
-        above, below = self._deceleration(v + _SPEED_STEP, target), self._deceleration(v - _SPEED_STEP, target)
+        above = self._deceleration(v + _SPEED_STEP, target, run)
+        below = self._deceleration(v - _SPEED_STEP, target, run)
         return (above - below) / (2.0 * _SPEED_STEP)
 
     def _add_lag(self, gradient: list[float], weight: float, v: float, since: float) -> None:
@@ -336,6 +398,18 @@ class StopPosterior:
         return math.sqrt(max(0.0, math.fsum(map(mul, self.spread(gradient), gradient))))
 
 
+class _LeastBraking(Braking):
+    """A train that decelerates at each place and speed by the least that is credible: z standard deviations less."""
+
+    def __init__(self, shape: RateShape, posterior: StopPosterior, command: float, applied: float, z: float) -> None:
+        super().__init__(shape, list(posterior.mean), command, applied)
+        self._posterior, self._z = posterior, z
+
+    def _deceleration(self, v: float, target: float, run: float = 0.0) -> float:
+        less = self._z * self._posterior.std(self._shape.by_parameters(v, target))
+        return super()._deceleration(v, target, run) - less
+
+
 class StoppingBounds:
     """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1)."""
 
@@ -358,19 +432,27 @@ class StoppingBounds:
         at_mean = self._at_mean.stop(speed)
         if math.isinf(at_mean.distance) or not self._slows_down(speed):
             return Stop(math.inf, math.inf, math.inf)
-        std = self._posterior.std(at_mean.gradient)
-        found = self.design_point_step(speed, at_mean.gradient)
-        for _ in range(200):
+        std, on_line = self._posterior.std(at_mean.gradient), len(self._shape.ahead) > 0
+        found = longest = self.design_point_step(speed, at_mean.gradient)
+        for _ in range(_ON_LINE_STEPS if on_line else 200):
             if math.isinf(found.distance):
                 break
             before, found = found.distance, self.design_point_step(speed, found.gradient)
+            # Where a little more speed carries the train over a summit, the steps may go to and fro.
+            if not (on_line and found.distance < longest.distance):
+                longest = found
             if abs(found.distance - before) <= 1e-9 * before:
-                found.std = std
-                return found
-        return Stop(math.inf, std, math.inf)
+                break
+        else:
+            longest = longest if on_line else Stop(math.inf, std, math.inf)
+        longest.std = std
+        return longest
 
     def _slows_down(self, speed: float) -> bool:
-        """Return whether the built-up brake decelerates the train at all speeds up to one [m/s]."""
+        """Return whether the built-up brake decelerates the train at all speeds up to one [m/s], or stops it there."""
+        if self._shape.ahead:
+            slowest = _LeastBraking(self._shape, self._posterior, self._command, self._applied, self._z)
+            return not math.isinf(slowest.stop(speed).distance)
         last = bisect_right(self._grid, speed)
         while self._good < last:
             if self._min_deceleration(self._grid[self._good]) <= 0.0:
@@ -380,10 +462,8 @@ class StoppingBounds:
 
     def _min_deceleration(self, v: float) -> float:
         """Return the deceleration at a speed less z standard deviations [m/s^2]."""
-        shape, k = self._shape, self._shape.k
-        rate = shape.table(v) * self._command
-        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
-        mean = math.fsum(map(mul, gradient, self._posterior.mean)) + k * shape.extra(v)
+        shape, gradient = self._shape, self._shape.by_parameters(v, self._command)
+        mean = math.fsum(map(mul, gradient, self._posterior.mean)) + shape.k * shape.extra(v)
         return mean - self._z * self._posterior.std(gradient)
 
     def design_point_step(self, speed: float, gradient: list[float]) -> Stop:
@@ -410,12 +490,16 @@ class StoppingBounds:
         found = self.at(speed)
         for _ in range(100):
             excess = found.distance - distance
-            if abs(excess) <= 1e-9 or high - low <= 1e-12 or (speed == MAX_SPEED and excess < 0.0):
+            if (
+                abs(excess) <= 1e-9
+                or high - low <= (1e-6 if self._shape.ahead else 1e-12)
+                or (speed == MAX_SPEED and excess < 0.0)
+            ):
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
             found = self.at(speed)
-        if math.isinf(found.distance):
+        if found.distance > distance + 1e-6:  # it leaps, as where a faster train passes the top of a hill
             speed, found = low, self.at(low)
         if speed > 1e-9:  # else it counts as standstill
             # For unphysical drag the sign of the derivative is unreliable.

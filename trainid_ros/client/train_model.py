@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The train as it is today: answers for an autopilot from live estimates, else from the train file.
 
-Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
-
-The estimators remove the effects of the train file from their estimates; the client adds them again. Place, time and
-history are not known there. So effects are evaluated on level, open, straight track, long after the last brake release,
-with warm bearings and at the start of the record: what depends on anything else adds nothing. The exception is a hot
-brake, which is the worst case of a bound.
+Without a node nothing is subscribed: either the model learns from records itself, see :meth:`TrainModel.offline`, or
+estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
 """
 
 from __future__ import annotations
@@ -14,31 +10,33 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from numbers import Real
-from operator import sub
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.brake_rate.motion_model import MotionModel
-from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal, Parameter
-from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, NO_BRAKE, RateShape, StoppingBounds, StopPosterior
-from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig, prior_variances
+from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
+from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
+from trainid_ros.client.prediction import Plan, predicted_speeds
+from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
+from trainid_ros.estimators.pipeline import PipelineGroup
+from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.interface.scalars import seconds
-from trainid_ros.train.effects import TrackPoint, resistance_terms
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
-from trainid_ros.train.train_file import MAX_RATE, MIN_RATE, TrainFile, load_train_file
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
-    from trainid_ros.estimators.settings import BrakeRateConfig, PriorSettings
-    from trainid_ros.interface.records import OutputTopic
+    from trainid_ros.client.prediction import Steps
+    from trainid_ros.interface.records import OutputTopic, Record
     from trainid_ros.interface.results import Output, Status
+    from trainid_ros.setup.pipelines import EstimatorSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +72,11 @@ MAX_AGE: Final = Argument('max_age', 's', 0.01, 1e12)  # accepted limits of the 
 MAX_STAMP_AGE: Final = Argument('max_stamp_age', 's', 0.1, 1e12)  # accepted differences between stamp and clock
 DISTANCE: Final = Argument('distance', 'm', 0.0, 1e5)  # accepted distances to go
 STOP: Final = Argument('stop', 'm', -1e9, 1e9)  # accepted positions of the stop
+HORIZON: Final = Argument('horizon', 's', 0.01, 600.0)  # accepted times to predict
+FORCE: Final = Argument('force', 'N', -1e9, 1e9)  # accepted forces at the wheel rim
+_SINCE: Final = Argument('time of a force or command', 's', -60.0, 600.0)
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
+_TARGET: Final = Argument('target_position', 'm', -1e9, 1e9)
 
 
 def checked_direction(direction: int) -> int:
@@ -84,7 +86,7 @@ def checked_direction(direction: int) -> int:
     return int(direction)
 
 
-def distance_to(stop: float, position: float, direction: int) -> float:
+def distance_to(stop: float, position: object, direction: int) -> float:
     """Return the distance [m] from a position to a stop in the direction of travel, 0 beyond it."""
     return DISTANCE.checked(max(0.0, direction * (stop - _POSITION.checked(position))))
 
@@ -105,10 +107,20 @@ class ForwardClock:
     """
 
     def __init__(self, clock: Callable[[], float], steady: Callable[[], float] | None = None) -> None:
+        self._steady, self._offset_s, self._stood_s = steady, 0.0, 0.0
+        self._start(clock)
+
+    def _start(self, clock: Callable[[], float]) -> None:
         if not callable(clock):
             raise InputError(f'clock = {clock!r} must be a function that returns the time in s')
-        self._clock, self._offset_s, self._last_s = clock, 0.0, _TIME.checked(clock())
-        self._steady, self._moved_s, self._stood_s = steady, steady() if steady else 0.0, 0.0
+        self._last_s, self._clock = _TIME.checked(clock()), clock
+        self._moved_s = self._steady() if self._steady else 0.0
+
+    def follow(self, clock: Callable[[], float]) -> None:
+        """Go on with another clock from the present time; InputError as for the first one."""
+        now = self.now()
+        self._start(clock)
+        self._offset_s, self._stood_s = now - self._last_s, 0.0
 
     def now(self) -> float:
         """Return the time [s], which is not before that of the last call."""
@@ -119,134 +131,6 @@ class ForwardClock:
         elif steady_s - self._moved_s > STOPPED_S:
             self._stood_s = steady_s - self._moved_s
         return self._last_s + self._offset_s + self._stood_s
-
-
-# Traction or braking force for which shares are calculated: effects are (nearly) linear in it [N/kN].
-_REFERENCE: Final = 100.0
-
-
-class StatedEffects:
-    """The effects of a train file that act at a speed; InputError for one not known or that cannot be evaluated.
-
-    ``brake_scale`` and ``brake_delay`` are part of the brake, see ``brake_rate.motion_model.true_brake``.
-    """
-
-    def __init__(self, train_file: TrainFile) -> None:
-        effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
-        self._terms, self._davis = resistance_terms(effects), train_file.resistance
-        self._names = ', '.join(effect.name for effect in effects)
-        self._length = train_file.train.length
-
-    def resistance(self, speed: float, direction: int) -> float:
-        """Return what they add to the running resistance [N/kN] at a speed [m/s]."""
-        return math.fsum(self._values(speed, direction))
-
-    def traction_share(self, speed: float, direction: int) -> float:
-        """Return the share of the reported traction that they leave [1]."""
-        before, after = self._values(speed, direction), self._values(speed, direction, traction=_REFERENCE)
-        return 1.0 - math.fsum(map(sub, after, before)) / _REFERENCE
-
-    def brake_share(self, speed: float, *, hot: bool = False) -> float:
-        """Return the share of the brake force that they leave [1], of a hot brake if less; InputError if nothing."""
-        shares = []
-        for heat in (0.0, 1e6) if hot else (0.0,):  # J/kg: with the latter any brake fades fully
-            before, after = self._values(speed, 1, heat=heat), self._values(speed, 1, brake=-_REFERENCE, heat=heat)
-            shares.append(1.0 + math.fsum(map(sub, after, before)) / _REFERENCE)
-        share = min(shares)
-        if share <= 0.0:
-            raise InputError(
-                f'effects ({self._names}) of the train file leave no brake force at {speed:g} m/s: share {share:.2f}'
-            )
-        return share
-
-    def _values(
-        self, speed: float, direction: int, *, traction: float = 0.0, brake: float = 0.0, heat: float = 0.0
-    ) -> list[float]:
-        """Return the resistance of each effect with a traction and a braking force [N/kN]."""
-        if not self._terms:
-            return []
-        point = TrackPoint(
-            0.0, math.nan, direction, speed, length=self._length,
-            distance_run=1e12,  # any bearing is warm
-            traction=traction, brake=brake, heat=heat,
-            # As in the live estimators, which shift the dead time instead.
-            brake_before=lambda _: brake, traction_before=lambda _: traction,
-        )  # fmt: skip
-        return [term(self._davis, point) for term in self._terms]
-
-
-DAVIS: Final = 'a, b, c'  # name of the running resistance among the parameters [N/kN, v in m/s]
-FORCE_SCALE: Final = 'force scale'  # name of the actual over the reported force [1]
-BRAKE_RATE: Final = 'brake rate'  # name of the brake rate, or of the factor on its table [1]
-MIN_SCALE: Final = 0.1  # least actual over reported force, whichever reads wrong [1]
-# Speeds at which moves of the resistance are measured, and changes of the brake by effects, as shares of the highest.
-_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-
-
-class FileValues:
-    """Values and standard deviations of a train file, as the estimators start with them.
-
-    Attributes:
-        k: Deceleration by a resistance of 1 N/kN, g0 / (1000 (1 + gamma)) [m/s^2].
-        brake: Brake with the effects ``brake_scale`` and ``brake_delay`` of the train file applied.
-        effects: Its other effects.
-        timing_stds: Standard deviations of dead time and time constant [s].
-    """
-
-    def __init__(self, train_file: TrainFile, prior: PriorSettings, config: BrakeRateConfig) -> None:
-        self.train_file, self.config, self._prior = train_file, config, prior
-        model = MotionModel(train_file, config)
-        self.brake, self.timing_stds = model.brake, model.timing_stds
-        self.k = G / (1000.0 * (1.0 + train_file.train.rotary_mass))
-        self.effects = StatedEffects(train_file)
-        self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
-        self._shape = self._rate_shape([], hot=False)
-        self._worst, speeds = {}, [EXTRA_STEP * k for k in range(math.ceil(MAX_SPEED / EXTRA_STEP) + 1)]
-        for direction in (1, -1):
-            extra = [self.effects.resistance(speed, direction) for speed in speeds]
-            self._worst[direction] = self._rate_shape(extra if any(extra) else [], hot=True)
-
-    def _rate_shape(self, extra: list[float], *, hot: bool) -> RateShape:
-        """Return the brake rate over speed, with a cold or a hot brake, and an extra resistance [N/kN]."""
-        table = self.brake.rate_table or tuple((speed, 1.0) for speed in self._speeds)
-        speeds, rates = [v for v, _ in table], [rate * self.effects.brake_share(v, hot=hot) for v, rate in table]
-        if not self.brake.rate_table and len(set(rates)) == 1:
-            # Does not depend on speed: one row, or none if there is nothing to state.
-            speeds, rates = ([], []) if rates[0] == 1.0 else ([0.0], rates[:1])
-        return RateShape(speeds, rates, self.train_file.train.max_speed, self.config.blend_speed, self.k, extra)
-
-    def stop_shape(self, direction: int) -> RateShape:
-        """Return the brake rate and the extra resistance over speed that bounds assume: those of a hot brake."""
-        return self._worst[direction]
-
-    def resistance(self) -> dict[str, Parameter]:
-        """Return (a, b, c) and the force scale."""
-        w, train = self.train_file.resistance, self.train_file.train
-        a, b, c = prior_variances((w.a, w.b, w.c), self._prior)
-        davis = Normal((w.a, w.b, w.c), (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
-        scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
-        probes = tuple((1.0, v, v * v) for v in self._speeds)
-        # No a, b or c of a train is outside -20 to 200 [N/kN and per m/s, (m/s)^2], nor is its resistance [N/kN].
-        return {
-            DAVIS: Parameter(davis, probes, -20.0, 200.0, max_std=200.0),
-            FORCE_SCALE: Parameter(scale, ((1.0,),), MIN_SCALE, 10.0),
-        }
-
-    def brake_rate(self) -> dict[str, Parameter]:
-        """Return the brake rate, or the factor on its table."""
-        rate = Normal((self.brake.rate,), (self.config.prior_std**2,))
-        return {BRAKE_RATE: Parameter(rate, ((1.0,),), MIN_RATE, MAX_RATE)}
-
-    def rate_direction(self, speed: float | None) -> tuple[float, float]:
-        """Return s(v), and the standard deviation of e p(v) + h m(v) [1]; see ``stopping``.
-
-        Without a speed, s is 1 but for the effects of the train file at medium speed.
-        """
-        if speed is None:
-            return self.effects.brake_share(self._speeds[len(_SHARES) // 2]), 0.0
-        shape, config = self._shape, self.config
-        over_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
-        return shape.table(speed), over_speed
 
 
 def _resistance_values(estimate: Any) -> dict[str, Normal]:
@@ -293,7 +177,7 @@ class TrainModel:
             speed; with speeds slower than 2 Hz it must be longer.
         max_stamp_age: Difference between stamp and clock of the node beyond which an estimate is that of another time
             [s], such as of a bag that somebody plays. With ``use_sim_time`` that clock is the one of the bag.
-        clock: Present time [s]. If it goes back, time goes on from there.
+        clock: Present time [s]. If it goes back, time goes on from there. It may be replaced, see :meth:`set_clock`.
         prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
@@ -317,6 +201,7 @@ class TrainModel:
         self._estimates = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
+        self._group: PipelineGroup | None = None
         self._node = node
         if node is not None:
             from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
@@ -324,6 +209,48 @@ class TrainModel:
             topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
             both = (subscribe_estimates(node, topic, self.take_message, self.mark_lost) for topic in topics)
             self.subscriptions = tuple(item for pair in both for item in pair)
+
+    @classmethod
+    def offline(cls, train_file: TrainFile | str | Path, settings: EstimatorSettings | None = None) -> TrainModel:
+        """Return a train that learns from the records handed to :meth:`push`, as the nodes do; time is that of these.
+
+        A train file that cannot be used raises InputError.
+        """
+        from trainid_ros.setup.pipelines import (  # noqa: PLC0415 (estimators are not needed elsewhere)
+            EstimatorSettings,
+            brake_rate_pipeline,
+            resistance_pipeline,
+        )
+
+        settings = settings or EstimatorSettings()
+        known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
+        pipelines = resistance_pipeline(known, settings), brake_rate_pipeline(known, settings)
+        prior, brake = settings.resistance.config, settings.brake_rate.config
+        model = cls(
+            None, known, clock=lambda: seconds(pipelines[0].newest_ns),
+            prior=prior if isinstance(prior, PriorSettings) else _PRIOR,
+            brake=brake if isinstance(brake, BrakeRateConfig) else _BRAKE,
+        )  # fmt: skip
+        model._group = PipelineGroup(pipelines)
+        return model
+
+    def push(self, record: Record) -> list[Output[Any]]:
+        """Take in a record of an input, in the order of arrival; return the outputs that it completes, now taken in.
+
+        InputError unless the model is one of :meth:`offline`.
+        """
+        if self._group is None:
+            raise InputError('push: only a TrainModel.offline(train_file) learns from records')
+        outputs: list[Output[Any]] = []
+        self._group.push_rows((record.row(),), outputs.append)
+        for output in outputs:
+            self.take(output)
+        return outputs
+
+    def set_clock(self, clock: Callable[[], float]) -> None:
+        """Take the time from another clock [s] from now on, such as one that is there later; time goes on from now."""
+        with self._lock:
+            self._clock.follow(clock)
 
     @classmethod
     def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:
@@ -457,11 +384,49 @@ class TrainModel:
         k, r = self._file.k, max(rate.value, NO_BRAKE)
         command = min(0.0, (wanted + k * (w.value + i)) / r)
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
-        return Value(command, std, *_both((w.live, w.reason), (rate.live, rate.reason)))
+        return Value(command, std, *_of_brake((w.live, w.reason), (rate.live, rate.reason)))
+
+    def predict(
+        self, horizons: Sequence[float], *, speed: float, force: float | Steps = 0.0, command: float | Steps = 0.0,
+        applied: float = 0.0, gradient: float = 0.0, mass: float | None = None, direction: int = 1,
+        position: float | None = None,
+    ) -> tuple[Value, ...]:  # fmt: skip
+        """Return the speed [m/s] at times from now on [s, up to 600]; for the equations see ``prediction``.
+
+        ``force`` and ``command`` are constant, or values that hold from a time on: ((0.0, 90e3), (12.0, 0.0)).
+
+        Args:
+            horizons: The times, in any order.
+            speed: Speed now [m/s].
+            force: At the wheel rim, as the drive reports it [N]; without braking, which is that of ``command``.
+            command: Brake commands [m/s^2, <= 0]; those given before now may still be in their dead time.
+            applied: Brake command that acts now, lag included, until that of ``command`` acts [m/s^2, <= 0].
+            gradient: As of :meth:`stopping_distance`.
+            mass: M [kg], as of :meth:`feed_forward`.
+            direction: As of :meth:`stopping_distance`.
+            position: As of :meth:`stopping_distance`.
+        """
+        v, i, train = SPEED.checked(speed), GRADIENT.checked(gradient), self._file.train_file.train
+        times = [HORIZON.checked(time) for time in horizons]
+        M, u0 = train.mass if mass is None else MASS.checked(mass), -APPLIED.checked(applied)
+        forces = [(t, F / ((1.0 + train.rotary_mass) * M)) for t, F in _steps(force, FORCE)]
+        plan = Plan(forces, [(t, -u) for t, u in _steps(command, APPLIED)], u0)
+        place = None if position is None else _POSITION.checked(position)
+        shape = self._file.motion_shape(checked_direction(direction), place)
+        with self._lock:
+            self._go_on()
+            posterior, of_rate = self._posterior(i), self._brake_rate.state()
+            live, reason = self._resistance.state()
+            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        if u0 or any(u for _, u in plan.command):
+            live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
+        s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
+        found = predicted_speeds(v, times, plan, shape, posterior, (s, math.sqrt(variance)), self._file.config)
+        return tuple(Value(mean, std, live, reason) for mean, std in found)
 
     def stopping_distance(
         self, speed: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
-        *, applied: float = 0.0, direction: int = 1,
+        *, applied: float = 0.0, direction: int = 1, position: float | None = None,
     ) -> Value:  # fmt: skip
         """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
 
@@ -476,30 +441,38 @@ class TrainModel:
             confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
             direction: As of :meth:`resistance`.
+            position: Of the train's front [m]. With it, gradients and effects over the line of the train file act along
+                the way, and ``gradient`` is added to them.
 
         Raises:
             NoAnswerError: The train may not stop at all.
         """
         v = SPEED.checked(speed)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
         found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
         return Value(found.distance, found.std, live, reason)
 
     def braking_speed(
-        self, distance: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
-        *, applied: float = 0.0, direction: int = 1,
+        self, distance: float | None = None, gradient: float = 0.0, command: float = FULL_SERVICE,
+        confidence: float = 0.95, *, applied: float = 0.0, direction: int = 1,
+        target_position: float | None = None, position: float | None = None,
     ) -> Value:  # fmt: skip
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
-        It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s.
+        It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s. Where the
+        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m].
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
         """
+        if (distance is None) == (target_position is None) or (target_position is None) != (position is None):
+            raise InputError('give either distance, or target_position and position')
+        if distance is None:
+            distance = distance_to(_TARGET.checked(target_position), position, checked_direction(direction))
         away = DISTANCE.checked(distance)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
         return Value(*bounds.speed(away), live, reason)
 
     def braking_curve(
@@ -513,15 +486,17 @@ class TrainModel:
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
 
     def _bounds(
-        self, gradient: float, command: float, confidence: float, applied: float, direction: int
-    ) -> tuple[StoppingBounds, bool, str]:
+        self, gradient: float, command: float, confidence: float, applied: float, direction: int,
+        position: float | None = None,
+    ) -> tuple[StoppingBounds, bool, str]:  # fmt: skip
         i, u1 = GRADIENT.checked(gradient), -COMMAND.checked(command)
         u0, P = -APPLIED.checked(applied), CONFIDENCE.checked(confidence)
-        shape = self._file.stop_shape(checked_direction(direction))
+        place = None if position is None else _POSITION.checked(position)
+        shape = self._file.stop_shape(checked_direction(direction), place)
         with self._lock:
             self._go_on()
             posterior = self._posterior(i)
-            live, reason = _both(self._resistance.state(), self._brake_rate.state())
+            live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
         return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
     def _posterior(self, gradient: float) -> StopPosterior:
@@ -554,13 +529,21 @@ class TrainModel:
         self._brake_rate.go_on(now)
 
 
+def _steps(values: float | Steps, argument: Argument) -> list[tuple[float, float]]:
+    """Return values from their time on; InputError if one is out of range, or the times do not rise."""
+    rows = ((0.0, values),) if isinstance(values, (float, Real)) else values
+    steps = [(_SINCE.checked(time), argument.checked(value)) for time, value in rows]
+    if any(after <= before for (before, _), (after, _) in pairwise(steps)):
+        raise InputError(f'{argument.name}: its times must rise')
+    return steps
+
+
 def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:
     wanted = ACCELERATION.checked(acceleration)
     return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
 
 
-def _both(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
-    """Return whether resistance and brake rate are both live, and the reason."""
-    live = resistance[0] and rate[0]
+def _of_brake(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
+    """Return whether an answer on the brake is live, as its rate is, and the reasons of both where they differ."""
     same = resistance[1] == rate[1]
-    return live, rate[1] if same else f'resistance {resistance[1]}; brake rate {rate[1]}'
+    return rate[0], rate[1] if same else f'resistance {resistance[1]}; brake rate {rate[1]}'

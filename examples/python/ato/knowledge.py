@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.client import TrainModel
-from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, GradientRecord, SpeedRecord
-from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, acceleration, davis
 from trainid_ros.train.train_file import Brake, Davis
 
 if TYPE_CHECKING:
     from trainid_ros.interface.records import Record
-    from trainid_ros.interface.results import Output
     from trainid_ros.sim.plant import Plant
     from trainid_ros.train.train_file import TrainFile
 
@@ -94,7 +91,7 @@ class TrueValues:
 
 
 class LiveValues:
-    """The estimates of the pipelines as the client gives them.
+    """The estimates as the client gives them.
 
     Attributes:
         model: The client.
@@ -103,20 +100,12 @@ class LiveValues:
 
     def __init__(self, train_file: TrainFile) -> None:
         """Start from the train file."""
-        settings = EstimatorSettings()
-        pipelines = (resistance_pipeline(train_file, settings), brake_rate_pipeline(train_file, settings))
-        self._group, self._now_s = PipelineGroup(pipelines), 0.0
-        self.model = TrainModel(None, train_file, clock=lambda: self._now_s)
+        self.model = TrainModel.offline(train_file)
         self._values = TrainValues(train_file.resistance, true_brake(train_file))
 
     def observe(self, record: Record) -> None:
         """Give a record to the estimators, and take over their present values."""
-        self._now_s = max(self._now_s, record.stamp_ns / NS_PER_S)
-        outputs: list[Output[Any]] = []
-        self._group.push_rows((record.row(),), outputs.append)
-        for output in outputs:
-            self.model.take(output)
-        if outputs:
+        if self.model.push(record):
             self._values = client_values(self.model, self._values.brake)
 
     def values(self) -> TrainValues:
