@@ -9,17 +9,21 @@ places and are released on the way; map, resistance and traction are wrong by wh
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.days import REPOSITORY
+from benchmarks.measured_car import FOLDER, Trip, load_trip, stated_car, trip_names
+from benchmarks.measured_car import records as car_records
 from benchmarks.seeds import over_seeds
-from benchmarks.tables import Table, columns
+from benchmarks.tables import Table, as_text, columns
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.brake_rate.brake_fit import CHANGEOVER, DEAD_TIME, LAG, RELEASE, RESPONSE, BrakeFit, fit_brake
 from trainid_ros.brake_rate.braking import Braking, BrakingCollector
@@ -44,6 +48,7 @@ SPEEDS: Final = (4.0, 9.0, 14.0)
 _MASS, _GAMMA = 200e3, 0.08
 _INERTIA: Final = 1000.0 * (1.0 + _GAMMA) / 9.80665
 _COVER_STD: Final = 1.96
+_LEAST_COMMAND: Final = 0.1  # Weaker torques of a car are no braking [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,3 +374,40 @@ def altrios() -> Table:
         if one.name in true or one.name.startswith('rate at')
     )
     return Table(f'Freight run of another simulator, {fit.brakings} brakings', ('quantity', 'true', 'fitted'), rows)
+
+
+def measured(folder: Path | str = FOLDER) -> Table:
+    """Return the fit to measured trips of an electric car, see :mod:`benchmarks.measured_car`, by season.
+
+    The brake is the motor: its reported torque with the pedal released is the command. What the foot adds with the
+    friction brake is not recorded, so the rate scatters and is above 1.
+    """
+    car, rows = stated_car(), []
+    for season, letter in (('summer', 'A'), ('winter', 'B')):
+        brakings = list[Braking]()
+        for name in trip_names(Path(folder), letter):
+            brakings += brakings_of(_regenerated(load_trip(Path(folder), name), car), car)
+        fit = fit_brake(brakings, car)
+        rates = ', '.join(
+            f'{one.value:.2f} ± {one.std:.2f}' for one in fit.quantities if one.name.startswith('rate at')
+        )
+        times = (f'{one.value:.2f} ± {one.std:.2f}' for one in map(fit.find, (RESPONSE, DEAD_TIME, LAG)))
+        rows.append((season, str(fit.brakings), *times, rates, f'{fit.scatter:.2f}'))
+    header = columns('season | brakings | response time, s | dead time, s | time constant, s | rate | scatter')
+    return Table('Regenerative braking of a car', header, tuple(rows))
+
+
+def _regenerated(trip: Trip, car: TrainFile) -> Iterator[Record]:
+    """Yield the records of a trip with the torque of the motor, if the pedal is released, as the brake command."""
+    inertia = car.train.mass * (1.0 + car.train.rotary_mass)
+    command = np.where(trip.pedal, 0.0, np.minimum(0.0, np.round(trip.force / inertia, 2)))
+    command[command > -_LEAST_COMMAND] = 0.0
+    changes = iter(command.tolist())
+    for record in car_records(trip):
+        yield (
+            BrakeRecord(record.stamp_ns, next(changes), emergency=False) if isinstance(record, BrakeRecord) else record
+        )
+
+
+if __name__ == '__main__':
+    print(as_text(measured(*sys.argv[1:2])))

@@ -119,8 +119,8 @@ class Quantity:
 
     @property
     def is_told(self) -> bool:
-        """True if the data tell the value."""
-        return self.std < self.wanted
+        """True if the data tell the value, or contradict the one stated."""
+        return self.std < self.wanted or abs(self.value - self.stated) > _DIFFERS * math.hypot(self.std, self.wanted)
 
     @property
     def verdict(self) -> str:
@@ -223,9 +223,9 @@ class _Course:
         change = np.diff(z, prepend=z[0]) * self.braking.share
         parts = change[:, None] * model.shapes(self._middle)
         if model.hold:
-            target = (self._t[:, None] >= at) @ self._steps
-            held = np.abs(change - target * self._dt) < -_STEADY * target * self._dt
-            parts = np.column_stack((parts, change * (held - held[change < 0.0].mean() * (change < 0.0).any())))
+            target, acts = ((self._t[:, None] >= at) @ self._steps) * self._dt, change < 0.0
+            held = np.abs(change - target) < -_STEADY * target
+            parts = np.column_stack((parts, change * (held - held.sum(where=acts) / max(acts.sum(), 1))))
         return self.mean(np.cumsum(parts, axis=0))
 
 
@@ -313,7 +313,8 @@ class _Fit:
 
     def solve(self, model: _Model, design: tuple[Array, Array], sizes: Array) -> _Solution:
         """Solve the equations at logarithms of the standard deviations."""
-        (both, U), (mean, precision), m = design, self.prior(model), self.prior(model)[0].size
+        (both, U), (mean, precision) = design, self.prior(model)
+        m = mean.size
         noise, drift, scatter, jitter = np.exp(2.0 * sizes)
         w = 1.0 / (noise + drift * self.drift)
         own = 1.0 / np.array([_SPEED_STD**2, scatter, jitter])

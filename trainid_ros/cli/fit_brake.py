@@ -43,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         args.bag = args.bags[0]
         return fit_davis.run(args)
     train_file = load_train_file(args.train)
+    if len({bag.resolve() for bag in args.bags}) < len(args.bags):
+        raise InputError('trainid fit: a bag is given twice; its data would count twice')
     if args.out is not None:
         check_output(args.out, (args.train, *args.bags), _START)
     brakings = []
