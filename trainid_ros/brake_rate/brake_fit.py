@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -114,7 +115,7 @@ class Quantity:
     value: float
     std: float
     unit: str
-    stated: float  # What the train file says
+    stated: float  # What the train file says, NaN if nothing
     wanted: float  # Std below which the data tell the value: that of the train file, or of the estimator's prior
 
     @property
@@ -128,6 +129,8 @@ class Quantity:
         unit, off = '' if self.unit == '1' else f' {self.unit}', abs(self.value - self.stated) / self.std
         if not self.is_told:
             return f'the data cannot tell: that takes a std below {self.wanted:.2g}{unit}'
+        if math.isnan(self.stated):
+            return 'the data tell'
         agrees = 'as the train file says' if off < _DIFFERS else f'{off:.1f} std from what the train file says'
         return f'the data tell: {agrees}, {self.stated:.3g}{unit}'
 
@@ -207,7 +210,8 @@ class _Course:
         self.axes = axes.T * root
         self._at, values = np.array(braking.changes).T
         self._steps = np.diff(values, prepend=0.0)
-        self.braked = v[np.interp(t, self._at, values, left=0.0) < 0.0]
+        braked = v[np.interp(t, self._at, values, left=0.0) < 0.0]
+        self.braked = braked if braked.size else v
         self.is_released = bool((self._steps > 0.0).any())
 
     def mean(self, values: Array) -> Array:
@@ -237,6 +241,9 @@ class _State(NamedTuple):
     sizes: Array  # Of noise, drift, scatter, jitter
     rates: Array
     evidence: float = -math.inf
+
+
+_evidence: Final = attrgetter('evidence')
 
 
 class _Solution(NamedTuple):
@@ -344,10 +351,8 @@ class _Fit:
     def first(self) -> _State:
         """Return the state from which to start: with the most flexible rate, the best of some times."""
         model = _Model(1, self.knots(_KNOTS[0]), _HALF * (self.speeds[1] - self.speeds[0]))
-        rates, sizes = (
-            np.array([self.brake.rate_at(v) for v in model.knots]),
-            self.usual + np.array([0.0, _FAR, 0.0, 0.0]),
-        )
+        rates = np.array([self.brake.rate_at(v) for v in model.knots])
+        sizes = self.usual + np.array([0.0, _FAR, 0.0, 0.0])
         times = [np.array([(1.0 - share) * mean, 0.0, share * mean]) for mean in _STARTS for share in _SHARES]
         states = [_State(model, one, sizes, rates) for one in times]
         return max(states, key=lambda state: self.at(state).evidence)._replace(sizes=self.usual)
@@ -415,19 +420,18 @@ def fit_brake(brakings: Sequence[Braking], train_file: TrainFile) -> BrakeFit:
     start = fit.first()
     tried = [start := fit.settle(start.model, start)]
     tried += [fit.settle(replace(start.model, knots=fit.knots(count)), start) for count in _KNOTS[1:]]
-    number, best = tried[-1], max(tried, key=_evidence)
+    best = max(tried, key=_evidence)
     tried.append(fit.settle(replace(best.model, lags=2), best))
     best = max(tried, key=_evidence)
-    for one in [number, best] if best.model.knots != number.model.knots else [best]:
-        tried.append(fit.settle(max(fit.changeovers(one), key=_evidence).model, one))
+    # A table may stand for a changeover, so that is also looked for on top of one rate.
+    bases = [best]
+    if len(best.model.knots) > 1:
+        bases.append(fit.settle(replace(best.model, knots=fit.knots(1)), best))
+    tried += [fit.settle(max(fit.changeovers(one), key=_evidence).model, one) for one in bases]
     best = max(tried, key=_evidence)
     if best.model.steps:
         tried.append(fit.settle(replace(best.model, lags=3 - best.model.lags), best))
     return _result(fit, max(tried, key=_evidence), tried, train_file)
-
-
-def _evidence(state: _State) -> float:
-    return state.evidence
 
 
 def _weights(states: list[_State]) -> Array:
@@ -475,7 +479,7 @@ def _result(fit: _Fit, best: _State, tried: list[_State], train_file: TrainFile)
     if model.steps:
         v = np.array([one.model.changeover for one in places])
         std = math.sqrt(shares @ np.square(v - shares @ v) + (v[1] - v[0]) ** 2 / 12.0)
-        found.append(Quantity(CHANGEOVER, float(shares @ v), std, 'm/s', config.blend_speed, config.blend_speed))
+        found.append(Quantity(CHANGEOVER, float(shares @ v), std, 'm/s', math.nan, config.blend_speed))
         step = float(solution.estimate[n - 1]), math.sqrt(P[n - 1, n - 1])
         found.append(Quantity(STEP, *step, '1', 0.0, config.blend_std))
     held = best._replace(model=replace(model, hold=True))

@@ -121,7 +121,7 @@ VERBS: Final = (
         'out --train --world --realism --unknown --effect --runs --seed --json', 'new_bag.simulate',
     ),
     Verb(
-        'fit', 'fit Davis parameters to a bag in one batch, or the brake to bags',
+        'fit', 'fit Davis parameters, or the brake, in one batch',
         'bags --map --max-chunk --train --brake --out --etcs --start --duration --namespace --json', 'fit_brake.run',
     ),
     Verb(

@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
     text = describe(fit, brake, name, etcs)
     if args.out is not None:
         try:
+            args.out.parent.mkdir(parents=True, exist_ok=True)
             args.out.write_text(f'{text}\n', encoding='utf-8')
         except OSError as error:
             raise InputError(f'{args.out}: cannot be written ({error.strerror})') from None
