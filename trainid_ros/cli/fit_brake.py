@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``trainid fit --brake``: dead time, lag and rate of the brake from bags, as the ``brake:`` section of a train file.
 
-``--etcs`` states them in the form of the brake parameters of ERTMS/ETCS, SUBSET-026-3 of version 4.0.0: deceleration as
-a step function of speed with at most seven steps (3.13.2.2.3.1.1 to .4), equivalent brake build up time as dead time
-and half the time from there to 95 % of the effort (3.13.2.2.3.2.3 and .4), and a factor Kdry_rst with the same steps,
-for a confidence that the brake is no weaker than deceleration times factor (3.13.2.2.9.1.2 to .4).
+``--etcs`` states them in the form of the brake parameters of ERTMS/ETCS, SUBSET-026-3: deceleration as a step function
+of speed with at most seven steps (3.13.2.2.3.1.1 to .4), equivalent brake build up time as dead time and half the time
+from there to 95 % of the effort (3.13.2.2.3.2.3 and .4), and a factor Kdry_rst with the same steps, for a confidence
+that the brake is no weaker than deceleration times factor (3.13.2.2.9.1.2 to .4).
 """
 
 from __future__ import annotations
