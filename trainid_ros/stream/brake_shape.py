@@ -162,7 +162,7 @@ class BrakeShapeCheck:
         sense = 'rises' if change.most > change.least else 'falls'
         return (
             f'from {low:.0f} to {high:.0f} m/s the brake rate {sense} by about {change.size:.2f} against brake.rate of '
-            'the train file: it needs another table over speed'
+            'the train file: it needs another table over speed, see trainid fit --brake'
         )
 
     def add(self, y: float, x: float, p: float) -> None:
