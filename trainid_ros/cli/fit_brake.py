@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from trainid_ros.brake_rate.brake_fit import DEAD_TIME, LAG, RESPONSE, BrakeFit, fit_brake
 from trainid_ros.brake_rate.braking import BrakingCollector
 from trainid_ros.cli import fit as fit_davis
-from trainid_ros.cli.output import check_output, print_json, show, warn
+from trainid_ros.cli.output import check_output, print_json, progress, show, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.train_file import Brake, load_train_file
@@ -55,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
         brakings += collector.brakings
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     try:
-        fit = fit_brake(brakings, train_file)
+        with progress(f'fit {pluralise(len(brakings), "braking")}'):
+            fit = fit_brake(brakings, train_file)
     except NoAnswerError as error:
         if args.json:
             print_json({'brake': None, 'std': None, 'quantities': [], 'brakings': 0})
