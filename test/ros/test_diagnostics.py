@@ -123,7 +123,8 @@ def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, diagnosed
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
     records = coasting(20)
     feed(node, [replace(item, speed=math.nan) if isinstance(item, SpeedRecord) else item for item in records])
-    node.announce(node.pipeline.mark_stale())
+    node.pipeline.mark_stale()
+    node.announce(node.pipeline)
     text = '20 of the last 20 messages not used: NOT_FINITE (nan)'
     graph.until(lambda: diagnosed.message(SPEED).startswith(text))
     assert diagnosed.level(SPEED) == DiagnosticStatus.ERROR

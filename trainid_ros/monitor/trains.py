@@ -18,6 +18,7 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 from trainid_ros.interface.records import (
+    ADHESION_TOPIC,
     BRAKE_RATE_TOPIC,
     INPUT_TOPICS,
     KM_H,
@@ -36,7 +37,7 @@ from trainid_ros.interface.records import (
     SpeedRecord,
     status_of,
 )
-from trainid_ros.interface.results import Status, deviations
+from trainid_ros.interface.results import Status, counters, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.pipelines import KINDS
 
@@ -220,6 +221,11 @@ def _brake_details(message: Any) -> str:
     return f'{seen}  brake acts with {-message.control_acceleration:.2f} m/s²'
 
 
+def _adhesion_details(message: Any) -> str:
+    slip = f'SLIPS {message.slip:+.0%}' if message.slipping else f'slip in {message.slip_share:.0%} of the last km'
+    return f'used {message.used:.3f}, at least {message.at_least:.3f}  {slip}'
+
+
 SHOWN: Final = (
     ShownEstimate(
         RESISTANCE_TOPIC,
@@ -239,6 +245,14 @@ SHOWN: Final = (
         lambda _: '1 = nominal',
         lambda message, _: (float(message.brake_rate), float(message.brake_rate_std)),
         _brake_details,
+    ),
+    ShownEstimate(
+        ADHESION_TOPIC,
+        'adhesion',
+        '',
+        lambda _: 'friction of the rail',
+        lambda message, _: (float(message.adhesion), float(message.adhesion_std)),
+        _adhesion_details,
     ),
 )
 
@@ -514,7 +528,9 @@ class Train:
         report = self.reports.estimator(self._node(shown.topic), now_s)
         status_s, is_longer = _status_s(item, report, now_s)
         state = '' if report is None else report.values.get('state', '')
-        reasons = [] if report is None else report.rejections().most_common()
+        is_own = any(kind.topic is shown.topic for kind in KINDS)  # not published by the node of another estimate
+        reasons = report.rejections().most_common() if is_own and report is not None else []
+        used, rejected = (getattr(newest, name, 0) for name in counters(shown.topic.estimate))
         return EstimateView(
             name=shown.name,
             quantity='' if newest is None else shown.quantity(newest),
@@ -529,9 +545,9 @@ class Train:
             silent_s=item.arrivals.silent_s(now_s),
             is_silent=item.arrivals.is_late(now_s),
             is_published=bool(self._publishers.get(shown.topic.name)),
-            used=0 if newest is None else int(newest.used),
+            used=int(used),
             # Reasons come more seldom than estimates: shown with them is their sum.
-            rejected=sum(count for _, count in reasons) or (0 if newest is None else int(newest.rejected)),
+            rejected=sum(count for _, count in reasons) or int(rejected),
             reasons=tuple(reasons),
             history=tuple(Point(now_s - time_s, *shown.value(past, newest)) for time_s, past in item.history),
         )
@@ -539,7 +555,7 @@ class Train:
     def _node(self, topic: OutputTopic) -> str:
         """Return the node of an estimate, as it names itself in diagnostics."""
         names = [name.strip('/') for name in self._owners.get(topic.name, ())]
-        (node,) = (kind.node_name for kind in KINDS if kind.topic is topic)
+        (node,) = (kind.node_name for kind in KINDS if topic in kind.topics)
         usual = f'{self.namespace}/{node}'.strip('/')
         return next((name for name in (*names, usual) if self.reports.is_known(name)), (*names, usual)[0])
 

@@ -65,10 +65,11 @@ def message_from_record(record: Record) -> Any:
 
 
 class SerializedEstimate(NamedTuple):
-    """A message of an estimate, ready to be sent, and its status."""
+    """A message of an estimate, ready to be sent, its status and its topic."""
 
     status: Status
     data: bytes
+    topic: OutputTopic
 
 
 def fill_estimate(message: Any, output: Output[Any]) -> Any:
