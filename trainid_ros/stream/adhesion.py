@@ -316,7 +316,8 @@ class AdhesionEstimator:
         start = self._past[begin]
         self.slide = Slide(side, start.b)
         self._parts = [replace(part, used=0.0) for part in self._parts]
-        c = now.u + start.b
+        least = _MIN_FORCE / self._known.inertia
+        c = side * max(side * (now.u + start.b), side * (start.u + start.b), least)
         self._train = train = replace(start, b=_MEAN_SHARE * c, bb=(_STD_SHARE * c) * (_STD_SHARE * c), vb=0.0)
         t = seconds(now.stamp_ns - start.stamp_ns)
         train.predict(t, now.rolled - start.rolled, 1.0, _WHITE * _WHITE * t, (_WALK * c) * (_WALK * c) * t)
@@ -438,7 +439,7 @@ class AdhesionEstimator:
         elif self._found.away_m < STRETCH_M:
             mean, along = self._found.mean, self._found.away_m / STRETCH_M
             std = math.sqrt(self._found.variance + (_SPREADS * mean) * (_SPREADS * mean) * along)
-        if not self.is_slipping:
+        else:
             mean, std = _above(mean, std, at_least)
         return AdhesionEstimate(
             used=used,

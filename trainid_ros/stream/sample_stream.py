@@ -16,7 +16,7 @@ from typing import ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED, Record
-from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, encode, restore, unknown
 from trainid_ros.stream.adhesion import AdhesionEstimator
@@ -266,7 +266,11 @@ class SampleStream:
         if self._rejects_faults:
             self.faults.take(sample)
             self.adhesion.step(sample, self.faults.check.blocks.noise)
-            sample.adhesion = self.adhesion.estimate()
+            sample.adhesion = adhesion = self.adhesion.estimate()
+            if adhesion.slipping:  # the axle does not tell how the train runs
+                held = Rejection(sample.stamp_ns, Reason.SPEED_INCONSISTENT, adhesion.slip, 0.0)
+                sample.rejection = sample.rejection or held
+                sample.brake_rejection = sample.brake_rejection or held
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""
