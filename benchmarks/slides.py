@@ -236,7 +236,7 @@ def measure(seeds: int) -> tuple[Table, ...]:
                 ),
             ),
             'Slip: samples whose axle is off by more than 0.3 m/s. False: found 5 s or more after the last of them. '
-            'The last columns compare the adhesion at the end of a slide with the mean of the true one over it.',
+            'The last columns compare the adhesion at the last sample of a slide with the mean of the true one.',
         ),
     )
 
@@ -273,7 +273,7 @@ def run(trial: Trial) -> Outcome:
 
     records = iter(drive.records)
     record = next(records, None)
-    was = False
+    was = newest.estimate
     for k, moment in enumerate(drive.moments):
         while record is not None and record.stamp_ns <= moment.stamp_ns:
             now[0] = record.stamp_ns * 1e-9
@@ -287,12 +287,12 @@ def run(trial: Trial) -> Outcome:
         counts['slipped'] += slips
         counts['found'] += slips and is_found
         counts['false'] += is_found and quiet > 5.0
-        if slips:
+        if slips and np.isfinite(before.adhesion):
             off.append(before.adhesion)
-        if was and not is_found and off:
-            errors.append((estimate.adhesion - float(np.mean(off))) / estimate.adhesion_std)
+        if was.slipping and not is_found and off:
+            errors.append((was.adhesion - float(np.mean(off))) / was.adhesion_std)
             off = []
-        was, before = is_found, moment
+        was, before = estimate, moment
         if k % _EVERY == 0 and moment.speed > _MIN_SPEED:
             when = _WHEN[0] if slips else _WHEN[1] if slid_m < _NEAR_M else _WHEN[2]
             with_adhesion = _bound(clients[0], train_file, moment.train, moment.axle / (1.0 + estimate.slip))

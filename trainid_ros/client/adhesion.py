@@ -38,7 +38,7 @@ class LiveAdhesion:
             return
         self._estimate, self._status, self._heard_s, self._newest_ns = estimate, status, time_s, stamp_ns
         self._problem = '' if status in USABLE else WORDS[status]
-        if estimate.slipping:
+        if estimate.slip != 0.0:
             self._is_slide = estimate.slip < 0.0
 
     def refuse(self, reason: str, _time_s: float) -> None:

@@ -388,6 +388,8 @@ class AdhesionEstimator:
         """Correct the train by a speed of variance r; this gives the mean force since the slide began."""
         self._train.correct(speed, r)
         mean, variance = self._adhesion_of(self._train)
+        if self._found.away_m < STRETCH_M and self._found.mean < mean:  # the worst of the last km may come again
+            mean, variance = self._found.mean, self._found.variance
         self._found, self.slide = Found(mean, variance, 0.0), Slide()
 
     def _adhesion_of(self, train: Past) -> tuple[float, float]:
@@ -431,7 +433,9 @@ class AdhesionEstimator:
         if self._past:
             now = self._past[-1]
             used = scale * abs(now.b if self.is_slipping else now.u + now.b)
-            slip = now.speed / max(now.v, _MIN_SPEED) - 1.0 if self.is_slipping else 0.0
+            # Under traction the axle is faster, while braking slower.
+            side = self.slide.side
+            slip = side * max(side * (now.speed / max(now.v, _MIN_SPEED) - 1.0), 0.0)
         mean, std = RAIL
         if self.is_slipping:
             mean, variance = self._adhesion_of(self._train)
