@@ -37,7 +37,7 @@ from trainid_ros.interface.records import (
     SpeedRecord,
     status_of,
 )
-from trainid_ros.interface.results import Status, counters, deviations
+from trainid_ros.interface.results import Status, deviations
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.pipelines import KINDS
 
@@ -221,11 +221,6 @@ def _brake_details(message: Any) -> str:
     return f'{seen}  brake acts with {-message.control_acceleration:.2f} m/s²'
 
 
-def _adhesion_details(message: Any) -> str:
-    slip = f'SLIPS {message.slip:+.0%}' if message.slipping else f'slip in {message.slip_share:.0%} of the last km'
-    return f'used {message.used:.3f}, at least {message.at_least:.3f}  {slip}'
-
-
 SHOWN: Final = (
     ShownEstimate(
         RESISTANCE_TOPIC,
@@ -246,15 +241,20 @@ SHOWN: Final = (
         lambda message, _: (float(message.brake_rate), float(message.brake_rate_std)),
         _brake_details,
     ),
+)
+
+VIEWED: Final = (
+    *SHOWN,
     ShownEstimate(
         ADHESION_TOPIC,
         'adhesion',
         '',
-        lambda _: 'friction of the rail',
+        lambda _: 'force over weight',
         lambda message, _: (float(message.adhesion), float(message.adhesion_std)),
-        _adhesion_details,
+        lambda message: f'used {message.used:.3f}, at least {message.at_least:.3f}, slip {message.slip:+.0%}',
     ),
 )
+"""What a recording shows: the monitor has the adhesion only as a warning while the axle slips."""
 
 
 def value_text(values: Sequence[tuple[float, str, int]]) -> str:
@@ -465,7 +465,8 @@ class Train:
 
     def on_estimate(self, topic: OutputTopic, message: Any, now_s: float, clock_ns: int) -> None:
         """Take in an estimate that arrived now, by both clocks; the message is any object with its fields."""
-        self._estimates[topic.name].add(message, now_s, clock_ns)
+        if (item := self._estimates.get(topic.name)) is not None:
+            item.add(message, now_s, clock_ns)
 
     def on_publishers(self, publishers: Mapping[str, tuple[str, ...]]) -> None:
         """Take in the nodes that publish each topic, by its name without the namespace."""
@@ -528,9 +529,7 @@ class Train:
         report = self.reports.estimator(self._node(shown.topic), now_s)
         status_s, is_longer = _status_s(item, report, now_s)
         state = '' if report is None else report.values.get('state', '')
-        is_own = any(kind.topic is shown.topic for kind in KINDS)  # not published by the node of another estimate
-        reasons = report.rejections().most_common() if is_own and report is not None else []
-        used, rejected = (getattr(newest, name, 0) for name in counters(shown.topic.estimate))
+        reasons = [] if report is None else report.rejections().most_common()
         return EstimateView(
             name=shown.name,
             quantity='' if newest is None else shown.quantity(newest),
@@ -545,9 +544,9 @@ class Train:
             silent_s=item.arrivals.silent_s(now_s),
             is_silent=item.arrivals.is_late(now_s),
             is_published=bool(self._publishers.get(shown.topic.name)),
-            used=int(used),
+            used=0 if newest is None else int(newest.used),
             # Reasons come more seldom than estimates: shown with them is their sum.
-            rejected=sum(count for _, count in reasons) or int(rejected),
+            rejected=sum(count for _, count in reasons) or (0 if newest is None else int(newest.rejected)),
             reasons=tuple(reasons),
             history=tuple(Point(now_s - time_s, *shown.value(past, newest)) for time_s, past in item.history),
         )
@@ -555,7 +554,7 @@ class Train:
     def _node(self, topic: OutputTopic) -> str:
         """Return the node of an estimate, as it names itself in diagnostics."""
         names = [name.strip('/') for name in self._owners.get(topic.name, ())]
-        (node,) = (kind.node_name for kind in KINDS if topic in kind.topics)
+        (node,) = (kind.node_name for kind in KINDS if kind.topic is topic)
         usual = f'{self.namespace}/{node}'.strip('/')
         return next((name for name in (*names, usual) if self.reports.is_known(name)), (*names, usual)[0])
 

@@ -29,7 +29,7 @@ from trainid_ros.interface.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.monitor.trains import SHOWN, ShownEstimate
+from trainid_ros.monitor.trains import VIEWED, ShownEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -381,7 +381,7 @@ _COLOURS: Final = {
     'FAULT': 0x8C0000FF,
     USED: 0x2CA02CFF,
 }
-_NAMES: Final = {item.topic.estimate: item.name for item in SHOWN}
+_NAMES: Final = {item.topic.estimate: item.name for item in VIEWED}
 
 
 def switch_off_telemetry() -> None:
@@ -458,7 +458,7 @@ def write_recording(recorder: ViewRecorder, title: str, path: Path) -> None:
     recording = recorder.finish()
     panels = {f'inputs/{name}': panel for name, panel in input_panels(recording).items()}
     tracks = (recording.resistance, recording.speed_model, recording.brake_rate, recording.adhesion)
-    for shown, track in zip(SHOWN, tracks, strict=True):
+    for shown, track in zip(VIEWED, tracks, strict=True):
         panels[f'estimates/{_path(shown.name)}'] = estimate_panel(shown, track)
     # Rerun merges recordings of the same id, as those of two bags of one name would have.
     stream = rr.RecordingStream('trainid', recording_id=f'{title} {uuid4()}')
