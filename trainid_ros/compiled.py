@@ -42,6 +42,7 @@ MODULES: Final = (
     'resistance/window_learner',
     'speed_model/am_vff_rls',
     'speed_model/speed_model_estimator',
+    'stream/adhesion',
     'stream/alignment',
     'stream/brake_shape',
     'stream/fault_filter',

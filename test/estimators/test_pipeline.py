@@ -24,7 +24,15 @@ from trainid_ros.interface.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.interface.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
+from trainid_ros.interface.results import (
+    BrakeRateEstimate,
+    Estimate,
+    Output,
+    Reason,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+)
 from trainid_ros.setup.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
@@ -219,6 +227,7 @@ def learned(estimate: Estimate) -> tuple[float, float]:
         return estimate.resistance, estimate.resistance_std
     if isinstance(estimate, BrakeRateEstimate):
         return estimate.brake_rate, estimate.brake_rate_std
+    assert isinstance(estimate, SpeedModelEstimate)
     return estimate.b1, math.sqrt(estimate.covariance[10])
 
 

@@ -75,7 +75,8 @@ def test_a_strict_subscriber_hears_an_active_node_at_least_once_a_second(graph: 
 
 def test_a_fault_is_repeated_too(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file)
-    node.announce(node.fail(node.pipeline, 'tried'))
+    node.fail(node.pipeline, 'tried')
+    node.announce(node.pipeline)
     subscriber = Subscriber(graph)
     graph.until(lambda: len(subscriber.messages) > 1)
     assert set(subscriber.statuses) == {Status.FAULT}

@@ -119,11 +119,23 @@ def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, diagnos
     assert diagnosed.values(OWN)['last rejection'].startswith('SPEED_STUCK')
 
 
+def test_a_sliding_axle_is_a_warning(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
+    node = graph.active(train_file, BRAKE_RATE, diagnostic_period=0.1, stale_after=60.0)
+    feed(node, coasting(20))
+    own = 'brake_rate_estimator: estimator'
+    assert 'slides' not in diagnosed.message(own)
+    sliding = replace(node.pipeline.adhesion().estimate, slipping=True, slip=-0.12, adhesion=0.05, adhesion_std=0.01)
+    node.pipeline._adhesion = sliding
+    diagnosed.until(own, 'the measured axle slides (-12%); adhesion 0.050 ± 0.010')
+    assert diagnosed.level(own) >= DiagnosticStatus.WARN
+
+
 def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
     records = coasting(20)
     feed(node, [replace(item, speed=math.nan) if isinstance(item, SpeedRecord) else item for item in records])
-    node.announce(node.pipeline.mark_stale())
+    node.pipeline.mark_stale()
+    node.announce(node.pipeline)
     text = '20 of the last 20 messages not used: NOT_FINITE (nan)'
     graph.until(lambda: diagnosed.message(SPEED).startswith(text))
     assert diagnosed.level(SPEED) == DiagnosticStatus.ERROR

@@ -244,7 +244,10 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     train = load_train_file(train_file)
     pipeline = {item.kind.name: item.pipeline() for item in node_setups(train, train_file, path)}[field]
     plain = node.shared.kind.pipeline(train, EstimatorSettings())
-    expected, otherwise = ([o for r in records for o in p.push(r)] for p in (pipeline, plain))
+    expected, otherwise = list[Any](), list[Any]()
+    for made, outputs in ((pipeline, expected), (plain, otherwise)):
+        for record in records:
+            made.take(made.stream.push(record), outputs.append)
     assert repr(published) == repr(expected)
     assert repr(expected) != repr(otherwise)
 

@@ -31,6 +31,7 @@ from trainid_ros.interface.records import (
     record_of,
 )
 from trainid_ros.interface.results import (
+    AdhesionEstimate,
     BrakeRateEstimate,
     EstimateT,
     Output,
@@ -38,6 +39,7 @@ from trainid_ros.interface.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
+    counters,
     deviations,
     parameters,
     quantities,
@@ -61,7 +63,9 @@ if TYPE_CHECKING:
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
 
-AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
+AnyOutput = (
+    Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate] | Output[AdhesionEstimate]
+)
 
 
 class Observer(Protocol):
@@ -99,6 +103,7 @@ class Replay:
     resistance: Result[ResistanceEstimate]
     speed_model: Result[SpeedModelEstimate]
     brake_rate: Result[BrakeRateEstimate]
+    adhesion: Output[AdhesionEstimate]  # Last output
     contradiction: Contradiction  # The last contradiction between the inputs, if there was one
     brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
 
@@ -189,6 +194,7 @@ def replay_through(
         _result(resistance, priors[0], reader.mapping),
         _result(speed_model, priors[1], reader.mapping),
         _result(brake_rate, priors[2], reader.mapping),
+        brake_rate.adhesion(),
         group.contradiction,
         tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
     )
@@ -235,7 +241,7 @@ def _columns(topic: OutputTopic) -> Iterator[TableColumn]:
             for parameter in parameters(topic.estimate):
                 yield TableColumn(topic.name, f'{parameter}_std', known[parameter].unit)
         yield TableColumn(topic.name, name, quantity.unit)
-    for name in ('status', 'used', 'rejected', 'last_reject_reason'):
+    for name in ('status', *counters(topic.estimate), 'last_reject_reason'):
         yield TableColumn(topic.name, name, '')
 
 
@@ -320,7 +326,8 @@ def _parquet_file(path: Path) -> Iterator[Callable[[Sequence[TableRow]], None]]:
 
     words, count = pa.dictionary(pa.int8(), pa.string()), pa.uint64()
     types = {_COVARIANCE: pa.list_(pa.float64()), 'status': words, 'last_reject_reason': words}
-    types |= {'used': count, 'rejected': count, 'observable': pa.bool_()}
+    types |= {'observable': pa.bool_(), 'slipping': pa.bool_()}
+    types |= {name: count for topic in OUTPUT_TOPICS for name in counters(topic.estimate)}
     columns = [
         pa.field(item.name, types.get(item.field, pa.float64()), metadata={'unit': item.unit} if item.unit else None)
         for item in COLUMNS

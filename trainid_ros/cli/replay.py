@@ -23,7 +23,14 @@ from trainid_ros.inputs.mapping import load_mapping
 from trainid_ros.inspection.bag_info import brake_sign
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import MASS_TOPIC
-from trainid_ros.interface.results import Reason, SpeedModelEstimate, deviations, parameters, quantities
+from trainid_ros.interface.results import (
+    AdhesionEstimate,
+    Reason,
+    SpeedModelEstimate,
+    deviations,
+    parameters,
+    quantities,
+)
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.davis_posterior import observe, resistance_std
@@ -208,6 +215,10 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
             **_state(brake),
             'findings': list(outcome.brake_findings),
         },
+        'adhesion': {
+            **{name: getattr(outcome.adhesion.estimate, name) for name in quantities(AdhesionEstimate)},
+            'status': outcome.adhesion.status,
+        },
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
@@ -259,6 +270,8 @@ def _estimates(outcome: Replay) -> str:
         rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))
         rows.append(('force delay', f'{w.force_delay:.3f}', f'{w.force_delay_std:.2g}', 's', status))
     rows.append(('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate.status.name))
+    m, state = outcome.adhesion.estimate, outcome.adhesion.status.name
+    rows.append(('adhesion', f'{m.adhesion:.3f}', f'{m.adhesion_std:.2g}', f'1, at least {m.at_least:.3f}', state))
     known = quantities(SpeedModelEstimate)
     for name, value in _parameters(model.estimate).items():
         rows.append((name, f'{value:.6g}', '', known[name].unit, model.status.name))

@@ -131,7 +131,7 @@ FALL_BACK_S: Final = 0.2
 MAX_AGE_S: Final = 0.75
 """Time without a new estimate after which the last one is not used any more [s]."""
 USABLE: Final = frozenset({Status.VALID, Status.HOLDING})  # statuses of estimates fit to use
-_WORDS: Final = {
+WORDS: Final = {  # what statuses say that are not fit to use
     Status.UNINITIALIZED: 'UNINITIALIZED, the node has no sample yet',
     Status.CONVERGING: 'CONVERGING, not fit to use',
     Status.STALE: 'STALE, inputs of the node are missing',
@@ -253,7 +253,7 @@ class LiveEstimate:
                     value.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
         elif status not in USABLE:
             is_known = status is Status.CONVERGING and self._problem == _REFUTED
-            self._fall_back(_REFUTED if is_known else _WORDS[status], time_s)
+            self._fall_back(_REFUTED if is_known else WORDS[status], time_s)
         elif problem := self._find_problem(values):
             self._fall_back(problem, time_s)
         else:

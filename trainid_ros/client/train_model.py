@@ -15,6 +15,7 @@ from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.client.adhesion import LiveAdhesion
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
 from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
 from trainid_ros.client.prediction import Plan, predicted_speeds
@@ -22,7 +23,7 @@ from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, Sto
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.interface.records import ADHESION_TOPIC, BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
@@ -198,7 +199,10 @@ class TrainModel:
         self._clock = ForwardClock(clock, None if node is None else time.monotonic)
         self._resistance = LiveEstimate(self._file.resistance(), max_age)
         self._brake_rate = LiveEstimate(self._file.brake_rate(), max_age)
-        self._estimates = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
+        self._adhesion = LiveAdhesion(max_age)
+        self._estimates: dict[OutputTopic, LiveEstimate | LiveAdhesion] = {
+            RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate, ADHESION_TOPIC: self._adhesion,
+        }  # fmt: skip
         self._learned_speeds = (0.0, math.inf)
         self.subscriptions: tuple[Any, ...] = ()
         self._group: PipelineGroup | None = None
@@ -206,9 +210,8 @@ class TrainModel:
         if node is not None:
             from trainid_ros.ros.topics import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
-            topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
-            both = (subscribe_estimates(node, topic, self.take_message, self.mark_lost) for topic in topics)
-            self.subscriptions = tuple(item for pair in both for item in pair)
+            made = (subscribe_estimates(node, topic, self.take_message, self.mark_lost) for topic in self._estimates)
+            self.subscriptions = tuple(item for pair in made for item in pair)
 
     @classmethod
     def offline(cls, train_file: TrainFile | str | Path, settings: EstimatorSettings | None = None) -> TrainModel:
@@ -261,8 +264,8 @@ class TrainModel:
         """
         now = 0.0
         model = cls(None, train_file, max_age=MAX_AGE.high, clock=lambda: now)
-        for estimator in (result.resistance, result.brake_rate):
-            model.take(estimator.output)
+        for output in (result.resistance.output, result.brake_rate.output, result.adhesion):
+            model.take(output)
         now = 1e9  # all moves are done
         return model
 
@@ -287,6 +290,9 @@ class TrainModel:
         live = self._estimates.get(topic)
         if live is None:
             return
+        if isinstance(live, LiveAdhesion):
+            self._take_adhesion(status, estimate, stamp_ns, doubt)
+            return
         if is_resistance := topic is RESISTANCE_TOPIC:
             values = _resistance_values(estimate)
         else:
@@ -302,6 +308,14 @@ class TrainModel:
                 live.take_new(status, values, now, stamp_ns)
             if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
+
+    def _take_adhesion(self, status: Status, estimate: Any, stamp_ns: int, doubt: str) -> None:
+        with self._lock:
+            now = self._clock.now()
+            if doubt := doubt or self._age_doubt(stamp_ns):
+                self._adhesion.refuse(doubt, now)
+            else:
+                self._adhesion.take_new(status, estimate, now, stamp_ns)
 
     def _age_doubt(self, stamp_ns: int) -> str:
         """Return how far a stamp [ns] is from the clock of the node if that is too far, else nothing."""
@@ -333,6 +347,15 @@ class TrainModel:
         with self._lock:
             self._go_on()
             return self._brake_rate_at(v)
+
+    def adhesion(self) -> Value:
+        """Return the adhesion between wheel and rail, over the weight of the train [1]; if not live, of a usual rail.
+
+        While the axle slides and over the next kilometre, bounds do not rely on more, and ``reason`` says so.
+        """
+        with self._lock:
+            self._go_on()
+            return Value(*self._adhesion.value())
 
     def feed_forward(
         self, speed: float, gradient: float, acceleration: float, mass: float | None = None, *, direction: int = 1
@@ -497,6 +520,11 @@ class TrainModel:
             self._go_on()
             posterior = self._posterior(i)
             live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
+            most, why = self._adhesion.limit(P)
+        if why:
+            # As a command of the brake that is known to act: its rate, at the speed where that is largest.
+            force = most * 1000.0 * self._file.k / (posterior.mean[0] * max(shape.rates, default=1.0))
+            u1, u0, reason = min(u1, force), min(u0, force), f'{reason}; {why}'
         return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
     def _posterior(self, gradient: float) -> StopPosterior:
@@ -527,6 +555,7 @@ class TrainModel:
         now = self._clock.now()
         self._resistance.go_on(now)
         self._brake_rate.go_on(now)
+        self._adhesion.go_on(now)
 
 
 def _steps(values: float | Steps, argument: Argument) -> list[tuple[float, float]]:

@@ -18,7 +18,15 @@ from typing import Any, ClassVar, Final, Generic
 from trainid_ros.estimators.algorithm_registry import Estimator
 from trainid_ros.interface.errors import InputError, TrainIdError, check_settings, setting
 from trainid_ros.interface.records import NS_PER_S, Record, Row
-from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
+from trainid_ros.interface.results import (
+    AdhesionEstimate,
+    BrakeRateEstimate,
+    EstimateT,
+    Output,
+    Reason,
+    Rejection,
+    Status,
+)
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several, stored, unknown
 from trainid_ros.interface.vectors import vec
@@ -248,6 +256,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
         self._estimate: EstimateT | None = None
         self._published = self.estimator.estimate(self._speed)
+        self._adhesion: AdhesionEstimate | None = None  # At the newest sample, None before the first
         self._is_brake_rate = isinstance(self._published, BrakeRateEstimate)
 
     def _start_over(self) -> None:
@@ -297,19 +306,22 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self.stream.timeout_ns(topic, self.stale_ns)
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
-        """Take in one record; return an output for each sample it completes."""
-        outputs: list[Output[EstimateT]] = []
+        """Take in one record; return an output for each sample it completes, without the adhesion."""
+        outputs: list[Output[Any]] = []
         self.take(self.stream.push(record), outputs.append)
-        return outputs
+        return [output for output in outputs if not isinstance(output.estimate, AdhesionEstimate)]
 
-    def take(self, events: list[StreamEvent], publish: Callable[[Output[EstimateT]], object] | None = None) -> None:
-        """Take in what :meth:`SampleStream.push` made of one record; ``publish`` is called with each output."""
+    def take(self, events: list[StreamEvent], publish: Callable[[Output[Any]], object] | None = None) -> None:
+        """Take in what :meth:`SampleStream.push` made of one record.
+
+        ``publish`` is called with each output. That of a brake rate is followed by the adhesion.
+        """
         for event in events:
             if isinstance(event, Sample):
                 self._step(event)
                 self.statuses[self._status] += 1
                 if publish is not None:
-                    publish(self.current())
+                    self.publish(publish)
             elif isinstance(event, Rejection):
                 self._count(event)
             else:
@@ -322,7 +334,13 @@ class EstimatorPipeline(Generic[EstimateT]):
             self._status = Status.STALE
             self.statuses[Status.STALE] += 1
             if publish is not None:
-                publish(self.current())
+                self.publish(publish)
+
+    def publish(self, publish: Callable[[Output[Any]], object]) -> None:
+        """Publish the output at the newest sample, and with a brake rate the adhesion."""
+        publish(self.current())
+        if self._is_brake_rate:
+            publish(self.adhesion())
 
     def _follow_jump(self, jump: TimeJump) -> None:
         """Start over where another drive begins; forget what was learned, and aged, by stamps that were wrong."""
@@ -385,8 +403,19 @@ class EstimatorPipeline(Generic[EstimateT]):
             last_rejection=self.last_rejection,
         )
 
+    def adhesion(self) -> Output[AdhesionEstimate]:
+        """Return adhesion and slip at the newest sample; the pipeline of the brake rate publishes them."""
+        found, status = self.stream.adhesion, self._status
+        if status in (Status.CONVERGING, Status.VALID, Status.HOLDING):
+            last, holds = found.last_rejection, Status.VALID
+            if last is not None and last.stamp_ns == self._sample_ns:
+                holds = Status.HOLDING
+            status = holds if found.is_confirmed and not self.trust.finding else Status.CONVERGING
+        estimate = self._adhesion or found.estimate()
+        return Output(self._sample_ns, estimate, status, found.used, found.rejected, found.last_rejection)
+
     def _step(self, sample: Sample) -> None:
-        self._estimate = None
+        self._estimate, self._adhesion = None, sample.adhesion
         rejection = sample.brake_rejection if self._is_brake_rate else sample.rejection
         trust = self.trust
         self._keep_snapshots(sample, trust)

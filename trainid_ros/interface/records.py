@@ -15,12 +15,14 @@ from dataclasses import dataclass, fields
 from typing import Any, Final, TypeAlias
 
 from trainid_ros.interface.results import (
+    AdhesionEstimate,
     BrakeRateEstimate,
     Estimate,
     Output,
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
+    counters,
     quantities,
 )
 
@@ -171,7 +173,8 @@ SPEED_MODEL_TOPIC: Final = OutputTopic('trainid/speed_model', 'SpeedModelEstimat
 BRAKE_RATE_TOPIC: Final = OutputTopic(
     'trainid/brake_rate', 'BrakeRateEstimate', BrakeRateEstimate, 'trainid/last_valid/brake_rate'
 )
-OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC)
+ADHESION_TOPIC: Final = OutputTopic('trainid/adhesion', 'AdhesionEstimate', AdhesionEstimate, '')
+OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC, ADHESION_TOPIC)
 MAY_BE_UNKNOWN: Final = frozenset(
     name for topic in OUTPUT_TOPICS for name, item in quantities(topic.estimate).items() if item.may_be_unknown
 )
@@ -228,8 +231,8 @@ def output_values(output: Output[Any]) -> dict[str, Value]:
         values[name] = value = cast(getattr(estimate, name))
         finite = finite and (name in MAY_BE_UNKNOWN or _is_finite(value))
     values['status'] = int(output.status if finite else Status.FAULT)
-    values['used'] = int(output.used)
-    values['rejected'] = int(output.rejected)
+    used, rejected = counters(type(estimate))
+    values[used], values[rejected] = int(output.used), int(output.rejected)
     values['last_reject_reason'] = 0 if rejection is None else int(rejection.reason)
     values['last_reject_text'] = '' if rejection is None else str(rejection)
     return values

@@ -268,7 +268,39 @@ class BrakeRateEstimate:
         self.innovation, self.innovation_variance, self.test_ratio = innovation, innovation_variance, test_ratio
 
 
-Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
+@dataclass(slots=True)
+class AdhesionEstimate:
+    """Adhesion between wheel and rail, over the weight of the whole train, and slip of the measured axle."""
+
+    used: float = field(metadata=_is('1', 'force between wheel and rail over the weight of the train, now'))
+    at_least: float = field(metadata=_is('1', 'most used without slip over the last km, and since the last slip'))
+    adhesion: float = field(metadata=_is('1', 'adhesion; without slip over the last km that of dry to wet rail'))
+    adhesion_std: float = field(metadata=_is('1', 'standard deviation of adhesion'))
+    slip: float = field(metadata=_is('1', 'axle speed over train speed, less 1; > 0 under traction'))
+    slipping: bool = field(metadata=_is('', 'true while the measured axle slips or slides'))
+    slip_share: float = field(metadata=_is('1', 'share of the last km in which the axle slipped'))
+
+    def __init__(
+        self,
+        used: float,
+        at_least: float,
+        adhesion: float,
+        adhesion_std: float,
+        slip: float,
+        slipping: bool,
+        slip_share: float,
+    ) -> None:
+        self.used, self.at_least, self.adhesion, self.adhesion_std = used, at_least, adhesion, adhesion_std
+        self.slip, self.slipping, self.slip_share = slip, slipping, slip_share
+
+
+def counters(kind: type[Any]) -> tuple[str, str]:
+    """Return the names of the counters of used and rejected samples in the message of an estimate."""
+    # The used adhesion is called so, too.
+    return ('samples_used', 'samples_rejected') if kind is AdhesionEstimate else ('used', 'rejected')
+
+
+Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate | AdhesionEstimate
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)
 

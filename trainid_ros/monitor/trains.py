@@ -18,6 +18,7 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 from trainid_ros.interface.records import (
+    ADHESION_TOPIC,
     BRAKE_RATE_TOPIC,
     INPUT_TOPICS,
     KM_H,
@@ -242,6 +243,19 @@ SHOWN: Final = (
     ),
 )
 
+VIEWED: Final = (
+    *SHOWN,
+    ShownEstimate(
+        ADHESION_TOPIC,
+        'adhesion',
+        '',
+        lambda _: 'force over weight',
+        lambda message, _: (float(message.adhesion), float(message.adhesion_std)),
+        lambda message: f'used {message.used:.3f}, at least {message.at_least:.3f}, slip {message.slip:+.0%}',
+    ),
+)
+"""What a recording shows: the monitor has the adhesion only as a warning while the axle slips."""
+
 
 def value_text(values: Sequence[tuple[float, str, int]]) -> str:
     """Return the values of an input, each given with its unit and decimals; those that are not known are left out."""
@@ -451,7 +465,8 @@ class Train:
 
     def on_estimate(self, topic: OutputTopic, message: Any, now_s: float, clock_ns: int) -> None:
         """Take in an estimate that arrived now, by both clocks; the message is any object with its fields."""
-        self._estimates[topic.name].add(message, now_s, clock_ns)
+        if (item := self._estimates.get(topic.name)) is not None:
+            item.add(message, now_s, clock_ns)
 
     def on_publishers(self, publishers: Mapping[str, tuple[str, ...]]) -> None:
         """Take in the nodes that publish each topic, by its name without the namespace."""

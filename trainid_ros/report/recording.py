@@ -22,8 +22,14 @@ from numpy.typing import NDArray
 
 from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.records import KM_H, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.monitor.trains import SHOWN, ShownEstimate
+from trainid_ros.interface.results import (
+    AdhesionEstimate,
+    BrakeRateEstimate,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+)
+from trainid_ros.monitor.trains import VIEWED, ShownEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,6 +125,7 @@ class Recording:
     speed_model: Track  # Output of AM-VFF-RLS
     brake_rate: Track  # Output of GSMA
     observable: tuple[Span, ...]  # Periods in which braking provides information on the brake rate
+    adhesion: Track  # Output of the adhesion
 
     def drive(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Return time [ns], speed [m/s] and gradient [per mille] where the speed is known."""
@@ -237,7 +244,7 @@ class _Outputs:
         self._kept.add(output)
         self.statuses.add(output.stamp_ns, output.status.name)
         estimate = output.estimate
-        if isinstance(estimate, SpeedModelEstimate) or not estimate.innovation_variance > 0.0:
+        if isinstance(estimate, SpeedModelEstimate | AdhesionEstimate) or not estimate.innovation_variance > 0.0:
             return
         # Outputs may repeat the last innovation.
         if estimate.innovation != self._innovation:
@@ -271,7 +278,7 @@ class Recorder:
         self._inputs: dict[type, _Thinned[tuple[float, ...]]] = {kind: _Thinned(capacity) for kind in kinds}
         self._force = self._command = self._gradient = self._greatest_force = 0.0
         self._modes, self._observable = Labels(), Labels()
-        estimates = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
+        estimates = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate, AdhesionEstimate)
         self.outputs: dict[type, _Outputs] = {kind: _Outputs(capacity) for kind in estimates}
 
     def on_record(self, entry: LoggedRecord) -> None:
@@ -326,11 +333,24 @@ class Recorder:
             _series(kept.items(), width, start_ns)
             for kept, width in zip(self._inputs.values(), (2, 1, 1, 1), strict=True)
         )
-        resistance, speed_model, brake_rate = (outputs.track(start_ns, end_ns) for outputs in self.outputs.values())
+        resistance, speed_model, brake_rate, adhesion = (
+            outputs.track(start_ns, end_ns) for outputs in self.outputs.values()
+        )
         modes, observable = (labels.spans(start_ns, end_ns) for labels in (self._modes, self._observable))
         length_s = (end_ns - start_ns) / NS_PER_S
         return Recording(
-            start_ns, length_s, speed, force, gradient, command, modes, resistance, speed_model, brake_rate, observable
+            start_ns,
+            length_s,
+            speed,
+            force,
+            gradient,
+            command,
+            modes,
+            resistance,
+            speed_model,
+            brake_rate,
+            observable,
+            adhesion,
         )
 
     def _extend(self, stamp_ns: int) -> None:
@@ -361,7 +381,7 @@ _COLOURS: Final = {
     'FAULT': 0x8C0000FF,
     USED: 0x2CA02CFF,
 }
-_NAMES: Final = {item.topic.estimate: item.name for item in SHOWN}
+_NAMES: Final = {item.topic.estimate: item.name for item in VIEWED}
 
 
 def switch_off_telemetry() -> None:
@@ -437,8 +457,8 @@ def write_recording(recorder: ViewRecorder, title: str, path: Path) -> None:
 
     recording = recorder.finish()
     panels = {f'inputs/{name}': panel for name, panel in input_panels(recording).items()}
-    tracks = (recording.resistance, recording.speed_model, recording.brake_rate)
-    for shown, track in zip(SHOWN, tracks, strict=True):
+    tracks = (recording.resistance, recording.speed_model, recording.brake_rate, recording.adhesion)
+    for shown, track in zip(VIEWED, tracks, strict=True):
         panels[f'estimates/{_path(shown.name)}'] = estimate_panel(shown, track)
     # Rerun merges recordings of the same id, as those of two bags of one name would have.
     stream = rr.RecordingStream('trainid', recording_id=f'{title} {uuid4()}')

@@ -593,6 +593,13 @@ class DiagnosticsPublisher:
             )
         if pipeline is not None and (brake := brake_findings(pipeline)):
             found['brake'] = Finding(warn, '; '.join(brake), 'correct it; no brake rate is valid meanwhile')
+        if pipeline is not None and self._context.kind.adhesion and (slip := pipeline.adhesion().estimate).slipping:
+            word = 'slips' if slip.slip > 0.0 else 'slides'
+            found['slip'] = Finding(
+                warn,
+                f'the measured axle {word} ({slip.slip:+.0%}); adhesion {slip.adhesion:.3f} ± {slip.adhesion_std:.3f}',
+                'allow for longer stopping distances; nothing is learned from this axle meanwhile',
+            )
         if clock_problem:
             found['clock'] = Finding(warn, clock_problem)
         if pipeline is not None and (rejected := unusable(pipeline.current())) is not None:

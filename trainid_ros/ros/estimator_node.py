@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
-from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
+from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, output_topic
 from trainid_ros.interface.results import Rejection, ResistanceEstimate, SpeedModelEstimate, Status, parameters
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.ros.checkpoints import Checkpoints
@@ -171,6 +171,7 @@ class EstimatePublisher:
 
     Attributes:
         live: Publishes every estimate.
+        adhesion: Publishes the adhesion, None where another node does.
         last_valid: Publishes latched ones, None where nothing is latched.
         latched: Status of the estimate that is latched, None before the first.
         published_ns: Steady time of the last estimate [ns], 0 before the first.
@@ -179,9 +180,12 @@ class EstimatePublisher:
     def __init__(self, context: NodeContext) -> None:
         self._node, self._changes = context.node, StatusChanges(context)
         context.since_ns = self._node.now_ns()
-        topic = context.kind.topic
+        topic = self._topic = context.kind.topic
         kind = message_class(topic)
         self.live = self._offer(kind, topic.name, offered_estimate_qos())
+        also, self.adhesion = context.kind.adhesion, None
+        if also is not None:
+            self.adhesion = self._offer(message_class(also), also.name, offered_estimate_qos())
         self.last_valid = self._offer(kind, topic.last_valid, latched_qos()) if topic.last_valid else None
         self.latched: Status | None = None
         self.published_ns = 0
@@ -198,15 +202,18 @@ class EstimatePublisher:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        for publisher in (self.live, self.last_valid):
+        for publisher in (self.live, self.adhesion, self.last_valid):
             if publisher is not None:
                 self._node.destroy_lifecycle_publisher(publisher)
 
     def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
         """Publish estimates; what follows from them is done by :meth:`conclude`, after those of other nodes."""
         for estimate in estimates:
-            self.live.publish(estimate.data)
-        self._sent += estimates
+            if estimate.topic is self._topic:
+                self.live.publish(estimate.data)
+                self._sent.append(estimate)
+            elif self.adhesion is not None:
+                self.adhesion.publish(estimate.data)
 
     def conclude(self, now_ns: int) -> None:
         """Latch and log what was published, at a time of the node's clock [ns]."""
@@ -246,10 +253,9 @@ class EstimatorNode(ManagedNode):
         """
         super().__init__(spec.kind.node_name, **options)
         self._inputs = inputs or SharedInputs()
-        self._message = message_class(spec.kind.topic)
         mapping = NodeMapping(self)
         specs = estimator_parameters(spec.kind.algorithms, requested_algorithm(self.overrides, spec.kind.algorithms))
-        expected = qos_overrides(spec.kind.topic, self.resolve_topic_name, mapping.topics)
+        expected = qos_overrides(spec.kind.topics, self.resolve_topic_name, mapping.topics)
         parameters = NodeParameters(self, specs, arguments, expected)
         self._settings = EstimatorSettings()
         self.shared = NodeContext(self, spec.kind, parameters, mapping, InputMonitors(self._settings.alignment))
@@ -414,16 +420,19 @@ class EstimatorNode(ManagedNode):
 
     def serialize(self, output: Any) -> SerializedEstimate:
         """Return an output of the pipeline as a message that is ready to be sent."""
-        message = fill_estimate(self._message(), output)
-        return SerializedEstimate(Status(message.status), serialize_message(message))
+        topic = output_topic(output.estimate)
+        message = fill_estimate(message_class(topic)(), output)
+        return SerializedEstimate(Status(message.status), serialize_message(message), topic)
 
     def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
         """Publish estimates; the rest that follows from them is done by :meth:`conclude`."""
         self.publisher.publish(estimates)
 
-    def announce(self, output: Any) -> None:
+    def announce(self, pipeline: EstimatorPipeline[Any]) -> None:
         """Publish an output that no message has caused."""
-        self.publish([self.serialize(output)])
+        outputs: list[Any] = []
+        pipeline.publish(outputs.append)
+        self.publish([self.serialize(output) for output in outputs])
         self.publisher.conclude(self.now_ns())
 
     def latch_loaded(self) -> None:
@@ -459,9 +468,10 @@ class EstimatorNode(ManagedNode):
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
         steady_ns = self.steady_ns()
         if self.watchdog.is_missing(self.now_ns(), steady_ns) and pipeline.status not in REPEATED:
-            self.announce(pipeline.mark_stale())
+            pipeline.mark_stale()
+            self.announce(pipeline)
         elif pipeline.status in REPEATED and steady_ns - self.publisher.published_ns >= HEARTBEAT_NS:
-            self.announce(pipeline.current())
+            self.announce(pipeline)
         steady_ns = self.steady_ns()
         waited_ns = steady_ns - self.publisher.published_ns if pipeline.status in REPEATED else 0
         pause_ns = self.watchdog.pause_ns(steady_ns, simulated=self.get_clock().ros_time_is_active)

@@ -65,10 +65,11 @@ def message_from_record(record: Record) -> Any:
 
 
 class SerializedEstimate(NamedTuple):
-    """A message of an estimate, ready to be sent, and its status."""
+    """A message of an estimate, ready to be sent, its status and its topic."""
 
     status: Status
     data: bytes
+    topic: OutputTopic
 
 
 def fill_estimate(message: Any, output: Output[Any]) -> Any:
@@ -246,8 +247,8 @@ _RIVALS_S: Final = 5.0  # time in which two falls show two publishers; nobody re
 
 def subscribe_estimates(
     node: Any, topic: OutputTopic, receive: Callable[..., object], lose: Callable[[OutputTopic, str], object]
-) -> tuple[Any, Any]:
-    """Subscribe to an estimate and its latched copy in the namespace of a node; return the subscriptions.
+) -> tuple[Any, ...]:
+    """Subscribe to an estimate and its latched copy, if any, in the namespace of a node; return the subscriptions.
 
     The first asks for no deadline and no lease: a subscriber that asks for more than a publisher offers gets nothing
     from it, and publishers of slow inputs offer less. The receiver measures silence, in less time than the deadline of
@@ -272,5 +273,7 @@ def subscribe_estimates(
     kind = message_class(topic)
     events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
     live = node.create_subscription(kind, topic.name, take, estimate_qos(), event_callbacks=events)
+    if not topic.last_valid:
+        return (live,)
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
     return live, node.create_subscription(kind, topic.last_valid, keep, latched_qos(), event_callbacks=events)

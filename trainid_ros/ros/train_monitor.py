@@ -15,8 +15,8 @@ from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, record_from_message
-from trainid_ros.monitor.trains import Level, Report, Trains
+from trainid_ros.interface.records import INPUT_TOPICS, record_from_message
+from trainid_ros.monitor.trains import SHOWN, Level, Report, Trains
 from trainid_ros.ros.node import creation_of
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, estimate_qos, input_qos, message_class, type_name
 
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from trainid_ros.interface.records import InputTopic, OutputTopic
     from trainid_ros.monitor.trains import Train, TrainView
 
-_TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
+_ESTIMATES: Final = tuple(item.topic for item in SHOWN)
+_TOPICS: Final[tuple[InputTopic | OutputTopic, ...]] = (*INPUT_TOPICS, *_ESTIMATES)
+_TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPICS}
 
 
 def _checked(namespace: str) -> str:
@@ -121,7 +123,7 @@ class TrainMonitor(Node):
         train = self.trains.add(namespace)
         wanted: list[tuple[InputTopic | OutputTopic, QoSProfile, Callable[[Any], None]]] = [
             *((topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS),
-            *((topic, estimate_qos(), partial(self._on_estimate, train, topic)) for topic in OUTPUT_TOPICS),
+            *((topic, estimate_qos(), partial(self._on_estimate, train, topic)) for topic in _ESTIMATES),
         ]
         self._listening[namespace] = [
             self.create_subscription(

@@ -234,10 +234,12 @@ def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
     return ', '.join(f'{name} = {own[name]:g} (train file: {value:g})' for name, value in different)
 
 
-def qos_overrides(output: OutputTopic, resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
-    """Return the names of the QoS parameters of a node, by its output, full names of topics, and a mapping's topics."""
+def qos_overrides(
+    outputs: Iterable[OutputTopic], resolve: Callable[[str], str], foreign: Iterable[str] = ()
+) -> list[str]:
+    """Return the names of a node's QoS parameters, by its outputs, full names of topics, and a mapping's topics."""
     topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
-    topics += [(topic, 'publisher') for topic in (output.name, output.last_valid) if topic]
+    topics += [(name, 'publisher') for topic in outputs for name in (topic.name, topic.last_valid) if name]
     return [
         f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in QOS_POLICIES[entity]
     ]
@@ -484,7 +486,7 @@ def node_setups(
             check_sections(params, node, kind.node_name, warn)
         if kind.name in chosen:
             overrides[ALGORITHM] = chosen[kind.name]
-        topics = qos_overrides(kind.topic, partial(_full, namespace=namespace), foreign)
+        topics = qos_overrides(kind.topics, partial(_full, namespace=namespace), foreign)
         # ROS adds two parameters to every node.
         others = {'use_sim_time', 'start_type_description_service', *topics}
         setups.append(_setup(kind, train_file, source, overrides, others))

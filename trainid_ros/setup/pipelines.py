@@ -15,7 +15,13 @@ from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms, Cho
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.estimators.settings import AmVffRlsConfig, FilterBankConfig, GsmaConfig, VMilsConfig
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
+from trainid_ros.interface.records import (
+    ADHESION_TOPIC,
+    BRAKE_RATE_TOPIC,
+    RESISTANCE_TOPIC,
+    SPEED_MODEL_TOPIC,
+    OutputTopic,
+)
 from trainid_ros.interface.results import BrakeRateEstimate, EstimateT, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.resistance.davis_posterior import is_delay_at_end
 from trainid_ros.resistance.filter_bank import FilterBank
@@ -100,6 +106,13 @@ class EstimatorKind(Generic[EstimateT]):
 
     algorithms: Algorithms[EstimateT]  # Available algorithms
     topic: OutputTopic  # Topic of the estimates
+    # Topic of the adhesion, None if another node publishes it: it comes with the samples of all
+    adhesion: OutputTopic | None = None
+
+    @property
+    def topics(self) -> tuple[OutputTopic, ...]:
+        """All topics of its node."""
+        return (self.topic,) if self.adhesion is None else (self.topic, self.adhesion)
 
     @property
     def name(self) -> str:
@@ -121,7 +134,7 @@ class EstimatorKind(Generic[EstimateT]):
 
 RESISTANCE_KIND: Final = EstimatorKind(RESISTANCE, RESISTANCE_TOPIC)
 SPEED_MODEL_KIND: Final = EstimatorKind(SPEED_MODEL, SPEED_MODEL_TOPIC)
-BRAKE_RATE_KIND: Final = EstimatorKind(BRAKE_RATE, BRAKE_RATE_TOPIC)
+BRAKE_RATE_KIND: Final = EstimatorKind(BRAKE_RATE, BRAKE_RATE_TOPIC, ADHESION_TOPIC)
 KINDS: Final[tuple[EstimatorKind[Any], ...]] = (RESISTANCE_KIND, SPEED_MODEL_KIND, BRAKE_RATE_KIND)
 
 ResistancePipeline: TypeAlias = EstimatorPipeline[ResistanceEstimate]

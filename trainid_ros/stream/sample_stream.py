@@ -16,9 +16,10 @@ from typing import ClassVar, Final, TypeAlias
 
 from trainid_ros.interface.errors import check_settings
 from trainid_ros.interface.records import FORCE, NS_PER_S, SPEED, Record
-from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.interface.state import State, declare, encode, restore, unknown
+from trainid_ros.stream.adhesion import AdhesionEstimator
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
@@ -148,9 +149,12 @@ class SampleStream:
         config: What shapes it.
         is_new: True until the first record.
         faults: What is wrong with the inputs.
+        adhesion: Adhesion, slip and slide.
     """
 
-    STATE: ClassVar[State] = declare('_aligner', '_history', '_correction', 'faults', '_first_ns', 'behind_ns')
+    STATE: ClassVar[State] = declare(
+        '_aligner', '_history', '_correction', 'faults', 'adhesion', '_first_ns', 'behind_ns'
+    )  # fmt: skip
 
     def __init__(self, config: StreamConfig) -> None:
         """Prepare; InputError, naming the field, if a setting is out of range."""
@@ -176,6 +180,7 @@ class SampleStream:
 
     def _start_over(self) -> None:
         self.faults = InputFaults(self._known)
+        self.adhesion = AdhesionEstimator(self._known)
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self.behind_ns = 0
@@ -261,6 +266,12 @@ class SampleStream:
             sample.extra = self._known.extra(sample)
         if self._rejects_faults:
             self.faults.take(sample)
+            self.adhesion.step(sample, self.faults.check.blocks.noise)
+            sample.adhesion = adhesion = self.adhesion.estimate()
+            if adhesion.slipping:  # the axle does not tell how the train runs
+                held = Rejection(sample.stamp_ns, Reason.SPEED_INCONSISTENT, adhesion.slip, 0.0)
+                sample.rejection = sample.rejection or held
+                sample.brake_rejection = sample.brake_rejection or held
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from trainid_ros.interface.results import Rejection
+from trainid_ros.interface.results import AdhesionEstimate, Rejection
 from trainid_ros.train.forces import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
@@ -58,6 +58,7 @@ class Sample:
     # Why resistance and speed model cannot use it (a stuck speed, inputs that contradict each other), None if they can
     rejection: Rejection | None = None
     brake_rejection: Rejection | None = None  # The same for the brake rate
+    adhesion: AdhesionEstimate | None = field(default=None, init=False, repr=False, compare=False)  # After this sample
     # Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated
     extra: float = field(default=math.nan, init=False, repr=False, compare=False)
 
@@ -111,6 +112,7 @@ class Sample:
         self.is_weighing_overdue = is_weighing_overdue
         self.rejection = rejection
         self.brake_rejection = brake_rejection
+        self.adhesion = None
         self.extra = math.nan
 
     @property
