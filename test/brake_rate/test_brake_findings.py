@@ -28,7 +28,7 @@ def driven(metro: TrainFile) -> Simulation:
 
 def stated(metro: TrainFile, error: float) -> TrainFile:
     """Return the train file with a dead time that is too short by an error [s]."""
-    return replace(metro, brake=replace(metro.brake, delay=metro.brake.delay - error))
+    return replace(metro, brake=replace(metro.brake, delay=metro.brake.delay - error, timing_std=0.12))
 
 
 def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resistance_is(
@@ -65,13 +65,31 @@ def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resista
     assert brake_findings(again) == (finding,)
 
 
-@pytest.mark.parametrize('error', [-0.4, 0.0, 0.4])
+@pytest.mark.parametrize('error', [-0.3, 0.0, 0.3])
 def test_a_small_error_is_learned(metro: TrainFile, driven: Simulation, error: float) -> None:
     pipeline = brake_rate_pipeline(stated(metro, error), SETTINGS)
     outputs = [output for record in driven.records for output in pipeline.push(record)]
     assert brake_findings(pipeline) == ()
     assert outputs[-1].status in USABLE
     assert pipeline.why_converging == ''
+
+
+@pytest.mark.parametrize(('lag', 'wrong', 'every'), [(0.4, 1.7, 1), (1.7, 0.4, 1), (1.7, 0.4, 5)])
+def test_a_wrong_lag_is_named_and_no_rate_is_valid_then(metro: TrainFile, lag: float, wrong: float, every: int) -> None:
+    """At 5 Hz, and at 1 Hz."""
+    true, file = (
+        replace(metro, brake=replace(metro.brake, time_constant=tau, timing_std=0.01)) for tau in (lag, wrong)
+    )
+    records = simulate(Scenario(true, runs=4), np.random.default_rng(6004)).records
+    speeds = [record for record in records if isinstance(record, SpeedRecord)]
+    left_out = {record.stamp_ns for k, record in enumerate(speeds) if k % every}
+    pipeline = brake_rate_pipeline(file, SETTINGS)
+    for record in records:
+        if not (isinstance(record, SpeedRecord) and record.stamp_ns in left_out):
+            pipeline.push(record)
+    (finding,) = brake_findings(pipeline)
+    assert f'brake.time_constant = {wrong:.2f} s of the train file is wrong' in finding
+    assert pipeline.status is Status.CONVERGING
 
 
 def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, driven: Simulation) -> None:

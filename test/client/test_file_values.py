@@ -98,6 +98,7 @@ OF_A_SPEED = (
     'headwind:speed=10',
     'higher_order_drag:coefficient=0.0005',
     'mass_error:ratio=1.2',
+    'run_drag:size=2',
     'starting_resistance:value=4,speed=2',
     'traction_scale:ratio=0.8',
 )

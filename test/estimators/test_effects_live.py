@@ -26,7 +26,7 @@ from trainid_ros.train.train_file import Effect, TrainFile
 
 SPEEDS = np.linspace(4.0, 20.0, 9)
 # Allowed increase of the error over that of a train without any effect: N/kN, N/kN, brake rate [1].
-ALLOWANCE = {'resistance': 0.2, 'speed_model': 0.5, 'brake_rate': 0.01}
+ALLOWANCE = {'resistance': 0.2, 'speed_model': 0.5, 'brake_rate': 0.015}
 
 
 @dataclass(frozen=True)

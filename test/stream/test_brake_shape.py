@@ -53,7 +53,7 @@ def test_a_linear_change_is_named_with_its_size(rise: float) -> None:
     sense = 'rises' if rise > 0.0 else 'falls'
     assert check.warning(MAX_SPEED) == (
         f'from 1 to 20 m/s the brake rate {sense} by about {change.size:.2f} against brake.rate of the train file: '
-        'it needs another table over speed'
+        'it needs another table over speed, see trainid fit --brake'
     )
     assert check.is_wrong
 

@@ -155,6 +155,8 @@ _MAX_TRACTION_SHARE: Final = 0.5
 _MEMORY: Final = 100.0
 _MAX_SQUARE: Final = 9.0
 _MAX_EXCESS: Final = 10.0
+# Distance of a learned time from that of the train file beyond which the file is wrong [std of the file].
+_MISTIMED: Final = 4.0
 MAX_RATE_FACTOR: Final = 3.0  # largest brake rate as a multiple of that of the train file [1]
 
 
@@ -183,6 +185,7 @@ class EstimatorState:
     test_ratio: float = 0.0  # Square of the innovation over the limit of the gate [1]
     observable: bool = False  # Whether the last sample updated f
     converged: bool = False  # Whether the brake rate is valid
+    is_mistimed: bool = False  # Whether dead time or lag are not those of the train file
 
 
 class BrakeRateEstimator:
@@ -231,6 +234,23 @@ class BrakeRateEstimator:
         """Whether the brake rate is known accurately enough."""
         return self.state.converged
 
+    @property
+    def timing_finding(self) -> str:
+        """What is wrong with the times of the brake in the train file, empty if nothing is."""
+        timing, brake, (delay_std, lag_std) = self.state.timing, self._brake, self._model.timing_stds
+        delay, lag, both_std = (
+            timing.delay - brake.delay,
+            timing.lag - brake.time_constant,
+            math.hypot(delay_std, lag_std),
+        )
+        errors = ((delay, delay_std), (lag, lag_std), (delay + lag, both_std))
+        if all(abs(error) <= _MISTIMED * std for error, std in errors):
+            return ''
+        return (
+            f'brake.delay = {brake.delay:.2f} s or brake.time_constant = {brake.time_constant:.2f} s of the train file '
+            f'is wrong: brakings so far show {timing.delay:.2f} and {timing.lag:.2f} s; see trainid fit --brake'
+        )
+
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; f is updated only while the brake acts on a moving train."""
         state = self.state
@@ -247,7 +267,8 @@ class BrakeRateEstimator:
         """Decide whether the rate is valid, with a hysteresis of factor two; one within 3 stds of its limit is not."""
         state, std = self.state, self._std()
         limit = self._valid_std * (2.0 if state.converged else 1.0)
-        state.converged = std < limit and state.rate + 3.0 * std < self._max_rate
+        is_known = std < limit and state.rate + 3.0 * std < self._max_rate
+        state.converged = is_known and not state.is_mistimed
 
     def idle(self, seconds: float) -> None:
         """Let the drift of the rate go on over a time without samples [s]."""
@@ -336,6 +357,7 @@ class BrakeRateEstimator:
         timing.move((e[DELAY] / f, e[LAG] / f), stds, self._brake)
         applied = (f * (timing.delay - delay), f * (timing.lag - lag))
         self.posterior.recentre((applied[0], applied[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        self.state.is_mistimed = bool(self.timing_finding)
 
     def _interval(self, sample: Sample, motion: BrakeStep) -> Transition:
         state = self.state

@@ -275,6 +275,8 @@ def _spread(std: float, before: float) -> float:
 
 MIN_RATE: Final = 0.05  # lower limit of a brake rate that is used as a divisor [1]
 BLEND_SHAPE: Final = 0.7  # error of the shape of the changeover between brakes, as a share of its size [1]
+# Least std of dead time and lag [s]: a vehicle bus sends every 0.1 s.
+_MIN_TIMING_STD: Final = 0.03
 # Timing jitter of brake changes per relative error of the timing [s].
 _JITTER_S: Final = 0.4
 # Variation between changeovers, as a share of their size, and its correlation time [s].
@@ -296,7 +298,7 @@ class MotionModel:
 
     Attributes:
         stds: Standard deviations of the errors e.
-        timing_stds: Standard deviations of dead time and lag [s].
+        timing_stds: Standard deviations of dead time and lag that may be learned [s].
         disturbance_std: Std of the unmodelled acceleration, including the map error [m/s^2].
     """
 
@@ -310,14 +312,14 @@ class MotionModel:
         self._max_speed, self._timing_std = train.max_speed, train_file.brake.timing_std
         self.disturbance_std = math.hypot(config.disturbance_std, train_file.line.gradient_std / self.inertia)
         # Relative to the delay stated in the file, because the effect brake_delay was measured.
-        self.timing_stds = train_file.brake.timing_stds
+        delay, lag = (max(std, _MIN_TIMING_STD) if std > 0.0 else 0.0 for std in train_file.brake.timing_stds)
+        self.timing_stds = delay, lag
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
         self._force_error, self._min_speed, self._min_braking = config.force_error, config.min_speed, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
-        delay, lag = self.timing_stds
         force, resistance = math.hypot(train.mass_std, train.force_std), config.resistance_std
         self.stds: Errors = (
             self.brake.rate * delay, self.brake.rate * lag, resistance, resistance, force,

@@ -121,8 +121,8 @@ VERBS: Final = (
         'out --train --world --realism --unknown --effect --runs --seed --json', 'new_bag.simulate',
     ),
     Verb(
-        'fit', 'fit Davis parameters to a bag in one batch',
-        'bag --map --max-chunk --train --start --duration --namespace --json',
+        'fit', 'fit Davis parameters, or the brake, in one batch',
+        'bags --map --max-chunk --train --brake --out --etcs --start --duration --namespace --json', 'fit_brake.run',
     ),
     Verb(
         'explain', 'find the effects that a train file lacks and add them',
@@ -192,6 +192,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--truth': _path('FILE', 'truth for the report (default: truth.yaml in the bag, if any)'),
     'demo --rate': _value(positive, DEMO_RATE, 'R', f'playback rate, x real time (default: {DEMO_RATE:g})'),
     'play --rate': _value(positive, 1.0, 'R', 'recorded seconds per second (default: 1)'),
+    '--brake': _flag('fit dead time, lag and rate of the brake instead, to one bag or several'),
+    'fit bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file; several only with --brake', nargs='+'),
+    'fit --out': _path('FILE', 'with --brake: write the brake section of a train file there'),
+    '--etcs': _flag('with --brake: also in the form of ERTMS brake parameters, SUBSET-026-3; no approval'),
     '--start': _value(_not_negative, 0.0, 'S', 'skip the first seconds'),
     'monitor --duration': _value(positive, 0.0, 'S', 'end after this many seconds'),
     'play --duration': _value(positive, 0.0, 'S', 'play only this many seconds'),

@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trainid_ros.bag.reader import BagReader
+    from trainid_ros.brake_rate.braking import BrakingCollector
     from trainid_ros.interface.results import Reason
-    from trainid_ros.resistance.davis_fit import Trajectory
+
+    Collector = PieceCollector | BrakingCollector
 
 
-class UndisturbedMotion(NamedTuple):
-    """Undisturbed motion in a bag: trajectory, number of samples, rejected samples by reason, last contradiction."""
+class Reading(NamedTuple):
+    """Number of samples collected from a bag, those rejected by reason, and the last contradiction."""
 
-    trajectory: Trajectory
     samples: int
     rejected: Counter[Reason]
     finding: str
@@ -41,17 +42,9 @@ def run(args: argparse.Namespace) -> int:
     """Fit a bag and print what was found; NoAnswerError if a, b and c remain unknown, or implausible (wrong units)."""
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
-    inputs = mapped_inputs(args.map, collector.train_file)
-    with opened(args, inputs) as reader:
-        known = reader.warnings
-        for line in known:
-            warn(line)
-        with progress(f'read {reader.path.name}', total=reader.input_count) as advance:
-            motion = collect(reader, collector, args.start, args.duration, advance)
-        for line in reader.warnings[len(known) :]:
-            warn(line)
+    motion = read(args, collector)
     try:
-        fit = fit_davis(motion.trajectory, config)
+        fit = fit_davis(collector.trajectory(), config)
         check_plausible(fit, config)
     except NoAnswerError as error:
         if args.json:
@@ -70,10 +63,24 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def read(args: argparse.Namespace, collector: Collector) -> Reading:
+    """Collect the part of ``args.bag`` that is asked for, with progress and warnings; see :func:`collect`."""
+    inputs = mapped_inputs(args.map, collector.train_file)
+    with opened(args, inputs) as reader:
+        known = reader.warnings
+        for line in known:
+            warn(line)
+        with progress(f'read {reader.path.name}', total=reader.input_count) as advance:
+            reading = collect(reader, collector, args.start, args.duration, advance)
+        for line in reader.warnings[len(known) :]:
+            warn(line)
+    return reading
+
+
 def collect(
-    reader: BagReader, collector: PieceCollector, start_s: float, duration_s: float, advance: Callable[[float], None]
-) -> UndisturbedMotion:
-    """Return the undisturbed motion within a part of a bag, by log time.
+    reader: BagReader, collector: Collector, start_s: float, duration_s: float, advance: Callable[[float], None]
+) -> Reading:
+    """Collect what lies within a part of a bag, by log time.
 
     Records before that part are processed too: they give the state of the brake and the mass of the train. InputError
     if a required topic is missing, or the part lies outside the bag.
@@ -96,7 +103,8 @@ def collect(
         elif isinstance(event, Sample):
             samples += 1
             collector.add(event, rejected)
-    return UndisturbedMotion(collector.trajectory(), samples, rejected, stream.last_finding)
+    collector.end_piece()
+    return Reading(samples, rejected, stream.last_finding)
 
 
 def to_json(fit: DavisFit) -> dict[str, Any]:
@@ -110,7 +118,7 @@ def _stds(fit: DavisFit) -> list[float]:
     return deviations(fit.covariance.ravel().tolist())
 
 
-def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
+def describe(fit: DavisFit, motion: Reading) -> str:
     """Return the fit as text."""
     rows = [('value', 'estimate', 'std', 'unit'), *davis_rows(fit.theta.tolist(), _stds(fit))]
     slow, fast = fit.speed_range

@@ -145,7 +145,7 @@ class FileValues:
     def __init__(self, train_file: TrainFile, prior: PriorSettings, config: BrakeRateConfig) -> None:
         self.train_file, self.config, self._prior = train_file, config, prior
         model = MotionModel(train_file, config)
-        self.brake, self.timing_stds = model.brake, model.timing_stds
+        self.brake, self.timing_stds = model.brake, train_file.brake.timing_stds
         self.k = G / (1000.0 * (1.0 + train_file.train.rotary_mass))
         self.effects = StatedEffects(train_file)
         self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)

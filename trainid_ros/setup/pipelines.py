@@ -171,9 +171,10 @@ def _find(text: str) -> tuple[str, str]:
 
 
 def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
-    """Return a sentence for the dead time or else the rate over speed, if it is wrong; none for other estimates."""
-    warning = pipeline.stream.faults.brake_warning if isinstance(pipeline.estimator, BrakeRateEstimator) else ''
-    return (warning,) if warning else ()
+    """Return a sentence for the rate over speed and one for times, if they are wrong; none for other estimates."""
+    if not isinstance(pipeline.estimator, BrakeRateEstimator):
+        return ()
+    return tuple(filter(None, (pipeline.stream.faults.brake_warning, pipeline.estimator.timing_finding)))
 
 
 def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:

@@ -123,9 +123,11 @@ _MPH: Final = 2.236936
 _LBF: Final = 4.448222  # [N]
 
 
-def _late(what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False) -> tuple[Row, ...]:
+def _late(
+    what: Input, sentence: str, delays: tuple[float, ...], *, early: bool = False, remedy: str = ''
+) -> tuple[Row, ...]:
     asks = _RARE if early else 0.0
-    return tuple(Row(f'{sentence} by about {s:.1f} s', _only(what), late=what, late_s=s, early=early, asks=asks)
+    return tuple(Row(f'{sentence} by about {s:.1f} s{remedy}', _only(what), late=what, late_s=s, early=early, asks=asks)
                  for s in delays)  # fmt: skip
 
 
@@ -190,7 +192,7 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('ato/brake_command is in g', _only(Input.COMMAND), command=G, misread=True),
     _nothing('ato/brake_command is stuck or follows nothing', Input.COMMAND),
     *_late(Input.COMMAND, 'ato/brake_command is late', _LATE_S[1:]),
-    *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[2:]),
+    *_late(Input.BRAKE, 'the brake acts later than brake.delay says,', _LATE_S[2:], remedy=': see trainid fit --brake'),
     Row('ato/gradient has the wrong sign', _only(Input.GRADIENT), gradient=-1.0, misread=True),
     Row('ato/gradient is in per cent', _only(Input.GRADIENT), gradient=10.0, misread=True),
     _nothing('ato/gradient does not fit line.gradient of the train file', Input.GRADIENT, asks=0.0),
