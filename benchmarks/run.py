@@ -63,6 +63,7 @@ PARTS: Final[Mapping[str, Part]] = {
     'drives': Part('benchmarks.drives:measure', 1, 1.0),
     # Not in the whole run of the revision of the others.
     'prediction': Part('benchmarks.prediction:measure', 2, 0.0),
+    'hazard': Part('benchmarks.hazard:measure', 6, 0.0),
     # Experiments of the four papers, and comparisons with other libraries.
     'liu2018': Part('research.papers.liu2018:measure', 3, 1.0),
     'resistance': Part('research.papers.resistance:measure', 3, 0.5),

@@ -204,6 +204,55 @@ def test_bounds_cover_their_share_of_the_posterior(
         assert abs(covered - confidence) < tolerance
 
 
+def mixed(dropped: float, loss: float, confidence: float, posterior: StopPosterior = LEARNED) -> StoppingBounds:
+    """Return bounds of a brake that may have dropped."""
+    return StoppingBounds(shape(), replace(posterior, dropped=dropped, loss=loss), 0.9, 0.0, confidence)
+
+
+# Probability of a drop, its size, and confidence: drops that count little, much and not at all, and near certainty.
+DROPS = [(0.03, 0.03, 0.95), (0.1, 0.1, 0.95), (0.3, 0.2, 0.95), (0.01, 0.6, 0.9), (1.0, 0.2, 0.95), (0.5, 0.3, 0.5)]
+
+
+@pytest.mark.parametrize(('dropped', 'loss', 'confidence'), DROPS[:3])
+def test_bounds_cover_their_share_of_brakes_as_known_and_dropped(
+    dropped: float, loss: float, confidence: float
+) -> None:
+    known = draw(LEARNED, np.random.default_rng(11))
+    lower = np.concatenate([(1.0 - loss) * known[:3], known[3:]])
+    bounds = mixed(dropped, loss, confidence)
+    distance = bounds.at(18.0).distance
+    held = [float(np.mean(distances(shape(), theta, 18.0, 0.9, 0.0, 0.05) <= distance)) for theta in (known, lower)]
+    assert abs((1.0 - dropped) * held[0] + dropped * held[1] - confidence) < 0.008
+    assert bounds.at(18.0).std == pytest.approx(StoppingBounds(shape(), LEARNED, 0.9, 0.0, confidence).at(18.0).std)
+
+
+@pytest.mark.parametrize(('dropped', 'loss', 'confidence'), DROPS)
+@pytest.mark.parametrize('posterior', [LEARNED, UNKNOWN])
+def test_a_bound_with_a_drop_is_longer_and_smooth_and_has_an_inverse(
+    posterior: StopPosterior, dropped: float, loss: float, confidence: float
+) -> None:
+    bounds, step = mixed(dropped, loss, confidence, posterior), 1e-3
+    for speed in (2.5, 22.2):
+        found = bounds.at(speed)
+        assert found.distance > StoppingBounds(shape(), posterior, 0.9, 0.0, confidence).at(speed).distance
+        numeric = (bounds.at(speed + step).distance - bounds.at(speed - step).distance) / (2.0 * step)
+        assert found.dD_dv == pytest.approx(numeric, rel=0.01)
+        other = mixed(dropped, loss, confidence, posterior)  # by other speeds on the way
+        assert other.speed(found.distance)[0] == pytest.approx(speed, abs=1e-6)
+
+
+def test_a_drop_that_cannot_be_changes_nothing_to_the_bit() -> None:
+    before = StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).at(20.0).distance
+    assert mixed(0.0, 0.3, 0.95).at(20.0).distance == mixed(0.4, 0.0, 0.95).at(20.0).distance == before
+
+
+def test_a_train_that_a_drop_may_keep_from_stopping_has_a_bound_while_that_is_within_the_risk() -> None:
+    rare, often = (mixed(dropped, 0.9, 0.95, on(LEARNED, -20.0)) for dropped in (0.04, 0.06))
+    known = StoppingBounds(shape(), on(LEARNED, -20.0), 0.9, 0.0, 0.95 / 0.96)
+    assert rare.at(20.0).distance == pytest.approx(known.at(20.0).distance)
+    assert math.isinf(often.at(20.0).distance)
+
+
 def test_the_variance_along_a_gradient_is_that_of_the_whole_covariance() -> None:
     davis = (0.04, -0.002, 1e-5, -0.002, 2e-4, -1e-6, 1e-5, -1e-6, 4e-8)
     whole, along = np.diag(LEARNED.variances), unit(np.random.default_rng(5))

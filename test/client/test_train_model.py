@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -25,7 +26,7 @@ from trainid_ros.client.stopping import RateShape, StoppingBounds, StopPosterior
 from trainid_ros.client.train_model import SPEED, Argument, ForwardClock, distance_to
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.records import RESISTANCE_TOPIC, SpeedRecord
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings
@@ -43,6 +44,13 @@ W = ResistanceEstimate(
     force_delay_std=0.02,
 )
 F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.01, 0.1)
+
+
+def replace_estimate(estimate: BrakeRateEstimate, *, observable: bool) -> BrakeRateEstimate:
+    """Return a copy; estimates are no dataclasses whose values can be replaced."""
+    changed = copy(estimate)
+    changed.observable = observable
+    return changed
 
 
 class Drive:
@@ -183,6 +191,51 @@ def test_live_values_shorten_a_bound_and_move_without_a_jump() -> None:
     assert (bounds[-1] < 0.95 * before.value, rates[-1]) == (True, 0.9)
     for values, largest in ((bounds, 8.0), (rates, 0.011), (forces, 2000.0)):
         assert max(abs(after - value) for value, after in pairwise(values)) < largest
+
+
+HAZARD = replace(FILE, brake=replace(FILE.brake, loss_per_hour=2.0, loss=0.2))
+
+
+def test_a_bound_counts_drops_since_the_brake_was_last_observed() -> None:
+    now = 0.0
+    model, plain = (TrainModel(None, file, max_age=1e9, clock=lambda: now) for file in (HAZARD, FILE))
+    for estimate in (W, replace_estimate(F, observable=True)):
+        model.take(Output(1, estimate, Status.VALID, 1, 0, None))
+        plain.take(Output(1, estimate, Status.VALID, 1, 0, None))
+    assert model.stopping_distance(20.0) == plain.stopping_distance(20.0)  # just observed
+    now, later = 60.0, []
+    known = plain.stopping_distance(20.0)
+    for minutes in (1.0, 3.0, 30.0):
+        now = 60.0 * minutes
+        model.take(Output(round(now), F, Status.HOLDING, 1, 0, None))
+        later.append(model.stopping_distance(20.0))
+    assert known.value < later[0].value < later[1].value < later[2].value
+    assert {answer.std for answer in later} == {known.std}
+    # After half an hour, the brake has dropped with a probability of 1 - 1/e.
+    posterior = StopPosterior(
+        (0.9, 0.0, 0.0, *(W.a, W.b, W.c), 0.0, 0.6, 0.4),
+        (0.02**2, 0.08**2, 0.06**2, 0.0, 0.0, 0.0, 0.2**2, *(x * x for x in HAZARD.brake.timing_stds)),
+        COVARIANCE, 1.0 - math.exp(-1.0), 0.2,
+    )  # fmt: skip
+    k = 9.80665 / 1100.0
+    bound = StoppingBounds(RateShape([], [], FILE.train.max_speed, 2.5, k), posterior, 1.0, 0.0, 0.95).at(20.0)
+    assert later[2].value == pytest.approx(bound.distance, rel=1e-3)
+    speed = model.braking_speed(later[2].value)
+    assert speed.value == pytest.approx(20.0, abs=1e-5)
+    assert model.braking_curve(later[2].value, (0.0,)) == (speed,)
+
+
+def test_without_a_braking_a_brake_counts_as_not_observed_for_an_hour() -> None:
+    fresh, hour = Drive(HAZARD), Drive(HAZARD)
+    seen = Output(1, replace_estimate(F, observable=True), Status.CONVERGING, 1, 0, None)
+    hour.model.take(seen)
+    hour.now = 3600.0
+    assert hour.model.stopping_distance(20.0).value == pytest.approx(fresh.model.stopping_distance(20.0).value)
+    # Neither a copy of the last valid estimate nor one that repeats an old stamp tells when that was.
+    fresh.model.take_message(BRAKE_RATE_TOPIC, Status.VALID, seen.estimate, 1, latched=True)
+    hour.model.take(seen)
+    assert fresh.model._observed_s == -math.inf
+    assert hour.model._observed_s == 0.0
 
 
 @pytest.mark.parametrize('status', [None, Status.STALE, Status.FAULT])

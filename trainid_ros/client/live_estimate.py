@@ -212,16 +212,17 @@ class LiveEstimate:
         """Return whether an estimate, usable or not, has come lately."""
         return time_s - self._heard_s <= self._max_age_s
 
-    def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> None:
+    def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> bool:
         """Take in an estimate; one of no newer stamp [ns] only if it says that the previous must not be used.
 
         Stamps that go back, as when a bag starts again, are those of estimates once they have risen for the time
-        without an estimate after which the last is not used any more.
+        without an estimate after which the last is not used any more. Returns whether its stamp counts as newer.
         """
         self._is_kept = self._is_refused = False
         is_news = self._is_newer(stamp_ns)
         if is_news or not (status in USABLE or status is self._status is Status.CONVERGING):
             self.take(status, values, time_s)
+        return is_news
 
     def _is_newer(self, stamp_ns: int) -> bool:
         if stamp_ns < self._newest_ns:

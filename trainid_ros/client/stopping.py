@@ -37,6 +37,13 @@ a poorly known one is longer than that.
 The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, a fraction of more
 than 1 - P never slows below that speed, so from higher speeds there is no bound. At a place on the line there is none
 unless a train stops that decelerates by d0 - z std(d) all the way.
+
+The brake may have dropped since it was last observed: with probability q, its rate is (1 - loss) r. The bound D is then
+that of the mixture of both brakes. With D0(z) and D1(z), the bounds of the brake as known and of the lower one,
+
+    D = D0(z0) = D1(z1),        (1 - q) Phi(z0) + q Phi(z1) = P,
+
+found by iteration: D0 and D1 are taken to be linear in z, with dD0/dz = sqrt(D'^T S D') at the design point.
 """
 
 from __future__ import annotations
@@ -384,6 +391,15 @@ class StopPosterior:
     mean: tuple[float, ...]  # in the order of RATE to LAG
     variances: tuple[float, ...]  # of each in its squared unit; those of a, b and c are in ``davis``
     davis: tuple[float, ...]  # covariance of (a, b, c), 3x3, row-major
+    dropped: float = 0.0  # probability that the brake rate has dropped since it was last observed [1]
+    loss: float = 0.0  # size of such a drop as a share of the rate [1]
+
+    def lower(self) -> StopPosterior:
+        """Return what is known of a stop with the lower brake."""
+        left = 1.0 - self.loss
+        mean = [left * x for x in self.mean[:A]]
+        variances = [left * left * x for x in self.variances[:A]]
+        return StopPosterior((*mean, *self.mean[A:]), (*variances, *self.variances[A:]), self.davis)
 
     def spread(self, gradient: list[float]) -> list[float]:
         """Return the covariance times a gradient, shape (9,)."""
@@ -410,6 +426,13 @@ class _LeastBraking(Braking):
         return super()._deceleration(v, target, run) - less
 
 
+# So that z0 and z1 are finite: a probability that counts as none, and the least part of the risk 1 - P left to D0 [1].
+_NONE, _KNOWN_RISK = 1e-6, 0.01
+# Iterations of z0, difference of D0 and D1 that ends them, whose square is left [1], and halvings of it.
+_MIXTURE_STEPS, _MIXTURE_ERROR, _HALVINGS = 60, 1e-6, 40
+_NORMAL: Final = NormalDist()
+
+
 class StoppingBounds:
     """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1)."""
 
@@ -418,7 +441,14 @@ class StoppingBounds:
     ) -> None:
         self._shape, self._posterior = shape, posterior
         self._command, self._applied = command, applied
-        self._z = NormalDist().inv_cdf(confidence)
+        self._confidence = confidence
+        # That of the brake as known, with a lower one the last z0; its least and largest value.
+        self._z = self._z_least = self._z_most = _NORMAL.inv_cdf(confidence)
+        self._lower: StoppingBounds | None = None
+        if posterior.dropped * posterior.loss > 0.0:
+            self._lower = StoppingBounds(shape, posterior.lower(), command, applied, confidence)
+            share = confidence / max(1.0 - posterior.dropped, confidence)
+            self._z_most = _NORMAL.inv_cdf(min(share, 1.0 - _KNOWN_RISK * (1.0 - confidence)))
         self._at_mean = Braking(shape, list(posterior.mean), command, applied)
         # Speeds at which the deceleration is checked [m/s], and the number of them at which it is known to be positive.
         knots = shape.knots(MAX_SPEED)
@@ -429,6 +459,56 @@ class StoppingBounds:
 
     def at(self, speed: float) -> Stop:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
+        return self._alone(speed, self._z) if self._lower is None else self._mixed(speed, self._lower)
+
+    def _mixed(self, speed: float, lower: StoppingBounds) -> Stop:
+        """Return the bound of a brake that may have dropped. For any z0 the longer of D0 and D1 is one."""
+        dropped, most, low, high, z = self._posterior.dropped, self._z_most, self._z_least, math.inf, self._z
+        best = Stop(math.inf, math.inf, math.inf)
+        for _ in range(_MIXTURE_STEPS):
+            share = (self._confidence - (1.0 - dropped) * _NORMAL.cdf(z)) / dropped
+            z_lower = _NORMAL.inv_cdf(min(max(share, _NONE), self._confidence))
+            known, of_lower = self._alone(speed, z), lower._alone(speed, z_lower)
+            excess = known.distance - of_lower.distance
+            if z == most and share <= _NONE and excess <= 0.0:
+                best = known  # the drop is within the risk
+                break
+            longer = of_lower if excess < 0.0 else known
+            if longer.distance < best.distance:
+                best, best.std = longer, known.std
+            low, high = (z, high) if excess < 0.0 else (low, z)
+            middle = 0.5 * (low + high) if high <= most else most
+            if math.isnan(excess) or middle - low <= 1e-12:
+                break
+            if math.isinf(excess):
+                z = middle
+                continue
+            by_z = max(self._posterior.std(known.gradient), 1e-12)
+            by_z_lower = max(lower._posterior.std(of_lower.gradient), 1e-12)
+            distance = self._between(known.distance, by_z, z, of_lower.distance, by_z_lower, z_lower)
+            if abs(excess) <= _MIXTURE_ERROR * known.distance:
+                # Weights by the densities of the distance.
+                density, of_drop = (1.0 - dropped) * _NORMAL.pdf(z) / by_z, dropped * _NORMAL.pdf(z_lower) / by_z_lower
+                best.distance = distance
+                best.dD_dv = (density * known.dD_dv + of_drop * of_lower.dD_dv) / (density + of_drop)
+                break
+            following = min(z + (distance - known.distance) / by_z, most)
+            z = following if low < following < high else middle
+        return best
+
+    def _between(self, known: float, by_z: float, z: float, lower: float, by_z_lower: float, z_lower: float) -> float:
+        """Return the distance of the mixture between those of both brakes [m], which are linear in z."""
+        dropped, low, high = self._posterior.dropped, min(known, lower), max(known, lower)
+        for _ in range(_HALVINGS):
+            x = 0.5 * (low + high)
+            share = (1.0 - dropped) * _NORMAL.cdf(z + (x - known) / by_z)
+            share += dropped * _NORMAL.cdf(z_lower + (x - lower) / by_z_lower)
+            low, high = (x, high) if share < self._confidence else (low, x)
+        return high
+
+    def _alone(self, speed: float, z: float) -> Stop:
+        """Return the bound of this brake alone at a z."""
+        self._good, self._z = (self._good if z <= self._z else 0), z
         at_mean = self._at_mean.stop(speed)
         if math.isinf(at_mean.distance) or not self._slows_down(speed):
             return Stop(math.inf, math.inf, math.inf)

@@ -153,6 +153,8 @@ Clocks of two computers on board that are not synchronised differ by some second
 """
 FULL_SERVICE: Final = -1.0
 """Brake command of a stop unless another is given [m/s^2]."""
+_UNSEEN_S: Final = 3600.0
+"""Time since the brake was last observed where that is not known [s]."""
 # What the nodes start with unless they are set otherwise.
 _PRIOR: Final = FilterBankConfig()
 _BRAKE: Final = GsmaConfig()
@@ -204,6 +206,7 @@ class TrainModel:
             RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate, ADHESION_TOPIC: self._adhesion,
         }  # fmt: skip
         self._learned_speeds = (0.0, math.inf)
+        self._observed_s = -math.inf  # Time at which a sample last updated the brake rate
         self.subscriptions: tuple[Any, ...] = ()
         self._group: PipelineGroup | None = None
         self._node = node
@@ -267,6 +270,7 @@ class TrainModel:
         for output in (result.resistance.output, result.brake_rate.output, result.adhesion):
             model.take(output)
         now = 1e9  # all moves are done
+        model._observed_s += now  # so that it stays as long ago
         return model
 
     def take(self, output: Output[Any]) -> None:
@@ -304,8 +308,8 @@ class TrainModel:
                 return
             if latched and not live.take_latched(status, values, now):
                 return
-            if not latched:
-                live.take_new(status, values, now, stamp_ns)
+            if not latched and live.take_new(status, values, now, stamp_ns) and not is_resistance:
+                self._observed_s = now if estimate.observable else self._observed_s
             if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
@@ -534,7 +538,10 @@ class TrainModel:
         mean = (rate.mean[0], 0.0, 0.0, *davis.mean, gradient, file.brake.delay, file.brake.time_constant)
         over_speed = (config.slope_std**2, config.blend_std**2)
         rest = (map_std**2, delay_std**2, lag_std**2)
-        return StopPosterior(mean, (rate.covariance[0], *over_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
+        variances = (rate.covariance[0], *over_speed, 0.0, 0.0, 0.0, *rest)
+        unseen_s = _UNSEEN_S if math.isinf(self._observed_s) else self._clock.now() - self._observed_s
+        dropped = -math.expm1(-file.train_file.brake.loss_per_hour * unseen_s / 3600.0)
+        return StopPosterior(mean, variances, davis.covariance, dropped, file.train_file.brake.loss)
 
     def _resistance_at(self, speed: float, direction: int) -> Value:
         w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))

@@ -70,6 +70,9 @@ class Brake:
     delay: float = setting(0.6, 'dead time of the brake', 's', 0.0, 60.0)
     rate_table: Pairs = ()  # Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed
     timing_std: float = setting(0.12, 'std of the relative error of both times', '1', 0.0, 1.0)
+    # What no estimate can know before the next braking, such as rain or a brake unit that fails.
+    loss_per_hour: float = setting(0.0, 'rate of sudden drops of the brake rate', '1/h', 0.0, 100.0)
+    loss: float = setting(0.0, 'size of such a drop as a share of the brake rate', '1', 0.0, 0.9)
 
     def shape_at(self, speed: float) -> float:
         """Return the table's value [1] at a speed [m/s]: linear between rows, constant beyond; 1 without a table."""
@@ -178,7 +181,7 @@ def _numbers(section: Section, kind: type[Any], *others: str) -> dict[str, Any]:
 
 
 def _brake(section: Section) -> Brake:
-    section.only(('rate', 'time_constant', 'delay', 'timing_std'))
+    section.only(name for name in _names(Brake) if name != 'rate_table')
     given = section.data.get('rate', 1.0)
     if isinstance(given, bool) or not isinstance(given, (int, float, list)):
         section.fail('rate', f'= {shown(given)} must be a number or a table [[speed m/s, rate], ...]')
