@@ -232,6 +232,13 @@ def test_a_blank_first_cell_is_no_comment(tmp_path: Path) -> None:
     assert found == near({'t': [0, 1, 2, 3], 'v': [NAN, NAN, NAN, 2]})
 
 
+@pytest.mark.parametrize('units', ['', 's;km/h\n', ';1\n'])
+def test_a_row_with_a_time_is_none_of_units(tmp_path: Path, units: str) -> None:
+    line = 2 + units.count('\n')
+    with pytest.raises(InputError, match=rf"line {line}: column 'v' = '---' is not a number"):
+        read(table(tmp_path, f't;v\n{units}0;---\n1;2\n'), 't', 'v')
+
+
 def test_the_minus_sign_of_unicode_is_one(tmp_path: Path) -> None:
     assert read(table(tmp_path, 't;v\n0;\u22121,5\n1;2,5\n'), 't', 'v') == {'t': [0, 1], 'v': [-1.5, 2.5]}
 

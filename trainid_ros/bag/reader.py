@@ -122,8 +122,11 @@ class _TopicNames:
         sources = {}
         for number, channel in file.channels.items():
             if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
-                _check_encoding(channel, f'{file.path}: topic {channel.topic}')
-                sources[number] = _Source(foreign, StoredType(file.path, file.schemas[channel.schema_id]))
+                where = f'{file.path}: topic {channel.topic}'
+                _check_encoding(channel, where)
+                if (schema := file.schemas.get(channel.schema_id)) is None:
+                    raise InputError(f'{where}: the file states no type')
+                sources[number] = _Source(foreign, StoredType(file.path, schema))
                 continue
             topic = self.relative(channel.topic)
             if topic in _OURS and topic not in self._replaced:

@@ -354,10 +354,13 @@ def _in_brackets(name: str) -> str:
 
 
 def _unit_rows(rows: list[list[str]]) -> int:
-    """Return the number of rows, up to five, between the names and the first numbers, such as units."""
+    """Return the number of rows, up to five, between the names and the first numbers, such as units.
+
+    The first cell of each is that of the time: no units stand beside one.
+    """
     head = rows[:6]
     for count, row in enumerate(head):
-        if any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row):
+        if _is_value(row[0]) or (any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row)):
             return count
     # Such as a date that cannot be read beside numbers: it is then named, and not the units above it.
     return next((count for count, row in enumerate(head) if any(map(_is_value, row))), 0)
