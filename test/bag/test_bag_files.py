@@ -26,6 +26,8 @@ from trainid_ros.inputs.mapping import parse_mapping
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, Record, input_topic
 
+LFS_POINTER = b'version https://git-lfs.github.com/spec/v1\noid sha256:0\n'
+
 
 def change(bag: Path, **values: object) -> None:
     """Change what the metadata of a bag say."""
@@ -90,6 +92,42 @@ def test_a_bag_of_one_file_has_no_other_parts(bag: Path, records: list[Record]) 
     assert read_bag(bag) == (records, [f'{bag / "bag_1.mcap"}: not listed in metadata.yaml, not read'])
 
 
+def test_compressed_parts_are_never_left_out_in_silence(split: Path, records: list[Record]) -> None:
+    """A recorder that is killed leaves its last file as it is."""
+    packed = pack(split / 'split_1.mcap')
+    warning = f'{packed}: not read: it is compressed by zstd, as ros2 bag does in mode file; unpack it with zstd -d'
+    found, warnings = read_bag(split)
+    assert warning in warnings
+    (split / 'metadata.yaml').unlink()
+    expected = [record for k, record in enumerate(records) if k % 3 != 1]
+    missing = f'{split}: metadata.yaml is missing, the files were read without it'
+    assert read_bag(split) == (found, [missing, warning]) == (expected, [missing, warning])
+    shutil.copy(split / 'split_0.mcap', split / 'split_1.mcap')
+    assert warning not in read_bag(split)[1]
+
+
+@pytest.mark.parametrize(
+    ('content', 'why'),
+    [
+        (b'', 'is empty'),
+        (LFS_POINTER, 'is not an MCAP file: it is a pointer of Git LFS; get the file with git lfs pull'),
+        (b'SQLite format 3\0', 'unreadable sqlite3 storage (file is not a database)'),
+    ],
+    ids=['empty', 'pointer', 'cut'],
+)
+def test_a_part_that_cannot_be_read_costs_no_other(
+    split: Path, records: list[Record], content: bytes, why: str
+) -> None:
+    path = split / 'split_2.mcap'
+    path.write_bytes(content)
+    found, warnings = read_bag(split)
+    assert found == [record for k, record in enumerate(records) if k % 3 != 2]
+    assert f'{path}: {why}; the other files of the bag were read' in warnings
+    for number in range(2):
+        (split / f'split_{number}.mcap').write_bytes(content)
+    assert error_of(split) == f'{split / "split_0.mcap"}: {why}'
+
+
 def test_suffixes_in_capitals_are_those_of_bags(bag: Path, records: list[Record]) -> None:
     (bag / 'metadata.yaml').unlink()
     (bag / 'bag.mcap').rename(bag / 'BAG.MCAP')
@@ -126,7 +164,7 @@ def test_compressed_files_in_a_folder_are_named(bag: Path, *, has_metadata: bool
         (zstandard.compress(b'bag'), 'unpack it with zstd -d'),
         (gzip.compress(b'bag', mtime=0), 'unpack it with gunzip'),
         (b'#ROSBAG V2.0\n', 'it is a ROS 1 bag; convert it with rosbags-convert'),
-        (b'version https://git-lfs.github.com/spec/v1\noid sha256:0\n', 'get the file with git lfs pull'),
+        (LFS_POINTER, 'get the file with git lfs pull'),
     ],
     ids=['zstd', 'gzip', 'ROS 1', 'Git LFS'],
 )
@@ -262,6 +300,10 @@ def test_no_other_file_is_read_instead(db3: Path, records: list[Record], asked: 
     assert read_bag(db3 / asked) == (records, [])
 
 
+# SQL that leaves out that texts must be there.
+UNCHECKED = ('CREATE TABLE x AS SELECT * FROM topics', 'DROP TABLE topics', 'ALTER TABLE x RENAME TO topics')
+
+
 def other_topic(encoding: str) -> tuple[str, ...]:
     return (
         "INSERT INTO topics VALUES (99, '/doors/_action/feedback', 'my/action/Doors', 'cdr', '', '')",
@@ -278,6 +320,8 @@ def other_topic(encoding: str) -> tuple[str, ...]:
         ("UPDATE topics SET offered_qos_profiles = 'no: [yaml'",),
         ("UPDATE topics SET offered_qos_profiles = ''",),
         (*other_topic('cdr'), "UPDATE topics SET name = x'ff00', type = 5 WHERE id = 99"),
+        (*other_topic(''), *UNCHECKED, 'UPDATE topics SET name = NULL, type = NULL WHERE id = 99'),
+        ('UPDATE message_definitions SET encoded_message_definition = CAST(encoded_message_definition AS BLOB)',),
         ('UPDATE topics SET id = id + 70000', 'UPDATE messages SET topic_id = topic_id + 70000'),
     ],
 )
@@ -293,6 +337,7 @@ def test_unknown_definitions_profiles_and_large_numbers_lose_nothing(
     [
         ("data = 'no message'", 'topic ato/speed: 1 message skipped that cannot be read'),
         ('timestamp = -1', '1 message without a valid log time left out'),
+        ('topic_id = 77', '1 message on unknown topics left out'),
         ("timestamp = 'yesterday'", '1 message without a valid log time left out'),
     ],
 )

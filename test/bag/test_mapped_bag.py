@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from test.foreign_bag import FLOAT, TWIST, ForeignBag, write_foreign
 from test.foreign_bag import MAPPING as FOREIGN
@@ -73,6 +74,16 @@ def key(record: Record) -> tuple[int, int]:
 def test_topics_of_the_mapping_that_are_missing_are_named(foreign: Path, text: str, missing: tuple[str, ...]) -> None:
     with reader(foreign, text) as bag:
         assert missing_topics(bag) == missing
+
+
+def test_a_topic_of_the_mapping_without_a_type_is_named(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    writer = Writer(str(path))
+    writer.start('ros2')
+    writer.add_message(writer.register_channel('/odo/twist', 'cdr', schema_id=0), 1, b'', 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(InputError, match=r'x\.mcap: topic /odo/twist: the file states no type'), reader(path):
+        pass
 
 
 def test_a_relative_topic_lies_in_the_namespace(foreign: Path) -> None:

@@ -177,6 +177,12 @@ ODO_DEFINITIONS = {
     'IDL after an empty title': ('ros2msg', f'{RULER}MSG: \n' + in_idl(FIELDS_IDL) + BOTH_IDL),
     'msg with a dependency in IDL': ('ros2msg', FIELDS_MSG + BOTH_IDL),
     'IDL with a dependency in msg': ('ros2idl', in_idl(FIELDS_IDL) + BOTH_MSG),
+    'rulers in comments': ('ros2msg', FIELDS_MSG.replace('float', f'# {RULER}## A{RULER}float') + BOTH_MSG),
+    'ruler at the end': ('ros2msg', FIELDS_MSG + BOTH_MSG + RULER),
+    'no last line end': ('ros2msg', f'{FIELDS_MSG}{BOTH_MSG}{RULER}MSG: std_msgs/Empty'),
+    'constants': ('ros2msg', f'string A=\nint8 B=1_0\nstring<=3 C="=" # D=1\nwstring W=x\n{FIELDS_MSG}{BOTH_MSG}'),
+    'constants in IDL': ('ros2idl', in_idl(FIELDS_IDL).replace('struct', 'const wstring W = "x"; struct') + BOTH_IDL),
+    'a part that is no definition': ('ros2msg', f'{FIELDS_MSG}{BOTH_MSG}{RULER}MSG: my_msgs/Lost\n???\n'),
 }
 
 
@@ -208,11 +214,28 @@ def test_numbers_beside_wide_strings_are_read(unit: str, encoding: str, text: st
     assert ''.join(map(chr, message.w.wide_characters)) == 'abc'
 
 
-def test_an_array_of_two_dimensions_is_read_as_one_of_one() -> None:
-    stored = stored_type('ros2idl', in_idl('double m[2][3]; double v;'))
+def test_a_name_that_begins_as_a_type_stays() -> None:
+    stored = stored_type('ros2msg', 'float64 wstring_length\nwstring w\n')
+    assert stored.decode(b'\0\1\0\0' + struct.pack('<dI', 2.5, 0)).wstring_length == 2.5
+
+
+@pytest.mark.parametrize('shape', ['[6]', '[2][3]', '[1] [2][ 3 ]'])
+def test_an_array_of_many_dimensions_is_read_as_one_of_one(shape: str) -> None:
+    stored = stored_type('ros2idl', in_idl(f'double m{shape}; double v;'))
     message = stored.decode(b'\0\1\0\0' + struct.pack('<7d', *range(7)))
     assert message.m.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     assert message.v == 6.0
+
+
+@pytest.mark.parametrize(
+    ('field', 'part'),
+    [('wchar c', ''), ('my_msgs::msg::U u', f'{RULER}IDL: my_msgs/msg/U\nunion U switch (long) {{}};')],
+)
+def test_a_field_that_cannot_be_read_costs_no_field_before_it(field: str, part: str) -> None:
+    stored = stored_type('ros2idl', in_idl(f'double v; {field}; double after;') + part)
+    message = stored.decode(b'\0\1\0\0' + struct.pack('<3d', 2.5, 0.0, 0.0))
+    assert message.v == 2.5
+    assert not hasattr(message, 'after')
 
 
 @pytest.mark.parametrize('field', ['my_msgs/Lost lost', 'my_msgs/Lost[] lost', 'my_msgs/Part part'])

@@ -228,8 +228,19 @@ def test_a_row_that_starts_as_a_comment_is_never_lost_in_silence(tmp_path: Path)
 
 
 def test_a_blank_first_cell_is_no_comment(tmp_path: Path) -> None:
-    found = read(table(tmp_path, 'v;t\n#N/A;0\n# a comment; 5\n#12;1\n2;2\n'), 't', 'v')
-    assert found == near({'t': [0, 2], 'v': [NAN, 2]})
+    found = read(table(tmp_path, 'v;t\n#N/A;0\n#NV;1\n#DIV/0!;2\n# a comment; 5\n#12;1\n2;3\n'), 't', 'v')
+    assert found == near({'t': [0, 1, 2, 3], 'v': [NAN, NAN, NAN, 2]})
+
+
+@pytest.mark.parametrize('units', ['', 's;km/h\n', ';1\n'])
+def test_a_row_with_a_time_is_none_of_units(tmp_path: Path, units: str) -> None:
+    line = 2 + units.count('\n')
+    with pytest.raises(InputError, match=rf"line {line}: column 'v' = '---' is not a number"):
+        read(table(tmp_path, f't;v\n{units}0;---\n1;2\n'), 't', 'v')
+
+
+def test_the_minus_sign_of_unicode_is_one(tmp_path: Path) -> None:
+    assert read(table(tmp_path, 't;v\n0;\u22121,5\n1;2,5\n'), 't', 'v') == {'t': [0, 1], 'v': [-1.5, 2.5]}
 
 
 def npz_table(tmp_path: Path, **columns: Any) -> NpzTable:
@@ -298,6 +309,7 @@ def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
         'ns': pa.array([1_700_000_000_123_456_789, 2], pa.int64()),
         'v': pa.array([1.5, None], pa.float32()),
         'n': pa.array([3, None], pa.int16()),
+        'ns_blank': pa.array([1_700_000_000_123_456_789, None], pa.int64()),
         'ok': pa.array([True, False]),
     }
     found = columns_of(parquet_table(tmp_path, columns), *columns)
@@ -306,6 +318,7 @@ def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
     assert np.isnat(found['t'][1])
     assert found['ns'].tolist() == [1_700_000_000_123_456_789, 2]
     assert found['v'].tolist() == pytest.approx([1.5, np.nan], nan_ok=True)
+    assert found['ns_blank'].tolist() == pytest.approx([1_700_000_000_123_456_789, np.nan], abs=128, rel=0, nan_ok=True)
     assert found['n'].tolist() == pytest.approx([3.0, np.nan], nan_ok=True)
     assert found['ok'].tolist() == [1.0, 0.0]
 
@@ -317,6 +330,7 @@ def test_parquet_times_and_durations_are_read(tmp_path: Path) -> None:
         'time64': pa.array([1_500_000_000, None], pa.time64('ns')),
         'text': pa.array(['00:00:01.5', None]),
         'large': pa.array(['00:00:01:500', ''], pa.large_string()),
+        'view': pa.array(['00:00:01:500', ''], pa.string_view()),
         'word': pa.array(['00:00:01,5', None]).dictionary_encode(),
     }
     for name, column in columns_of(parquet_table(tmp_path, columns), *columns).items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -57,8 +57,12 @@ class Db3File:
         self.first_ns = self.segments[0].first_ns if self.segments else 0
         self.counts = {number: found[number] for number in self.channels if number in found}
         self._needed = [number for number, channel in self.channels.items() if is_needed(channel.topic)]
-        if left_out := total - sum(found.values()):
-            self.warnings.append(f'{path}: {pluralise(left_out, "message")} without a valid log time left out')
+        for left_out, what in (
+            (total - sum(found.values()), 'without a valid log time'),
+            (sum(found.values()) - sum(self.counts.values()), 'on unknown topics'),
+        ):
+            if left_out:
+                self.warnings.append(f'{path}: {pluralise(left_out, "message")} {what} left out')
         journal = path.with_name(f'{path.name}-wal')
         if journal.is_file() and journal.stat().st_size:
             self.warnings.append(f'{journal}: messages of an interrupted recording, which are not read')
@@ -100,11 +104,12 @@ class Db3File:
         """Return channels and definitions, both by the number of the topic."""
         hashes = 'type_description_hash' if self._has('topics', 'type_description_hash') else "''"
         # As text, whatever is stored: a topic that nobody reads must not make the others unreadable.
-        texts_of = ', '.join(f'CAST({column} AS TEXT)' for column in ('name', 'type', 'serialization_format'))
-        rows = self._file.execute(f'SELECT id, {texts_of}, {hashes} FROM topics ORDER BY id')
+        rows = self._file.execute(
+            f'SELECT id, {_texts("name", "type", "serialization_format")}, {hashes} FROM topics ORDER BY id'
+        )
         texts: dict[str, tuple[str, str]] = {}
         if self._has('message_definitions', 'encoded_message_definition'):
-            query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
+            query = f'SELECT {_texts("topic_type", "encoding", "encoded_message_definition")} FROM message_definitions'
             texts = {kind: (encoding, text) for kind, encoding, text in self._file.execute(query)}
         channels, schemas = {}, {}
         for number, topic, kind, encoding, digest in rows.fetchall():
@@ -114,7 +119,7 @@ class Db3File:
                 form, text = 'ros2msg', full_definition(_OURS[kind])
             metadata = {'topic_type_hash': digest} if digest else {}
             channels[number] = Channel(number, topic, encoding, metadata, schema_id=number)
-            schemas[number] = Schema(number, str(text or '').encode(), form, kind)
+            schemas[number] = Schema(number, text.encode(), form, kind)
         return channels, schemas
 
     def _has(self, table: str, column: str) -> bool:
@@ -123,6 +128,10 @@ class Db3File:
     def _fail(self, error: Exception) -> NoReturn:
         self.close()
         raise InputError(f'{self.path}: unreadable sqlite3 storage ({" ".join(str(error).split())})') from None
+
+
+def _texts(*columns: str) -> str:
+    return ', '.join(f"CAST(coalesce({column}, '') AS TEXT)" for column in columns)
 
 
 BagFile: TypeAlias = McapFile | Db3File  # a file of a bag, by its storage
@@ -201,12 +210,20 @@ def _from_folder(path: Path, warning: str) -> BagFiles:
     if not files:
         what = f'neither {METADATA} nor an {" or ".join(SUFFIXES)} file'
         raise InputError(f'{path}: no bag in this directory ({what}){_hint(path)}')
-    return BagFiles(files, warnings=(warning,))
+    return BagFiles(files, warnings=(warning, *_packed(path, files)))
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
     entries = (entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file())
     return tuple(sorted(entries, key=_part_number))
+
+
+def _packed(path: Path, files: Collection[Path]) -> Iterator[str]:
+    """Yield a warning for each compressed file of a bag in a folder; a recorder leaves its last one as it is."""
+    for entry in sorted(path.iterdir()):
+        unpacked = entry.with_suffix('')
+        if unpacked.suffix.lower() in SUFFIXES and unpacked not in files and (hint := hint_of(_start(entry))):
+            yield f'{entry}: not read{hint}'
 
 
 def _hint(path: Path) -> str:
@@ -262,6 +279,7 @@ def _from_metadata(path: Path) -> BagFiles:
     warnings += [f'{file}: not listed in {METADATA}, read as a part of the bag' for file in parts if there]
     warnings += [f'{file}: not listed in {METADATA}, not read' for file in others if file not in parts]
     files = tuple(sorted([*there, *parts], key=_part_number)) if parts else tuple(there)
+    warnings += _packed(path, files)
     return BagFiles(files, count, hashes, tuple(warnings), custom)
 
 

@@ -122,8 +122,11 @@ class _TopicNames:
         sources = {}
         for number, channel in file.channels.items():
             if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
-                _check_encoding(channel, f'{file.path}: topic {channel.topic}')
-                sources[number] = _Source(foreign, StoredType(file.path, file.schemas[channel.schema_id]))
+                where = f'{file.path}: topic {channel.topic}'
+                _check_encoding(channel, where)
+                if (schema := file.schemas.get(channel.schema_id)) is None:
+                    raise InputError(f'{where}: the file states no type')
+                sources[number] = _Source(foreign, StoredType(file.path, schema))
                 continue
             topic = self.relative(channel.topic)
             if topic in _OURS and topic not in self._replaced:
@@ -173,11 +176,18 @@ class BagReader:
         """Open and check the bag; InputError if it cannot be read, or one of our topics has another type."""
         located = locate(self.path)
         self._damage = [*located.warnings, *self._names.warnings]
+        failures: list[str] = []
         total = max(math.fsum(path.stat().st_size for path in located.files if path.is_file()), 1.0)
         try:
             for path in located.files:
-                file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
-                self._files.append(file)
+                try:
+                    file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
+                except InputError as error:
+                    if len(failures := [*failures, str(error)]) == len(located.files):
+                        raise InputError(failures[0]) from None
+                else:
+                    self._files.append(file)
+            self._damage += [f'{failure}; the other files of the bag were read' for failure in failures]
             hashes = dict(located.hashes)
             self._sources = [self._names.sources(file, hashes) for file in self._files]
         except BaseException:

@@ -11,6 +11,7 @@ its numbers, each float64 on a multiple of eight bytes, followed by at most one 
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from contextlib import suppress
@@ -51,19 +52,23 @@ _CONTAINED: Final = {
     'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
 }
 _SEPARATOR: Final = '=' * 80 + '\n'
-_TITLE: Final = re.compile(r'(MSG|IDL):[ \t]*(\S*)[ \t]*\n')
+_RULER: Final = re.compile(f'^{_SEPARATOR}', re.MULTILINE)  # a longer one, or one in a comment, separates nothing
+_TITLE: Final = re.compile(r'(MSG|IDL):[ \t]*(\S*)[ \t]*(?:\n|$)')
 # Strings of wide characters, which rosbags does not know, with two bytes a character in Jazzy or four before.
 _WIDE_NAME: Final = 'wide_text/msg/WideText'
 WIDE_CHARACTERS: Final = 'wide_characters'  # name of the field that holds a wide string
 _WIDE: Final = (f'uint16[] {WIDE_CHARACTERS}', f'uint32[] {WIDE_CHARACTERS}')
-_WIDE_FIELD: Final = re.compile(r'^[ \t]*wstring(?:<=\d+)?(\[[^\]]*\])?[ \t]+(\w+)(?![ \t]*=)[^\n]*$', re.MULTILINE)
-# IDL that rosbags does not read, with a form of the same bytes: includes, wide strings, arrays of two dimensions.
+_WIDE_FIELD: Final = re.compile(r'^[ \t]*wstring(?:<=\d+)?(\[[^\]]*\])?[ \t]+(\w+)[^\n]*$', re.MULTILINE)
+# IDL that rosbags does not read, with a form of the same bytes: includes, wide strings, arrays of many dimensions. Wide
+# characters have two or four bytes: they become a type that is not known.
 _SAME_IDL: Final = (
     (re.compile(r'^[ \t]*#[^\n]*$', re.MULTILINE), ''),
+    (re.compile(r'\bconst\s+wstring\b'), 'const string'),
     (re.compile(r'\bwstring\b(?:\s*<[^>]*>)?'), _WIDE_NAME.replace('/', '::')),
-    (re.compile(r'\[\s*(\d+)\s*\]\s*\[\s*(\d+)\s*\]'), lambda found: f'[{int(found[1]) * int(found[2])}]'),
+    (re.compile(r'\bwchar\b'), 'wide_text::msg::WideCharacter'),
+    (re.compile(r'(?:\[\s*\d+\s*\]\s*){2,}'), lambda found: f'[{_product(found[0])}]'),
 )
-_CONSTANT: Final = re.compile(r'\S+\s+[A-Z][A-Z0-9_]*\s*=')
+_CONSTANT: Final = re.compile(r'^[ \t]*\S+[ \t]+[A-Z][A-Z0-9_]*[ \t]*=[^\n]*$', re.MULTILINE)
 
 
 def full_type(name: str) -> str:
@@ -88,7 +93,7 @@ def is_packaged(text: str, message: str) -> bool:
 
     Other texts may mean the same: compare their digest.
     """
-    first, *others = text.split(_SEPARATOR)
+    first, *others = _RULER.split(text)
     bodies = dict(part.removeprefix('MSG: ').split('\n', 1) for part in others if '\n' in part)
     contained = {name: fields_of(body) for name, body in bodies.items()}
     expected = {name: fields_of(body) for name, body in _CONTAINED.items()}
@@ -211,22 +216,32 @@ class StoredType:
 
 def _parse(text: str, name: str, encoding: str) -> Typesdict:
     """Return the fields by type of a definition, followed by those it contains, in any mix of both languages."""
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg  # noqa: PLC0415 - rarely needed
+    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg  # noqa: PLC0415 - rarely needed
 
     types: Typesdict = {}
-    for part in text.split(_SEPARATOR):
+    for part in _RULER.split(text):
         title = _TITLE.match(part)
         kind, contained = title.groups() if title else ('IDL' if encoding in {'ros2idl', 'omgidl'} else 'MSG', name)
         body = part[title.end() :] if title else part
-        if kind == 'IDL':
-            for pattern, same in _SAME_IDL:
-                body = pattern.sub(same, body)
-            if body.strip():
-                types |= get_types_from_idl(body)
-        elif contained:  # rosbag2 writes an empty title before the IDL of a service
-            body = _WIDE_FIELD.sub(rf'{_WIDE_NAME}\1 \2', body).replace('wstring', 'string')  # of a constant
-            types |= get_types_from_msg(body, contained)
+        if not (title or body.strip()):  # before the first ruler of IDL, or after a last one
+            continue
+        try:
+            if kind == 'IDL':
+                for pattern, same in _SAME_IDL:
+                    body = pattern.sub(same, body)
+                types |= get_types_from_idl(body) if body.strip() else {}
+            elif contained:  # rosbag2 writes an empty title before the IDL of a service
+                body = _WIDE_FIELD.sub(rf'{_WIDE_NAME}\1 \2', _CONSTANT.sub('', body))
+                types |= get_types_from_msg(body, contained)
+        except TypesysError:  # costs the fields of this type
+            if type_name(contained) == name:
+                raise
     return types
+
+
+def _product(text: str) -> int:
+    """Return the product of the whole numbers in a text."""
+    return math.prod(int(digits) for digits in re.findall(r'\d+', text))
 
 
 def _complete(types: Typesdict, name: str) -> bool:

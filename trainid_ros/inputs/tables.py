@@ -111,6 +111,7 @@ def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> N
 
 
 _BLANK: Final = frozenset({'', '-', '--', 'na', 'n/a', '#n/a', 'nan', 'null', 'none'})
+_EXCEL_ERROR: Final = re.compile(r'#(nv|n/d|\S+[!?])')  # such as #DIV/0!; #N/A in other languages
 # Numbers with thousands marks by decimal sign: point, comma, apostrophe or space before each three digits.
 _GROUPED: Final = {
     decimal: re.compile(
@@ -123,12 +124,13 @@ _WHOLE: Final = re.compile(r'[+-]?(\d{1,18}|1\d{18})')  # of 64 bits
 
 
 def _is_blank(cell: str) -> bool:
-    return cell.strip().lower() in _BLANK
+    text = cell.strip().lower()
+    return text in _BLANK or _EXCEL_ERROR.fullmatch(text) is not None
 
 
 def _number(cell: str, decimal: str) -> float | None:
     """Return the number in a cell, NaN if it is blank, None if it holds something else."""
-    text = cell.strip()
+    text = cell.strip().replace('\u2212', '-')  # the minus sign of Unicode
     if _is_blank(text):
         return math.nan
     if grouped := _GROUPED[decimal].fullmatch(text):
@@ -352,10 +354,13 @@ def _in_brackets(name: str) -> str:
 
 
 def _unit_rows(rows: list[list[str]]) -> int:
-    """Return the number of rows, up to five, between the names and the first numbers, such as units."""
+    """Return the number of rows, up to five, between the names and the first numbers, such as units.
+
+    The first cell of each is that of the time: no units stand beside one.
+    """
     head = rows[:6]
     for count, row in enumerate(head):
-        if any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row):
+        if _is_value(row[0]) or (any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row)):
             return count
     # Such as a date that cannot be read beside numbers: it is then named, and not the units above it.
     return next((count for count, row in enumerate(head) if any(map(_is_value, row))), 0)
@@ -397,11 +402,12 @@ class ParquetTable(Table):
                 cells = cells.cast(pa.time64('ns')).cast(pa.int64()).cast(pa.duration('ns'))
             elif pa.types.is_duration(kind):
                 cells = cells.cast(pa.duration('ns'))
-            elif pa.types.is_string(kind) or pa.types.is_large_string(kind):
+            elif str(kind) in {'string', 'large_string', 'string_view'}:
                 return _text_times(self.path, name, [cell or '' for cell in cells.to_pylist()], kind, rows_before)
             else:
                 is_whole = pa.types.is_integer(kind) and not cells.null_count
-                cells = cells.cast(pa.int64() if is_whole else pa.float64())
+                # Nanoseconds since 1970 beside blank cells are rounded to 256.
+                cells = cells.cast(pa.int64()) if is_whole else cells.cast(pa.float64(), safe=False)
             return np.asarray(cells.to_numpy(zero_copy_only=False))
         except pa.ArrowException:
             raise InputError(f'{self.path}: column {shown(name)} of type {kind} holds no numbers') from None
