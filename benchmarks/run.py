@@ -71,6 +71,7 @@ PARTS: Final[Mapping[str, Part]] = {
     'xia2023': Part('research.papers.xia2023:measure', 3, 1.0),
     'zheng2015': Part('research.papers.zheng2015:measure', 3, 0.5),
     'peers': Part('research.peers.peers:measure', 2, 4.0),
+    'explain_of_runs': Part('benchmarks.explain_of_runs:measure', 8, 0.0),
     'rivals': Part('benchmarks.explain_rivals:measure', 10, 0.0),
     'slides': Part('benchmarks.slides:measure', 3, 0.0),
     'mutation': Part('benchmarks.mutation:measure', 300, 0.0),
