@@ -28,13 +28,13 @@ def drive_with(*estimates: AdhesionEstimate, status: Status = Status.VALID) -> D
 
 
 def test_the_adhesion_is_live_or_that_of_usual_rails() -> None:
-    assert TrainModel(None, FILE).adhesion().value == RAIL[0]
+    assert TrainModel(None, FILE).adhesion().value == RAIL
     drive = drive_with(SLIDE)
     value = drive.model.adhesion()
     assert (value.value, value.std, value.live, value.reason) == (0.05, 0.01, True, 'VALID')
     drive.now += 2.0
     value = drive.model.adhesion()
-    assert (value.value, value.live) == (RAIL[0], False)
+    assert (value.value, value.live) == (RAIL, False)
     assert 'no new estimate' in value.reason
 
 
@@ -67,7 +67,7 @@ def test_slip_under_traction_does_not_limit_the_brake() -> None:
 @pytest.mark.parametrize('wrong', [{'adhesion': 0.0}, {'adhesion_std': -1.0}, {'adhesion': math.nan}])
 def test_an_adhesion_that_cannot_be_is_not_used(wrong: dict[str, Any]) -> None:
     value = drive_with(replace(SLIDE, **wrong)).model.adhesion()
-    assert (value.value, value.live) == (RAIL[0], False)
+    assert (value.value, value.live) == (RAIL, False)
     assert 'not possible' in value.reason
 
 

@@ -14,7 +14,7 @@ import pytest
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import AdhesionEstimate, Reason
 from trainid_ros.interface.state import encode, restore
-from trainid_ros.stream.adhesion import RAIL, AdhesionEstimator
+from trainid_ros.stream.adhesion import RAIL, RAIL_STD, AdhesionEstimator
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, G, davis, specific_inertia
@@ -155,7 +155,9 @@ def test_slip_under_traction_has_the_other_sign(metro: TrainFile) -> None:
 
 def test_without_a_slide_it_states_what_rails_are_like(metro: TrainFile) -> None:
     estimator = AdhesionEstimator(KnownForce(metro))
-    assert (estimator.estimate().adhesion, estimator.estimate().adhesion_std) == pytest.approx(RAIL, rel=0.05)
+    assert (estimator.estimate().adhesion, estimator.estimate().adhesion_std) == pytest.approx(
+        (RAIL, RAIL_STD), rel=0.05
+    )
     found = follow(metro, list(drive(metro, Rail(), 9351)))
     assert all(math.isfinite(e.adhesion) and e.adhesion > e.at_least and e.adhesion_std > 0.0 for e in found)
 

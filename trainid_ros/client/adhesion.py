@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.client.live_estimate import USABLE, WORDS
 from trainid_ros.interface.results import Status
-from trainid_ros.stream.adhesion import RAIL
+from trainid_ros.stream.adhesion import RAIL, RAIL_STD
 
 if TYPE_CHECKING:
     from trainid_ros.interface.results import AdhesionEstimate
@@ -55,7 +55,7 @@ class LiveAdhesion:
     def value(self) -> tuple[float, float, bool, str]:
         """Return the adhesion, its standard deviation [1], whether it is live, and the reason."""
         if self._problem or self._estimate is None:
-            return *RAIL, False, f'dry to wet rail: {self._problem}'
+            return RAIL, RAIL_STD, False, f'dry to wet rail: {self._problem}'
         return self._estimate.adhesion, self._estimate.adhesion_std, True, self._status.name
 
     def limit(self, confidence: float) -> tuple[float, str]:

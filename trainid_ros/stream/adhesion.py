@@ -37,8 +37,10 @@ from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator, CommandHistory, davis
 
-RAIL: Final = (0.20, 0.07)
-"""Mean and standard deviation of the adhesion without any evidence [1]: dry .3, wet .15, a tenth with less."""
+RAIL: Final = 0.20
+"""Mean of the adhesion without any evidence [1]: dry .3, wet .15, a tenth with less."""
+RAIL_STD: Final = 0.07
+"""Its standard deviation [1]."""
 STRETCH_M: Final = 1000.0
 """Length of the line behind the train that counts [m]."""
 
@@ -436,7 +438,7 @@ class AdhesionEstimator:
             # Under traction the axle is faster, while braking slower.
             side = self.slide.side
             slip = side * max(side * (now.speed / max(now.v, _MIN_SPEED) - 1.0), 0.0)
-        mean, std = RAIL
+        mean, std = RAIL, RAIL_STD
         if self.is_slipping:
             mean, variance = self._adhesion_of(self._train)
             std = math.sqrt(variance)
