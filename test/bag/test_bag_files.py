@@ -99,11 +99,13 @@ def test_compressed_parts_are_never_left_out_in_silence(split: Path, records: li
     found, warnings = read_bag(split)
     assert warning in warnings
     (split / 'metadata.yaml').unlink()
+    assert sorted(bags_below(split)) == [split / 'split_0.mcap', packed, split / 'split_2.mcap']
     expected = [record for k, record in enumerate(records) if k % 3 != 1]
     missing = f'{split}: metadata.yaml is missing, the files were read without it'
     assert read_bag(split) == (found, [missing, warning]) == (expected, [missing, warning])
     shutil.copy(split / 'split_0.mcap', split / 'split_1.mcap')
     assert warning not in read_bag(split)[1]
+    assert packed not in bags_below(split)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -185,7 +185,7 @@ def locate(path: Path) -> BagFiles:
 def bags_below(path: Path) -> list[Path]:
     """Return the bags in a folder at any depth, or the path itself if it is a file.
 
-    A folder with a ``metadata.yaml`` is a bag; in others each file of a recorder is one.
+    A folder with a ``metadata.yaml`` is a bag; in others each file of a recorder is one, also a compressed one.
     """
     if not path.is_dir():
         return [path]
@@ -201,7 +201,8 @@ def bags_below(path: Path) -> list[Path]:
             folders.clear()
             bags.append(Path(folder))
         else:
-            bags += [Path(folder, name) for name in names if name.lower().endswith(SUFFIXES)]
+            files = (Path(folder, name) for name in names)
+            bags += [file for file in files if file.suffix.lower() in SUFFIXES or _packed_hint(file)]
     return bags
 
 
@@ -210,7 +211,7 @@ def _from_folder(path: Path, warning: str) -> BagFiles:
     if not files:
         what = f'neither {METADATA} nor an {" or ".join(SUFFIXES)} file'
         raise InputError(f'{path}: no bag in this directory ({what}){_hint(path)}')
-    return BagFiles(files, warnings=(warning, *_packed(path, files)))
+    return BagFiles(files, warnings=(warning, *_packed(path)))
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
@@ -218,12 +219,15 @@ def _bag_files(path: Path) -> tuple[Path, ...]:
     return tuple(sorted(entries, key=_part_number))
 
 
-def _packed(path: Path, files: Collection[Path]) -> Iterator[str]:
+def _packed(path: Path) -> Iterator[str]:
     """Yield a warning for each compressed file of a bag in a folder; a recorder leaves its last one as it is."""
-    for entry in sorted(path.iterdir()):
-        unpacked = entry.with_suffix('')
-        if unpacked.suffix.lower() in SUFFIXES and unpacked not in files and (hint := hint_of(_start(entry))):
-            yield f'{entry}: not read{hint}'
+    yield from (f'{entry}: not read{hint}' for entry in sorted(path.iterdir()) if (hint := _packed_hint(entry)))
+
+
+def _packed_hint(path: Path) -> str:
+    """Return the hint about a compressed file of a bag, '' if it is none or is also there unpacked."""
+    unpacked = path.with_suffix('')
+    return hint_of(_start(path)) if unpacked.suffix.lower() in SUFFIXES and not unpacked.exists() else ''
 
 
 def _hint(path: Path) -> str:
@@ -279,7 +283,7 @@ def _from_metadata(path: Path) -> BagFiles:
     warnings += [f'{file}: not listed in {METADATA}, read as a part of the bag' for file in parts if there]
     warnings += [f'{file}: not listed in {METADATA}, not read' for file in others if file not in parts]
     files = tuple(sorted([*there, *parts], key=_part_number)) if parts else tuple(there)
-    warnings += _packed(path, files)
+    warnings += _packed(path)
     return BagFiles(files, count, hashes, tuple(warnings), custom)
 
 
