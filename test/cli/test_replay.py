@@ -87,7 +87,9 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert printed.out.count('\n') == 1
     assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
-    assert agreed | {'algorithms', 'suggested_drive', 'suggested_braking', *FINDING} == set(answer)
+    more = {'adhesion', 'algorithms', 'suggested_drive', 'suggested_braking', 'inputs', 'holds_back'}
+    assert agreed | more | {*FINDING} == set(answer)
+    assert (answer['inputs'], answer['holds_back']) == ([], [])
     assert [answer[key] for key in FINDING] == ['', None, None]
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
     known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings', 'why_converging'}
@@ -191,6 +193,7 @@ def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
     finding, begin_s, end_s = (answer[key] for key in FINDING)
     assert (finding, end_s) == ('ato/force has the wrong sign', None)
     assert 0.0 < begin_s < 40.0
+    assert (answer['inputs'], answer['holds_back']) == (['ato/force'], ['resistance', 'speed_model', 'brake_rate'])
     call(path, train=driven_bag / 'train.yaml')
     text = f'inputs contradict each other since {begin_s:.1f} s: {finding}'
     assert capsys.readouterr().out.count(f'\n{text}\n') == 1

@@ -19,6 +19,7 @@ from trainid_ros.setup.pipelines import (
     speed_model_pipeline,
 )
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
+from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamConfig, TimeJumpPolicy
 from trainid_ros.stream.samples import Sample
@@ -154,12 +155,13 @@ def test_an_estimate_is_computed_once_a_sample_and_only_if_somebody_looks(
     assert len(calls) == 1 + len(outputs)
 
 
-def test_the_last_contradiction_counts_and_each_has_a_begin_and_an_end() -> None:
-    last = Contradiction()
-    last.follow('', 1.0)
+def test_the_last_contradiction_counts_and_each_has_a_begin_and_an_end(metro: TrainFile) -> None:
+    last, faults = Contradiction(), InputFaults(KnownForce(metro))
+    last.follow(faults, 1.0)
     assert (last.finding, math.isnan(last.begin_s), math.isnan(last.end_s)) == ('', True, True)
     for now_s, finding in enumerate(['late by 1.0 s', 'late by 1.1 s', '', '', 'wrong sign'], start=2):
-        last.follow(finding, float(now_s))
+        faults.finding = finding
+        last.follow(faults, float(now_s))
         if now_s == 5:
             assert (last.finding, last.begin_s, last.end_s) == ('late by 1.1 s', 2.0, 4.0)
     assert (last.finding, last.begin_s, math.isnan(last.end_s)) == ('wrong sign', 6.0, True)

@@ -187,7 +187,8 @@ def replay_through(
         records += count
         if progress is not None:
             progress(count)
-    group.contradiction.finding = reader.mapping.named(group.contradiction.finding)
+    last = group.contradiction
+    last.finding, last.inputs = reader.mapping.named(last.finding), tuple(map(reader.mapping.named, last.inputs))
     return Replay(
         records,
         group.covered_s,

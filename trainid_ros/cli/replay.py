@@ -222,6 +222,8 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
+        'inputs': list(outcome.contradiction.inputs),
+        'holds_back': list(outcome.contradiction.holds_back),
         'suggested_drive': drives[0] and drives[0].numbers,
         'suggested_braking': drives[1] and drives[1].numbers,
         'algorithms': {setup.kind.name: setup.algorithm for setup in setups},

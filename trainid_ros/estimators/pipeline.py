@@ -31,7 +31,7 @@ from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, encode, restore, several, stored, unknown
 from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.alignment import TimeJump
-from trainid_ros.stream.input_faults import Trust
+from trainid_ros.stream.input_faults import InputFaults, Trust
 from trainid_ros.stream.sample_stream import Contradiction, SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeCommandChange
@@ -554,17 +554,17 @@ class PipelineGroup:
             made = [stream.push_row(topic, stamp_ns, x, y, flag) for stream in streams]
             for event in made[0]:  # the others have the same stamps
                 if isinstance(event, Sample):
-                    self._follow(event.stamp_ns, streams[0].finding)
+                    self._follow(event.stamp_ns, streams[0].faults)
             for pipeline, k in members:
                 if made[k] or pipeline.stream.behind_ns > pipeline.stale_ns:
                     pipeline.take(made[k], publish)
             count += 1
         return count
 
-    def _follow(self, stamp_ns: int, finding: str) -> None:
+    def _follow(self, stamp_ns: int, faults: InputFaults) -> None:
         if stamp_ns < self._newest_ns:
             self._before_ns += self._newest_ns - self._first_ns
             self._first_ns = stamp_ns
         self._first_ns = self._first_ns or stamp_ns
         self._newest_ns = stamp_ns
-        self.contradiction.follow(finding, self.covered_s)
+        self.contradiction.follow(faults, self.covered_s)

@@ -486,7 +486,7 @@ class _Check:
 
     def _follow(self, sample: Sample) -> None:
         self._first_ns = self._first_ns or sample.stamp_ns
-        self.contradiction.follow(self._stream.finding, (sample.stamp_ns - self._first_ns) / NS_PER_S)
+        self.contradiction.follow(self._stream.faults, (sample.stamp_ns - self._first_ns) / NS_PER_S)
         before, self._speed = self._speed, sample.speed
         if sample.speed < 1.0:  # m/s; slower trains may stand or shunt
             self.gradient.interrupt()

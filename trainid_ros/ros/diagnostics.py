@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from trainid_ros.ros.node import ManagedNode, NodeParameters
     from trainid_ros.setup.pipelines import EstimatorKind
     from trainid_ros.stream.alignment import AlignmentConfig
+    from trainid_ros.stream.input_faults import InputFaults
 
 NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
 """What arithmetic on an invalid state raises; in old versions of numpy LinAlgError is not a ValueError."""
@@ -441,6 +442,13 @@ def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: 
     return Finding(level, text, action, health.since_ns)
 
 
+def _condemned(faults: InputFaults) -> tuple[tuple[str, str], ...]:
+    """Return which inputs contradict each other, and which estimates wait; nothing while they agree."""
+    if not faults.finding:
+        return ()
+    return ('inputs', ', '.join(faults.inputs)), ('holds_back', ', '.join(faults.holds_back))
+
+
 def estimator_status(
     health: NodeHealth, spec: EstimatorSpec, pipeline: EstimatorPipeline[Any], prior: Any, steps: StepTimes
 ) -> Any:
@@ -461,6 +469,7 @@ def estimator_status(
         ('used', output.used),
         ('rejected', output.rejected),
         *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
+        *_condemned(pipeline.stream.faults),
         ('last rejection', 'none' if output.last_rejection is None else output.last_rejection),
         *_compared(spec.shown, prior, output.estimate),
         ('consistency', pipeline.consistency),

@@ -29,6 +29,11 @@ class Input(Enum):
     BRAKE = 'brake.delay of the train file'
     LINE = 'line.gradient of the train file'
 
+    @property
+    def topic(self) -> str:
+        """Its topic; empty for what the train file states."""
+        return next((word for word in self.value.split() if word.startswith('ato/')), '')
+
 
 NOTHING: Final[frozenset[Input]] = frozenset()
 RESISTANCE_USES: Final = frozenset({Input.SPEED, Input.FORCE, Input.MASS, Input.GRADIENT})

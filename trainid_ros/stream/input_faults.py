@@ -156,6 +156,28 @@ class InputFaults:
         return verdict.finding if is_of_brake else self.shape.warning(self._max_speed)
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """Topics that the finding condemns, none without one."""
+        if not self.finding:
+            return ()
+        condemned = TABLE[self.check.verdict.row].condemns
+        for finding, what in (
+            (self._mass.finding, Input.MASS), (self._force_spikes.finding, Input.FORCE),
+            (self._gradient_spikes.finding, Input.GRADIENT), (self._commands.finding, Input.COMMAND),
+            (self._emergency.finding, Input.COMMAND), (self._command_spikes.finding, Input.COMMAND),
+            (self._releases.finding, Input.COMMAND),
+        ):  # fmt: skip
+            if finding == self.finding:
+                condemned = frozenset({what})
+        return tuple(sorted({one.topic for one in condemned} - {''}))
+
+    @property
+    def holds_back(self) -> tuple[str, ...]:
+        """Estimates that wait because of the finding."""
+        of_resistance = ('resistance', 'speed_model') if self.resistance.finding else ()
+        return (*of_resistance, *(('brake_rate',) if self.brake_rate.finding else ()))
+
+    @property
     def misread(self) -> str:
         """Which input has a wrong unit or sign, is stuck, or has two publishers, empty if none: no train does that."""
         verdict, stuck = self.check.verdict, 'ato/speed is stuck' if self._repeats.is_stuck else ''

@@ -292,15 +292,19 @@ class Contradiction:
     finding: str = ''  # What contradicted what, empty if nothing ever did
     begin_s: float = math.nan  # When it began [s], NaN if it never did
     end_s: float = math.nan  # When it ended [s], NaN while it lasts
+    inputs: tuple[str, ...] = ()  # Topics condemned
+    holds_back: tuple[str, ...] = ()  # Estimates that waited
 
-    def follow(self, finding: str, now_s: float) -> None:
-        """Update the current fault: a finding after a sample, '' if there is none, replaces the last one."""
+    def follow(self, faults: InputFaults, now_s: float) -> None:
+        """Update it after a sample: what is wrong now, if anything is, replaces what was wrong last."""
+        finding = faults.finding
         lasts = self.finding != '' and math.isnan(self.end_s)
         if finding and not lasts:
             self.begin_s, self.end_s = now_s, math.nan
         elif lasts and not finding:
             self.end_s = now_s
-        self.finding = finding or self.finding
+        if finding:
+            self.finding, self.inputs, self.holds_back = finding, faults.inputs, faults.holds_back
 
     @property
     def text(self) -> str:
