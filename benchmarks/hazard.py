@@ -149,9 +149,9 @@ def _row(hazard: tuple[float, float], stops: Sequence[Stop]) -> tuple[str, ...]:
     held = np.array([stop.held for stop in stops])
     after: NDArray[np.bool_] = np.array([stop.has_dropped for stop in stops])
     margins = np.median([stop.lengths for stop in stops], axis=0) - 1.0
-    shares = (
-        cell
-        for rows in (held, held[after])
-        for cell in (str(len(rows)), *(f'{share:.1%}' for share in rows.mean(axis=0)))
-    )
-    return (f'{hazard[0]:g}, {hazard[1]:.0%}', *shares, ', '.join(f'{margin:+.1%}' for margin in margins))
+    lengths = ', '.join(f'{margin:+.1%}' for margin in margins)
+    return (f'{hazard[0]:g}, {hazard[1]:.0%}', *_shares(held), *_shares(held[after]), lengths)
+
+
+def _shares(held: NDArray[np.bool_]) -> tuple[str, ...]:
+    return (str(len(held)), *(f'{column.mean():.1%}' if column.size else '-' for column in held.T))
