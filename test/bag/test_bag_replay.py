@@ -19,7 +19,7 @@ from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.bag.writer import BagRecorder, BagWriter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, ForceRecord, Record
-from trainid_ros.interface.results import Output, Reason, Status
+from trainid_ros.interface.results import AdhesionEstimate, Output, Reason, Status
 from trainid_ros.setup.pipelines import (
     RESISTANCE,
     EstimatorSettings,
@@ -89,7 +89,10 @@ def test_outputs_are_those_of_the_pipelines_driven_by_hand(
     )
     expected = [output for record in drive for pipeline in pipelines for output in pipeline.push(record)]
     assert log.records == list(drive)
-    assert repr(log.outputs) == repr(expected)  # NaN equals no NaN
+    estimates = [output for output in log.outputs if not isinstance(output.estimate, AdhesionEstimate)]
+    assert list(map(repr, estimates)) == list(map(repr, expected))  # NaN equals no NaN
+    assert repr(log.outputs[-1]) == repr(outcome.adhesion)
+    assert 4 * len(estimates) == 3 * len(log.outputs)  # one adhesion with each brake rate
     results: tuple[Any, ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
     for pipeline, result in zip(pipelines, results, strict=True):
         assert repr(result.output) == repr(pipeline.current())

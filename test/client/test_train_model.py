@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -46,11 +45,9 @@ W = ResistanceEstimate(
 F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.01, 0.1)
 
 
-def replace_estimate(estimate: BrakeRateEstimate, *, observable: bool) -> BrakeRateEstimate:
-    """Return a copy; estimates are no dataclasses whose values can be replaced."""
-    changed = copy(estimate)
-    changed.observable = observable
-    return changed
+def braking(estimate: BrakeRateEstimate) -> BrakeRateEstimate:
+    """Return an estimate that braking has just updated."""
+    return replace(estimate, observable=True)
 
 
 class Drive:
@@ -199,7 +196,7 @@ HAZARD = replace(FILE, brake=replace(FILE.brake, loss_per_hour=2.0, loss=0.2))
 def test_a_bound_counts_drops_since_the_brake_was_last_observed() -> None:
     now = 0.0
     model, plain = (TrainModel(None, file, max_age=1e9, clock=lambda: now) for file in (HAZARD, FILE))
-    for estimate in (W, replace_estimate(F, observable=True)):
+    for estimate in (W, braking(F)):
         model.take(Output(1, estimate, Status.VALID, 1, 0, None))
         plain.take(Output(1, estimate, Status.VALID, 1, 0, None))
     assert model.stopping_distance(20.0) == plain.stopping_distance(20.0)  # just observed
@@ -227,7 +224,7 @@ def test_a_bound_counts_drops_since_the_brake_was_last_observed() -> None:
 
 def test_without_a_braking_a_brake_counts_as_not_observed_for_an_hour() -> None:
     fresh, hour = Drive(HAZARD), Drive(HAZARD)
-    seen = Output(1, replace_estimate(F, observable=True), Status.CONVERGING, 1, 0, None)
+    seen = Output(1, braking(F), Status.CONVERGING, 1, 0, None)
     hour.model.take(seen)
     hour.now = 3600.0
     assert hour.model.stopping_distance(20.0).value == pytest.approx(fresh.model.stopping_distance(20.0).value)

@@ -185,7 +185,8 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(
     node.shared.unsaved = ''
     assert 'not saved' not in message_at(301)
     stale = Changed(node.pipeline.current(), status=Status.STALE)
-    stream, original = SimpleNamespace(finding='ato/speed is in km/h'), node.pipeline
+    faults = SimpleNamespace(finding='ato/speed is in km/h', inputs=('ato/speed',), holds_back=('resistance',))
+    stream, original = SimpleNamespace(finding=faults.finding, faults=faults), node.pipeline
     finding = f'inputs contradict each other: ato/speed is in km/h, since {clock_time(clock_ns(400))}: check units'
     for found, said in ((stream.finding, 'nothing is learned'), ('', 'this estimate does not depend on it')):
         trust = SimpleNamespace(finding=found)

@@ -29,7 +29,7 @@ from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, sha
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import drive_report
 from trainid_ros.report.recording import Recorder
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
@@ -247,7 +247,9 @@ class Published:
         self.newest: Output[Any] | None = None
 
     def add(self, output: Output[Any]) -> bool:
-        """Take in an output; return False for a repeat."""
+        """Take in an output; return False for a repeat, and for the adhesion, which is not compared."""
+        if isinstance(output.estimate, AdhesionEstimate):
+            return False
         if output.status is Status.STALE and output.stamp_ns == (self.digests[-1][0] if self.digests else 0):
             return False
         self.digests.append((output.stamp_ns, hash(repr(_values(output.estimate, type(output.estimate))))))
