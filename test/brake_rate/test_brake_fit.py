@@ -92,8 +92,7 @@ def test_one_lag_is_found_where_the_file_is_wrong(plain: BrakeFit) -> None:
     check(plain, RELEASE, 0.0, 0.06)
     check(plain, HOLD, 0.0, 0.05)
     assert (len(plain.lags), plain.brakings) == (1, 4)
-    assert plain.find(RESPONSE).verdict.startswith('the data tell: ')
-    assert 'std from what the train file says, 1.8 s' in plain.find(RESPONSE).verdict
+    assert 'the data contradict the train file, 1.8 s, by ' in plain.find(RESPONSE).verdict
 
 
 def test_a_rate_that_does_not_change_is_one_number(plain: BrakeFit) -> None:
@@ -126,13 +125,13 @@ def test_without_brakings_there_is_no_answer() -> None:
 
 def test_verdicts() -> None:
     known = Quantity(LAG, 0.4, 0.02, 's', stated=0.42, wanted=0.05)
-    assert (known.is_told, known.verdict) == (True, 'the data tell: as the train file says, 0.42 s')
+    assert (known.is_told, known.verdict) == (True, 'the data tell: as in the train file, 0.42 s')
     unknown = replace(known, std=0.1)
-    assert (unknown.is_told, unknown.verdict) == (False, 'the data cannot tell: that takes a std below 0.05 s')
+    assert (unknown.is_told, unknown.verdict) == (False, 'the data cannot tell: its std would have to be below 0.05 s')
     assert replace(known, stated=math.nan).verdict == 'the data tell'
     # A train file that is too sure of a wrong value is contradicted.
     wrong = replace(known, value=0.9, std=0.06)
-    assert (wrong.is_told, '8.0 std from what' in wrong.verdict) == (True, True)
+    assert (wrong.is_told, 'by 8.0 std' in wrong.verdict) == (True, True)
 
 
 def test_the_response_is_that_of_the_actuator() -> None:

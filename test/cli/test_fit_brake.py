@@ -15,6 +15,7 @@ from trainid_ros.brake_rate.brake_fit import DEAD_TIME, LAG, RESPONSE, BrakeFit,
 from trainid_ros.cli.fit_brake import describe, etcs_brake, fitted_brake, to_json
 from trainid_ros.cli.main import main
 from trainid_ros.interface.records import BrakeRecord
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Brake, parse_train_file
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 HEAD = 'train: {mass: 194e3}\nresistance: {a: 1.0, b: 0.0, c: 0.0}\n'
 STATED = Brake(delay=0.6, time_constant=0.4)
+TRAIN = replace(parse_train_file(HEAD, 'made'), brake=STATED)
 FIT = BrakeFit(
     quantities=(
         Quantity(DEAD_TIME, 0.8, 0.03, 's', 0.6, 0.1),
@@ -87,7 +89,7 @@ def test_options_that_do_not_go_together(
 
 
 def test_the_section_of_a_table_reads_back() -> None:
-    text = describe(FIT, fitted_brake(FIT, STATED), 'a bag', etcs_brake(FIT, 1.1))
+    text = describe(FIT, fitted_brake(FIT, TRAIN), 'a bag', etcs_brake(FIT, 1.1))
     brake = parse_train_file(HEAD + text, 'made').brake
     assert brake.rate_table == ((2.0, 0.8), (16.0, 1.08))
     assert (brake.delay, brake.time_constant) == (0.8, 1.2)
@@ -99,8 +101,23 @@ def test_the_section_of_a_table_reads_back() -> None:
 
 def test_times_that_are_not_told_stay() -> None:
     unsure = replace(FIT, quantities=tuple(replace(one, value=one.stated, std=0.4) for one in FIT.quantities))
-    brake = fitted_brake(unsure, STATED)
+    brake = fitted_brake(unsure, TRAIN)
     assert (brake.delay, brake.time_constant, brake.timing_std) == (0.6, 0.4, STATED.timing_std)
+
+
+def test_times_that_agree_are_not_replaced_by_less_accurate_ones() -> None:
+    surer = replace(TRAIN, brake=replace(STATED, timing_std=0.01))
+    agreeing = replace(FIT, quantities=tuple(replace(one, value=one.stated) for one in FIT.quantities))
+    assert fitted_brake(agreeing, surer).timing_std == 0.01
+
+
+def test_effects_stay_and_so_does_the_table_beyond_the_speeds_braked_at() -> None:
+    late = replace(TRAIN, effects=parse_effects(['brake_delay:extra=0.3']))
+    assert fitted_brake(FIT, late).delay == pytest.approx(0.5)
+    table = ((1.0, 1.0), (10.0, 1.0), (20.0, 0.5), (30.0, 0.5))
+    brake = fitted_brake(FIT, replace(TRAIN, brake=replace(STATED, rate_table=table)))
+    # At 16 m/s the file states .7 and the fit 1.08.
+    assert brake.rate_table == ((1.0, 0.8), (2.0, 0.8), (16.0, 1.08), (20.0, 0.7714), (30.0, 0.7714))
 
 
 def test_ertms_parameters_are_safe_steps() -> None:

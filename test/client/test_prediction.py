@@ -128,7 +128,7 @@ def test_it_is_live_if_what_acts_is() -> None:
         ({'horizons': (0.0,)}, '^horizon = 0 s'),
         ({'horizons': (5.0, 601.0)}, '^horizon = 601 s'),
         ({'speed': -1.0}, '^speed = '),
-        ({'command': 0.5}, '^applied = 0.5'),
+        ({'command': 0.5}, '^command = 0.5'),
         ({'force': math.nan}, '^force = nan'),
         ({'force': ((0.0, 1.0), (0.0, 2.0))}, '^force: its times must rise'),
         ({'force': ((-70.0, 1.0),)}, '^time of a force or command = -70'),
@@ -139,3 +139,22 @@ def test_an_argument_that_cannot_be_is_named(arguments: dict[str, Any], reason: 
     given: dict[str, Any] = {'horizons': (5.0,), 'speed': 10.0, **arguments}
     with pytest.raises(InputError, match=reason):
         TrainModel(None, METRO).predict(given.pop('horizons'), **given)
+
+
+def test_one_time_gives_one_answer() -> None:
+    model = TrainModel(None, METRO)
+    assert model.predict(10.0, speed=5.0) == model.predict((10.0,), speed=5.0)[0]
+
+
+@pytest.mark.parametrize('wrong', [(), None, 'soon', {}])
+def test_a_wrong_time_is_named(wrong: Any) -> None:
+    with pytest.raises(InputError, match='horizon = '):
+        TrainModel(None, METRO).predict(wrong, speed=5.0)
+
+
+@pytest.mark.parametrize('wrong', [(), None, (1.0, 2.0), ((0.0, 1.0, 2.0),)])
+def test_a_wrong_plan_is_named(wrong: Any) -> None:
+    with pytest.raises(InputError, match='force = '):
+        TrainModel(None, METRO).predict(10.0, speed=5.0, force=wrong)
+    with pytest.raises(InputError, match=r'command = 0\.5'):
+        TrainModel(None, METRO).predict(10.0, speed=5.0, command=0.5)

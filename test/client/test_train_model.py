@@ -25,7 +25,7 @@ from trainid_ros.client.stopping import RateShape, StoppingBounds, StopPosterior
 from trainid_ros.client.train_model import SPEED, Argument, ForwardClock, distance_to
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SpeedRecord
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, SpeedRecord
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings
@@ -188,6 +188,14 @@ def test_live_values_shorten_a_bound_and_move_without_a_jump() -> None:
     assert (bounds[-1] < 0.95 * before.value, rates[-1]) == (True, 0.9)
     for values, largest in ((bounds, 8.0), (rates, 0.011), (forces, 2000.0)):
         assert max(abs(after - value) for value, after in pairwise(values)) < largest
+
+
+def test_records_of_numpy_are_learned_from_and_others_refused() -> None:
+    model = TrainModel.offline(FILE, max_age=2.0)
+    for k in range(3):
+        model.push(SpeedRecord(k * NS_PER_S + 1, np.float64(5.0), np.float32(0.0)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match='push: None is no record'):
+        model.push(None)  # type: ignore[arg-type]
 
 
 HAZARD = replace(FILE, brake=replace(FILE.brake, loss_per_hour=2.0, loss=0.2))

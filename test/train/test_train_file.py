@@ -86,6 +86,7 @@ INVALID = [
     ('line: {tunnel: [[0, 1e9]]}', 'line.tunnel[0][1] = 1e+09 m must be <= 1e+08'),
     ('zzz: 1', 'zzz is not a known field; known: brake, effects, line, resistance, train'),
     ('effects: [{name: headwind, runs: [2, 0]}]', 'effects[0].runs[1] = 0 must be a whole number from 1 on'),
+    ('effects: [{name: headwind, runs: []}]', 'effects[0].runs = [] must have at least one number'),
     ('brake: {rate: 0}', 'brake.rate = 0 must be >= 0.01'),
     ('brake: {rate: []}', 'brake.rate = [] must be a number or have at least one row'),
     ('brake: {rate: }', 'brake.rate = None must be a number or a table [[speed m/s, rate], ...]'),

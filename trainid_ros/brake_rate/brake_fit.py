@@ -124,15 +124,22 @@ class Quantity:
         return self.std < self.wanted or abs(self.value - self.stated) > _DIFFERS * math.hypot(self.std, self.wanted)
 
     @property
+    def agrees(self) -> bool:
+        """True if the train file states about the same."""
+        return abs(self.value - self.stated) < _DIFFERS * self.std
+
+    @property
     def verdict(self) -> str:
         """Whether the data can tell the value, in words."""
-        unit, off = '' if self.unit == '1' else f' {self.unit}', abs(self.value - self.stated) / self.std
+        unit = '' if self.unit == '1' else f' {self.unit}'
         if not self.is_told:
-            return f'the data cannot tell: that takes a std below {self.wanted:.2g}{unit}'
+            return f'the data cannot tell: its std would have to be below {self.wanted:.2g}{unit}'
         if math.isnan(self.stated):
             return 'the data tell'
-        agrees = 'as the train file says' if off < _DIFFERS else f'{off:.1f} std from what the train file says'
-        return f'the data tell: {agrees}, {self.stated:.3g}{unit}'
+        if self.agrees:
+            return f'the data tell: as in the train file, {self.stated:.3g}{unit}'
+        off = abs(self.value - self.stated) / self.std
+        return f'the data contradict the train file, {self.stated:.3g}{unit}, by {off:.1f} std'
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,11 +231,12 @@ class _Course:
         at = self._at + times[0] + times[1] * (self._steps > 0.0)
         at = np.minimum.accumulate(at[::-1])[::-1]  # a later change overtakes one that has not acted yet
         z = step_response(self._t[:, None] - at, times[2:].tolist()) @ self._steps
-        change = np.diff(z, prepend=z[0]) * self.braking.share
+        nominal = np.diff(z, prepend=z[0])
+        change = nominal * self.braking.share
         parts = change[:, None] * model.shapes(self._middle)
         if model.hold:
             target, acts = ((self._t[:, None] >= at) @ self._steps) * self._dt, change < 0.0
-            held = np.abs(change - target) < -_STEADY * target
+            held = np.abs(nominal - target) < -_STEADY * target
             parts = np.column_stack((parts, change * (held - held.sum(where=acts) / max(acts.sum(), 1))))
         return self.mean(np.cumsum(parts, axis=0))
 
@@ -260,8 +268,9 @@ class _Fit:
         self.courses = [_Course(braking, config.disturbance_length) for braking in brakings]
         self.drift = np.concatenate([course.drift for course in self.courses])
         self.starts = np.cumsum([0, *(course.drift.size for course in self.courses[:-1])])
-        self.brake, self.rate_std = train_file.brake, config.prior_std
-        gradient = train_file.line.gradient_std / KnownForce(train_file).inertia
+        known = KnownForce(train_file)
+        self.brake, self.rate_std = known.brake, config.prior_std  # with the dead time that effects add
+        gradient = train_file.line.gradient_std / known.inertia
         # Brakings at the same place have the same error of the map.
         places = [_place(braking) for braking in brakings]
         shared = [place for place, count in Counter(places).items() if count > 1 and place is not None]
@@ -431,7 +440,7 @@ def fit_brake(brakings: Sequence[Braking], train_file: TrainFile) -> BrakeFit:
     best = max(tried, key=_evidence)
     if best.model.steps:
         tried.append(fit.settle(replace(best.model, lags=3 - best.model.lags), best))
-    return _result(fit, max(tried, key=_evidence), tried, train_file)
+    return _result(fit, max(tried, key=_evidence), tried)
 
 
 def _weights(states: list[_State]) -> Array:
@@ -441,9 +450,9 @@ def _weights(states: list[_State]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _result(fit: _Fit, best: _State, tried: list[_State], train_file: TrainFile) -> BrakeFit:
+def _result(fit: _Fit, best: _State, tried: list[_State]) -> BrakeFit:
     """Return the best of the models tried with standard deviations, which cover the others by their evidence."""
-    model, times, config, brake = best.model, best.times, BrakeRateConfig(), train_file.brake
+    model, times, config, brake = best.model, best.times, BrakeRateConfig(), fit.brake
     # As few brakings show little of their scatter, a t distribution has its place.
     widen = float(stdtrit(len(fit.courses), 0.975) / stdtrit(math.inf, 0.975)) ** 2
     solution = fit.solve(model, fit.design(best, _LEAST_LAG), best.sizes)

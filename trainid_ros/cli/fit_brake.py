@@ -21,10 +21,13 @@ from trainid_ros.cli import fit as fit_davis
 from trainid_ros.cli.output import check_output, print_json, progress, show, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import pluralise
+from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, load_train_file
 
 if TYPE_CHECKING:
     import argparse
+
+    from trainid_ros.train.train_file import TrainFile
 
 _START: Final = '# Brake, fitted'
 _MOST_STEPS: Final = 7  # of a deceleration over speed, SUBSET-026-3, 3.13.2.2.3.1.2
@@ -61,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print_json({'brake': None, 'std': None, 'quantities': [], 'brakings': 0})
         raise NoAnswerError(f'{name}: {error}') from None
-    brake, command = fitted_brake(fit, train_file.brake), max(-u for one in brakings for _, u in one.changes)
+    brake, command = fitted_brake(fit, train_file), max(-u for one in brakings for _, u in one.changes)
     etcs = etcs_brake(fit, command) if args.etcs else None
     text = describe(fit, brake, name, etcs)
     if args.out is not None:
@@ -77,22 +80,32 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def fitted_brake(fit: BrakeFit, stated: Brake) -> Brake:
-    """Return the brake for a train file, with the stated times where the data do not tell the response time."""
+def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
+    """Return the brake beside the effects of a train file, which stay.
+
+    The stated times are kept where the data do not tell the response time, or tell the same less accurately; beyond the
+    speeds braked at, the rate changes as stated.
+    """
+    stated, extra = train_file.brake, effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
     delay, lag, response = (fit.find(name) for name in (DEAD_TIME, LAG, RESPONSE))
-    times = stated.delay, stated.time_constant, stated.timing_std
-    if response.is_told:
-        # Stated is the error in single brakings, so their scatter counts; see ``Brake.timing_stds``.
-        shares = (
-            math.hypot(delay.std, fit.jitter) / math.hypot(delay.value, 0.67),
-            lag.std / math.hypot(lag.value, 0.25),
-        )
-        times = delay.value, lag.value, min(max(*shares, _LEAST_TIMING), _MOST_TIMING)
+    # Stated is the error in single brakings, so their scatter counts; see ``Brake.timing_stds``.
+    shares = (
+        math.hypot(delay.std, fit.jitter) / math.hypot(delay.value, 0.67),
+        lag.std / math.hypot(lag.value, 0.25),
+    )
+    times = max(delay.value - extra, 0.0), lag.value, min(max(*shares, _LEAST_TIMING), _MOST_TIMING)
+    if not response.is_told or (response.agrees and times[2] > stated.timing_std):
+        times = stated.delay, stated.time_constant, stated.timing_std
     dead, constant, std = map(_rounded, times)
-    rates = tuple(map(_rounded, fit.rates.tolist()))
-    if len(rates) == 1:
-        return Brake(rates[0], constant, dead, timing_std=std)
-    return Brake(1.0, constant, dead, tuple(zip(map(_rounded, fit.knots), rates, strict=True)), std)
+    rows = list(zip(fit.knots, fit.rates.tolist(), strict=True))
+    if len(rows) == 1 and not stated.rate_table:
+        return Brake(_rounded(rows[0][1]), constant, dead, timing_std=std)
+    if len(rows) == 1:
+        rows = [(v, rows[0][1]) for v in fit.speed_range]
+    (slow, first), (fast, last) = rows[0], rows[-1]
+    below = [(v, first * stated.rate_at(v) / stated.rate_at(slow)) for v, _ in stated.rate_table if v < slow]
+    above = [(v, last * stated.rate_at(v) / stated.rate_at(fast)) for v, _ in stated.rate_table if v > fast]
+    return Brake(1.0, constant, dead, tuple((_rounded(v), _rounded(r)) for v, r in (*below, *rows, *above)), std)
 
 
 def _rounded(value: float) -> float:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from numbers import Real
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args, overload
 
 from trainid_ros.client.adhesion import LiveAdhesion
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
@@ -23,19 +24,19 @@ from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, Sto
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo, check_settings, check_value
-from trainid_ros.interface.records import ADHESION_TOPIC, BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.interface.records import ADHESION_TOPIC, BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, Record, output_topic
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
     from trainid_ros.client.prediction import Steps
-    from trainid_ros.interface.records import OutputTopic, Record
+    from trainid_ros.interface.records import OutputTopic
     from trainid_ros.interface.results import Output, Status
     from trainid_ros.setup.pipelines import EstimatorSettings
 
@@ -77,6 +78,7 @@ HORIZON: Final = Argument('horizon', 's', 0.01, 600.0)  # accepted times to pred
 FORCE: Final = Argument('force', 'N', -1e9, 1e9)  # accepted forces at the wheel rim
 _SINCE: Final = Argument('time of a force or command', 's', -60.0, 600.0)
 _POSITION: Final = Argument('position', 'm', -1e9, 1e9)
+_PLANNED: Final = Argument('command', 'm/s^2', -20.0, 0.0)
 _TARGET: Final = Argument('target_position', 'm', -1e9, 1e9)
 
 
@@ -217,9 +219,13 @@ class TrainModel:
             self.subscriptions = tuple(item for pair in made for item in pair)
 
     @classmethod
-    def offline(cls, train_file: TrainFile | str | Path, settings: EstimatorSettings | None = None) -> TrainModel:
+    def offline(
+        cls, train_file: TrainFile | str | Path, settings: EstimatorSettings | None = None, *,
+        max_age: float = MAX_AGE_S,
+    ) -> TrainModel:  # fmt: skip
         """Return a train that learns from the records handed to :meth:`push`, as the nodes do; time is that of these.
 
+        ``max_age`` is that of the class: longer for speeds slower than 2 Hz.
         A train file that cannot be used raises InputError.
         """
         from trainid_ros.setup.pipelines import (  # noqa: PLC0415 (estimators are not needed elsewhere)
@@ -233,7 +239,7 @@ class TrainModel:
         pipelines = resistance_pipeline(known, settings), brake_rate_pipeline(known, settings)
         prior, brake = settings.resistance.config, settings.brake_rate.config
         model = cls(
-            None, known, clock=lambda: seconds(pipelines[0].newest_ns),
+            None, known, max_age=max_age, clock=lambda: seconds(pipelines[0].newest_ns),
             prior=prior if isinstance(prior, PriorSettings) else _PRIOR,
             brake=brake if isinstance(brake, BrakeRateConfig) else _BRAKE,
         )  # fmt: skip
@@ -248,7 +254,11 @@ class TrainModel:
         if self._group is None:
             raise InputError('push: only a TrainModel.offline(train_file) learns from records')
         outputs: list[Output[Any]] = []
-        self._group.push_rows((record.row(),), outputs.append)
+        if not isinstance(record, get_args(Record)):
+            raise InputError(f'push: {shown(record)} is no record of an input, see interface.records')
+        topic, stamp_ns, x, y, flag = record.row()
+        # Simulations give numbers of numpy, which no state can hold.
+        self._group.push_rows(((topic, int(stamp_ns), float(x), float(y), bool(flag)),), outputs.append)
         for output in outputs:
             self.take(output)
         return outputs
@@ -413,17 +423,31 @@ class TrainModel:
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
         return Value(command, std, *_of_brake((w.live, w.reason), (rate.live, rate.reason)))
 
+    @overload
     def predict(
-        self, horizons: Sequence[float], *, speed: float, force: float | Steps = 0.0, command: float | Steps = 0.0,
-        applied: float = 0.0, gradient: float = 0.0, mass: float | None = None, direction: int = 1,
-        position: float | None = None,
-    ) -> tuple[Value, ...]:  # fmt: skip
-        """Return the speed [m/s] at times from now on [s, up to 600]; for the equations see ``prediction``.
+        self, horizon: float, *, speed: float, force: float | Steps = ..., command: float | Steps = ...,
+        applied: float = ..., gradient: float = ..., mass: float | None = ..., direction: int = ...,
+        position: float | None = ...,
+    ) -> Value: ...  # fmt: skip
+
+    @overload
+    def predict(
+        self, horizon: Sequence[float], *, speed: float, force: float | Steps = ..., command: float | Steps = ...,
+        applied: float = ..., gradient: float = ..., mass: float | None = ..., direction: int = ...,
+        position: float | None = ...,
+    ) -> tuple[Value, ...]: ...  # fmt: skip
+
+    def predict(
+        self, horizon: float | Sequence[float], *, speed: float, force: float | Steps = 0.0,
+        command: float | Steps = 0.0, applied: float = 0.0, gradient: float = 0.0, mass: float | None = None,
+        direction: int = 1, position: float | None = None,
+    ) -> Value | tuple[Value, ...]:  # fmt: skip
+        """Return the speed [m/s] at one or several times from now on [s, up to 600]; see ``prediction``.
 
         ``force`` and ``command`` are constant, or values that hold from a time on: ((0.0, 90e3), (12.0, 0.0)).
 
         Args:
-            horizons: The times, in any order.
+            horizon: The time, or several in any order: then there is an answer for each.
             speed: Speed now [m/s].
             force: At the wheel rim, as the drive reports it [N]; without braking, which is that of ``command``.
             command: Brake commands [m/s^2, <= 0]; those given before now may still be in their dead time.
@@ -434,10 +458,10 @@ class TrainModel:
             position: As of :meth:`stopping_distance`.
         """
         v, i, train = SPEED.checked(speed), GRADIENT.checked(gradient), self._file.train_file.train
-        times = [HORIZON.checked(time) for time in horizons]
+        times = [HORIZON.checked(time) for time in _rows(horizon, HORIZON)]
         M, u0 = train.mass if mass is None else MASS.checked(mass), -APPLIED.checked(applied)
         forces = [(t, F / ((1.0 + train.rotary_mass) * M)) for t, F in _steps(force, FORCE)]
-        plan = Plan(forces, [(t, -u) for t, u in _steps(command, APPLIED)], u0)
+        plan = Plan(forces, [(t, -u) for t, u in _steps(command, _PLANNED)], u0)
         place = None if position is None else _POSITION.checked(position)
         shape = self._file.motion_shape(checked_direction(direction), place)
         with self._lock:
@@ -449,7 +473,8 @@ class TrainModel:
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
         s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
         found = predicted_speeds(v, times, plan, shape, posterior, (s, math.sqrt(variance)), self._file.config)
-        return tuple(Value(mean, std, live, reason) for mean, std in found)
+        answers = tuple(Value(mean, std, live, reason) for mean, std in found)
+        return answers[0] if isinstance(horizon, (float, Real)) else answers
 
     def stopping_distance(
         self, speed: float, gradient: float = 0.0, command: float = FULL_SERVICE, confidence: float = 0.95,
@@ -567,11 +592,25 @@ class TrainModel:
 
 def _steps(values: float | Steps, argument: Argument) -> list[tuple[float, float]]:
     """Return values from their time on; InputError if one is out of range, or the times do not rise."""
-    rows = ((0.0, values),) if isinstance(values, (float, Real)) else values
-    steps = [(_SINCE.checked(time), argument.checked(value)) for time, value in rows]
+    if isinstance(values, (float, Real)):
+        return [(0.0, argument.checked(values))]
+    steps = []
+    for row in _rows(values, argument):
+        if not isinstance(row, Sequence) or len(row) != 2:
+            raise InputError(f'{argument.name} = {shown(row)} must be a number, or rows (time in s, {argument.unit})')
+        steps.append((_SINCE.checked(row[0]), argument.checked(row[1])))
     if any(after <= before for (before, _), (after, _) in pairwise(steps)):
         raise InputError(f'{argument.name}: its times must rise')
     return steps
+
+
+def _rows(values: Any, argument: Argument) -> Sequence[Any]:
+    """Return one value or several as a sequence; InputError if they are neither, or there is none."""
+    if isinstance(values, (float, Real)):
+        return (values,)
+    if isinstance(values, (str, Mapping)) or not hasattr(values, '__iter__') or not (rows := tuple(values)):
+        raise InputError(f'{argument.name} = {shown(values)} must be a number in {argument.unit}, or several')
+    return rows
 
 
 def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:

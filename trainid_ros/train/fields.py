@@ -155,6 +155,8 @@ class Section:
 
     def counts(self, key: str) -> tuple[int, ...]:
         """Return a list of whole numbers from 1 on, empty if absent."""
+        if key in self.data and not self.data[key]:
+            self.fail(key, f'= {shown(self.data[key])} must have at least one number')
         found = []
         for i, item in enumerate(self.items(key)):
             if isinstance(item, bool) or not isinstance(item, int) or item < 1:
