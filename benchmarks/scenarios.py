@@ -21,7 +21,15 @@ from benchmarks.worlds import FIELD, Rates, Truth, drive
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.estimators.settings import FilterBankConfig
 from trainid_ros.interface.records import BRAKE, NS_PER_S, SPEED, Row
-from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.interface.results import (
+    AdhesionEstimate,
+    BrakeRateEstimate,
+    Output,
+    Reason,
+    Rejection,
+    ResistanceEstimate,
+    Status,
+)
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.hypotheses import A, C
 from trainid_ros.setup.pipelines import (
@@ -232,6 +240,8 @@ class Trace:
     def add(self, output: Output[Any], speed: float) -> None:
         """Add an output at a measured speed [m/s]."""
         now = output.estimate
+        if isinstance(now, AdhesionEstimate):  # comes with each brake rate
+            return
         if isinstance(now, BrakeRateEstimate):
             self.is_rate = True
             values = (now.brake_rate, 0.0, 0.0, now.brake_rate_std)
