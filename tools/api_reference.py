@@ -48,6 +48,8 @@ def _members(owner: ast.Module | ast.ClassDef, lines: list[str], path: str, insi
     for node in owner.body:
         if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith('_'):
             continue
+        if 'overload' in map(ast.unparse, node.decorator_list):  # what follows has all that they say
+            continue
         if not (docstring := ast.get_docstring(node)):
             raise ValueError(f'{path}: {inside}{node.name} has no docstring')
         level = '####' if inside else '###'
