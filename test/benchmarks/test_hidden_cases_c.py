@@ -122,8 +122,8 @@ def test_effect_has_the_equation_of_the_interface(name: str) -> None:
         if 0.01 < dark < 0.99:
             continue  # The library has a flag.
         at = TrackPoint(
-            k * STEP, log.front[k], int(log.heading[k]), log.speed[k], 1.0 / bend if bend > 1e-6 else 0.0, dark > 0.5,
-            train.length, run[k], since, brake=1e3 / G * (1.0 + train.gamma) * brake[k],
+            k * STEP, log.front[k], int(log.heading[k]), log.speed[k], 1.0 / bend if bend > 1e-6 else 0.0,
+            bool(dark > 0.5), train.length, run[k], since, brake=1e3 / G * (1.0 + train.gamma) * brake[k],
             traction=1e3 / G * (log.force[k] / log.weighed[k] - (1.0 + train.gamma) * brake[k]),
         )  # fmt: skip
         # A heavier train has less air drag for its weight, and there is no wind in a tunnel.
