@@ -13,8 +13,8 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Extra, Maker, disturbed
 from trainid_ros.explain.dataset import Dataset, Run, assemble
+from trainid_ros.explain.effects import SHOWN
 from trainid_ros.explain.model import POINTS, Model, Odometry, find_slip, preferred_point, read_at
-from trainid_ros.explain.proof import SHOWN
 from trainid_ros.explain.result import Verdict
 from trainid_ros.explain.workflow import explain
 

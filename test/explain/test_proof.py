@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag, local_drag
+from trainid_ros.explain.effects import SHOWN
 from trainid_ros.explain.likelihood import Hyperparameters, Noise, eliminate, posterior
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import DAVIS, Spread
-from trainid_ros.explain.proof import SHOWN, gap_of, hold_out, locate, read_gap, where
+from trainid_ros.explain.proof import gap_of, hold_out, locate, read_gap, where
 from trainid_ros.explain.result import place_text
 
 

@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.explain.effects import SHOWN
 from trainid_ros.explain.likelihood import Information, Nuisances, posterior
 from trainid_ros.explain.probability import dependence
-from trainid_ros.explain.proof import SHOWN, gap_of, hold_out
+from trainid_ros.explain.proof import gap_of, hold_out
 from trainid_ros.explain.result import Learned
 from trainid_ros.explain.variables import Variable, hats, variables
 from trainid_ros.train.effects import EFFECTS

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SIGNIFICANT: Final = 2.5
 """Distance of the amplitude of an effect from its neutral value, by chance exceeded once in 80 times [std]."""
+SHOWN: Final = 6.0
+"""2 ln of a Bayes factor, or ratio of likelihoods of held-out runs, that is strong evidence (Kass, Raftery 1995)."""
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
 _CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
@@ -202,8 +204,9 @@ class EffectEvaluator:
             return None
         here = self.resistance(name, parameters, davis, runs)
         rows = zip(changed, _DAVIS_STEPS.values(), strict=True)
-        moved = (((self.resistance(name, parameters, other, runs) - here) / step) for other, step in rows)
-        return np.stack([*moved], axis=1)
+        return np.stack(
+            [(self.resistance(name, parameters, other, runs) - here) / step for other, step in rows], axis=1
+        )
 
     def total(self, effects: Sequence[Effect]) -> Array:
         """Return the total resistance of effects, except those on the records, on each stage [N/kN], shape (n,)."""

@@ -415,8 +415,8 @@ class MarginalLikelihood:
 
     def of_usual_gusts(self, hyper: Hyperparameters) -> Hyperparameters:
         """Return :meth:`usual` hyperparameters with gusts at the median of their priors too."""
-        noise, spread = _hyperparameters(self._median)
-        return replace(hyper, noise=replace(hyper.noise, gust=noise.gust, gust_time=noise.gust_time), spread=spread)
+        noise = _hyperparameters(self._median)[0]
+        return replace(self.usual(hyper), noise=replace(hyper.noise, gust=noise.gust, gust_time=noise.gust_time))
 
     def excess(self, logs: Array) -> float:
         """Return the sum of squares of the prior std by which gusts, payload, brake and map exceed their medians [1].

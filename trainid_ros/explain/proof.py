@@ -30,7 +30,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from trainid_ros.explain.dataset import BRAKING, PULLING, Array, Dataset, Flags, Run
-from trainid_ros.explain.effects import SIGNIFICANT, EffectTerm
+from trainid_ros.explain.effects import SHOWN, SIGNIFICANT, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model, Slip
 from trainid_ros.explain.nuisances import DAVIS
@@ -41,9 +41,6 @@ from trainid_ros.train.train_file import Davis, TrainFile
 
 # Share of the evidence that may remain after the effects named: equations of real effects differ slightly [1].
 _LEFT_OVER: Final = 0.15
-SHOWN: Final = 6.0
-"""2 ln of the ratio of likelihoods of held-out runs above which they show the effects: strong evidence (Kass, Raftery
-1995)."""
 
 
 @dataclass(frozen=True, slots=True)

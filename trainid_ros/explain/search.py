@@ -27,7 +27,15 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trainid_ros.explain.dataset import Array, Dataset, Indices
-from trainid_ros.explain.effects import SIGNIFICANT, EffectEvaluator, EffectTerm, prior_cost, runs_cost, unit_resistance
+from trainid_ros.explain.effects import (
+    SHOWN,
+    SIGNIFICANT,
+    EffectEvaluator,
+    EffectTerm,
+    prior_cost,
+    runs_cost,
+    unit_resistance,
+)
 from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
@@ -44,7 +52,6 @@ RUN_DRAG: Final = 'run_drag'
 """The effect that is Davis a on the runs where it acts."""
 _OF_RUNS: Final = ('brake_scale', 'headwind', 'mass_error', RUN_DRAG, 'traction_scale')  # What may differ by run
 _SCATTER: Final = (0.05, 0.1, 0.2, 0.4, 0.8)  # Std of what differs from run to run at random [typical sizes]
-_CLEAR: Final = 6.0  # 2 ln of the Bayes factor that is strong evidence (Kass, Raftery 1995)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +193,7 @@ class EffectScorer:
             evidence = np.array([_mean_evidence(column) for column in values.T])
             best = int(np.argmax(evidence))
             by_chance = max(group_log_bayes(A, b, share * kind.typical_size) for share in _SCATTER)
-            if evidence[best] < by_chance + (0.0 if kind.name == RUN_DRAG else _CLEAR):
+            if evidence[best] < by_chance + (0.0 if kind.name == RUN_DRAG else SHOWN):
                 continue
             size = along[best] / (block[best] + kind.typical_size**-2)
             runs = tuple(numbers[tried[best]].tolist())

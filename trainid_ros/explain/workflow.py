@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.explain.curve import learn
-from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
+from trainid_ros.explain.effects import SHOWN, EffectTerm, merged, without_replaced
 from trainid_ros.explain.likelihood import integrated_covariance
 from trainid_ros.explain.model import Model, Slip, find_slip, read_at
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.probability import Probabilities, probabilities
-from trainid_ros.explain.proof import SHOWN, assess, leaves_more_than_noise, locate, unexplained, weakest, where
+from trainid_ros.explain.proof import assess, leaves_more_than_noise, locate, unexplained, weakest, where
 from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
