@@ -79,6 +79,14 @@ def test_without_a_braking_there_is_no_answer(
     assert 'no braking' in err.splitlines()[-1]
 
 
+def test_the_reason_is_named_where_no_command_can_be_used(
+    driven_bag: Path, changed: Change, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = changed(lambda item: replace(item, emergency=True) if isinstance(item, BrakeRecord) else item)
+    assert call(path, '--train', driven_bag / 'train.yaml', '--brake') == 1
+    assert 'no braking from a released brake was found (most often rejected: BRAKE' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('options', [('--etcs',), ('--out', 'x.yaml'), ('BAG',), ('BAG', '--brake')])
 def test_options_that_do_not_go_together(
     driven_bag: Path, options: tuple[str, ...], one_error: Callable[[], str]

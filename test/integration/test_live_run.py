@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
@@ -216,6 +218,17 @@ def test_run_exits_cleanly_after_one_signal_or_many(processes: Processes, signal
             time.sleep(0.05 if nodes.poll() is None else 0.0)
     code, _, err = finish(nodes, signal_number)
     assert (code, 'Traceback' in err) == (0, False), err
+
+
+def test_run_fails_once_others_have_shut_all_nodes_down(processes: Processes, listener: Listener) -> None:
+    nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
+    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    change = listener.node.create_client(ChangeState, 'resistance_estimator/change_state')
+    listener.until(change.service_is_ready)
+    change.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN)))
+    listener.until(lambda: nodes.poll() is not None)
+    code, _, err = finish(nodes, signal.SIGTERM)
+    assert (code, 'resistance_estimator: shut down by a request of another process' in err) == (1, True), err
 
 
 def listening(pid: int) -> set[str]:

@@ -17,6 +17,7 @@ from typing import TypeAlias
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
@@ -128,6 +129,16 @@ def test_a_sliding_axle_is_a_warning(graph: Graph, diagnosed: Diagnosed, train_f
     node.pipeline._adhesion = sliding
     diagnosed.until(own, 'the measured axle slides (-12%); adhesion 0.050 ± 0.010')
     assert diagnosed.level(own) >= DiagnosticStatus.WARN
+
+
+def test_a_parameter_that_does_not_act_yet_is_named(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:
+    node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
+    before = node.get_parameter('train.mass').value
+    feed(node, coasting(20))
+    node.set_parameters([Parameter('train.mass', value=before + 5e3), Parameter('diagnostic_period', value=0.2)])
+    diagnosed.until(OWN, f'parameters were set that do not act yet: train.mass = {before + 5e3}')
+    node.set_parameters([Parameter('train.mass', value=before)])
+    graph.until(lambda: 'do not act yet' not in diagnosed.message(OWN))
 
 
 def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, diagnosed: Diagnosed, train_file: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Reason
 from trainid_ros.stream.known_force import KnownForce, SpeedNoise
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.interface.results import Reason
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -76,9 +76,10 @@ class BrakingCollector:
         now, command = self._time(sample.stamp_ns), sample.brake_command
         active = command < 0.0 or any(change.target_acceleration < 0.0 for change in sample.brake_changes)
         rejection = self._known.reject(sample)
-        if rejection is not None:
-            rejected[rejection.reason] += 1
-        lost = rejection is not None or not math.isfinite(sample.dt + command) or sample.brake_gap or sample.emergency
+        is_uncertain = sample.brake_gap or sample.emergency or math.isnan(command)
+        if rejection is not None or is_uncertain:
+            rejected[Reason.BRAKE_UNCERTAIN if rejection is None else rejection.reason] += 1
+        lost = rejection is not None or is_uncertain or not math.isfinite(sample.dt)
         is_quiet = now - self._active_s >= self._quiet_s
         self._active_s = now if active or lost else self._active_s
         if lost or sample.speed < self._min_speed:

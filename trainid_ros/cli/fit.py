@@ -50,10 +50,8 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             unknown = {**dict.fromkeys('abc'), 'std': [None] * 3, 'iterations': 0, 'mse': None, 'converged': False}
             print_json({**unknown, 'speed_range': [None, None]})
-        most = motion.rejected.most_common(1)
-        common = ''.join(f' (most often rejected: {reason.name}, {count} times)' for reason, count in most)
         contradiction = f'; inputs contradict each other: {motion.finding}' if motion.finding else ''
-        raise NoAnswerError(f'{args.bag}: {error}{common}{contradiction}') from None
+        raise NoAnswerError(f'{args.bag}: {error}{most_rejected(motion.rejected)}{contradiction}') from None
     if args.json:
         print_json(to_json(fit))
     else:
@@ -61,6 +59,12 @@ def run(args: argparse.Namespace) -> int:
     if not fit.converged:
         raise NoAnswerError(f'{args.bag}: the fit did not converge within {fit.iterations} iterations')
     return 0
+
+
+def most_rejected(rejected: Counter[Reason]) -> str:
+    """Return why most samples were not used, as the end of a sentence; empty if all were."""
+    most = rejected.most_common(1)
+    return ''.join(f' (most often rejected: {reason.name}, {count} times)' for reason, count in most)
 
 
 def read(args: argparse.Namespace, collector: Collector) -> Reading:

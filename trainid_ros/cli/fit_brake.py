@@ -10,6 +10,7 @@ that the brake is no weaker than deceleration times factor (3.13.2.2.9.1.2 to .4
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from trainid_ros.brake_rate.braking import BrakingCollector
 from trainid_ros.cli import fit as fit_davis
 from trainid_ros.cli.output import check_output, print_json, progress, show, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.results import Reason
 from trainid_ros.interface.text import pluralise
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, load_train_file
@@ -50,11 +52,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('trainid fit: a bag is given twice; its data would count twice')
     if args.out is not None:
         check_output(args.out, (args.train, *args.bags), _START)
-    brakings = []
+    brakings, rejected = [], Counter[Reason]()
     for bag in args.bags:
         args.bag, collector = bag, BrakingCollector(train_file)
-        if finding := fit_davis.read(args, collector).finding:
-            warn(f'{bag}: inputs contradict each other: {finding}')
+        reading = fit_davis.read(args, collector)
+        rejected += reading.rejected
+        if reading.finding:
+            warn(f'{bag}: inputs contradict each other: {reading.finding}')
         brakings += collector.brakings
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     try:
@@ -63,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     except NoAnswerError as error:
         if args.json:
             print_json({'brake': None, 'std': None, 'quantities': [], 'brakings': 0})
-        raise NoAnswerError(f'{name}: {error}') from None
+        raise NoAnswerError(f'{name}: {error}{fit_davis.most_rejected(rejected)}') from None
     brake, command = fitted_brake(fit, train_file), max(-u for one in brakings for _, u in one.changes)
     etcs = etcs_brake(fit, command) if args.etcs else None
     text = describe(fit, brake, name, etcs)

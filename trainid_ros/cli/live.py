@@ -15,7 +15,7 @@ from trainid_ros.cli.arguments import LIVE_NODES
 from trainid_ros.cli.output import EXIT_NO_ANSWER, opened, progress, show
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import OWN, load_mapping
-from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.train.train_file import load_train_file
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def run_nodes(args: argparse.Namespace) -> int:
-    """Run the nodes until SIGINT or SIGTERM."""
+    """Run the nodes until SIGINT or SIGTERM; NoAnswerError if others have shut some down, at once if all."""
     if args.train is not None:
         mapped_inputs(args.map, load_train_file(args.train))
     elif args.map is not None:
@@ -48,7 +48,15 @@ def run_nodes(args: argparse.Namespace) -> int:
         if not node.bring_up():
             raise _refused(f'{node.get_name()}: {node.failure}', nodes)
         print(f'{node.get_name()} is active', flush=True)
-    spin_nodes(nodes)
+    ended = set[str]()
+
+    def is_over() -> bool:
+        ended.update(node.get_name() for node in nodes if node.state == 'finalized')
+        return len(ended) == len(nodes)
+
+    spin_nodes(nodes, until=is_over)
+    if ended:
+        raise NoAnswerError(f'{", ".join(sorted(ended))}: shut down by a request of another process')
     return 0
 
 

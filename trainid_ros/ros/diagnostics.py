@@ -609,6 +609,9 @@ class DiagnosticsPublisher:
                 f'the measured axle {word} ({slip.slip:+.0%}); adhesion {slip.adhesion:.3f} ± {slip.adhesion_std:.3f}',
                 'allow for longer stopping distances; nothing is learned from this axle meanwhile',
             )
+        if pipeline is not None and (waiting := self._context.parameters.waiting):
+            text = f'parameters were set that do not act yet: {", ".join(waiting)}'
+            found['parameters'] = Finding(warn, text, 'configure the node again, or set them back')
         if clock_problem:
             found['clock'] = Finding(warn, clock_problem)
         if pipeline is not None and (rejected := unusable(pipeline.current())) is not None:

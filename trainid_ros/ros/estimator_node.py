@@ -307,8 +307,9 @@ class EstimatorNode(ManagedNode):
         parameters, kind = self.shared.parameters, self.shared.kind
         parameters.check()
         base = self._load_train_file()
-        train_file = build_train_file(parameters.values(), frozenset(parameters.given), base)
-        settings = build_settings(parameters.values(), kind.algorithms, kind.name)
+        values = parameters.use()
+        train_file = build_train_file(values, frozenset(parameters.given), base)
+        settings = build_settings(values, kind.algorithms, kind.name)
         self._settings = self.shared.mapping.configure(train_file, settings)
         pipeline = kind.pipeline(train_file, self._settings)
         self.shared.prior = pipeline.current().estimate

@@ -214,6 +214,7 @@ class NodeParameters:
         self._internal = False
         self.on_live_change: Callable[[set[str]], None] = lambda _: None
         self._filed: set[str] = set()  # Names of the values that the train file states
+        self._used: Values = {}  # Values with which the node was configured
         values, self._problems = validate_overrides(node.overrides, self._specs, {*node._parameters, *expected})
         taken = find_taken(values) if values.get(TRAIN_FILE.name) else ()
         self._taken: Values = {name: values.pop(name) for name in taken}
@@ -254,6 +255,17 @@ class NodeParameters:
     def values(self) -> dict[str, Value]:
         """Return all values by name."""
         return {name: self.value(name) for name in self._specs}
+
+    def use(self) -> Values:
+        """Return all values by name, with which the node is configured."""
+        self._used = self.values()
+        return self._used
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """Values set since the node was configured, which do not act yet, as texts."""
+        set_later = ((name, self.value(name)) for name in sorted(self.given.intersection(self._used) - LIVE))
+        return tuple(f'{name} = {value}' for name, value in set_later if value != self._used[name])
 
     def fall_back(self, values: Mapping[str, float], source: str) -> None:
         """Use values from a file for the parameters that the user did not set; InputError if one is out of range."""
