@@ -12,7 +12,7 @@ import pytest
 import stops
 from ato.days import CONTROLLERS, DayPlan, Drive, plan_day
 from ato.knowledge import TrueValues
-from ato.stop_report import actual_rates, brake_changes, comparison, stop_lines, stop_page
+from ato.stop_report import Day, actual_rates, brake_changes, comparison, stop_lines, stop_page
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.sim.plant import Plant, StopEvent
 from trainid_ros.train.line import LineProfile
@@ -28,34 +28,38 @@ def plan_with(*events_s: float) -> DayPlan:
     return replace(plan_day('metro', 2, np.random.default_rng(1)), events_s=events_s)
 
 
-def test_stops_are_described_by_the_values_used() -> None:
-    lines = stop_lines(plan_with(190.0), {'nominal': drive(1.0, -0.2), 'live': drive(0.1, -0.1)})
-    nominal, live = (' '.join(line.split()) for line in lines)
-    assert nominal == 'nominal mean +0.40 m, sd 0.60 m, largest 1.00 m, within 0.30 m 50%, with a steady brake 0% of 1'
-    assert live == 'live mean +0.00 m, sd 0.10 m, largest 0.10 m, within 0.30 m 100%, with a steady brake 100% of 1'
+def day(*events_s: float, **drives: Drive) -> Day:
+    return Day(plan_with(*events_s), drives)
+
+
+def test_stops_of_all_days_are_described_by_the_values_used() -> None:
+    days = [day(nominal=drive(1.0, -0.2), live=drive(0.1, -0.1)), day(nominal=drive(0.6, -0.2), live=drive(0.1, -0.1))]
+    nominal, live = (' '.join(line.split()) for line in stop_lines(days))
+    assert nominal == 'train file mean 0.50 m, 95 % within 0.94 m, largest 1.00 m, within 0.30 m 50%'
+    assert live == 'live estimates mean 0.10 m, 95 % within 0.10 m, largest 0.10 m, within 0.30 m 100%'
 
 
 def test_the_comparison_names_what_is_better_and_what_is_not() -> None:
-    drives = {'nominal': drive(1.0, -0.2), 'fast': drive(0.0, 0.05), 'live': drive(0.1, -0.1), 'truth': drive(0.1, 0.1)}
-    assert comparison(drives) == [
-        'mean absolute error with live estimates 0.100 m; only that with nominal must be larger',
-        'live estimates stopped better than nominal (0.600 m)',
-        'live estimates did not stop better than fast (0.025 m), truth (0.100 m)',
+    one = day(nominal=drive(1.0, -0.2), fast=drive(0.0, 0.05), live=drive(0.1, -0.1), truth=drive(0.1, 0.1))
+    assert comparison([one]) == [
+        'with live estimates the train stops 0.100 m off on average',
+        'that is better than with: train file (0.600 m)',
+        'that is not better than with: train file, strong feedback (0.025 m); true values (0.100 m)',
     ]
 
 
 def test_stops_with_a_change_during_the_braking_are_named_and_circled() -> None:
     drives = {'nominal': drive(1.0, -0.2), 'live': drive(0.1, -0.51)}
-    assert brake_changes(plan_with(), drives) == ['the brake did not change at once on this day']
-    assert brake_changes(plan_with(150.0), drives)[0].endswith('at 2.5 min, but never while the train braked to a stop')
-    (line,) = brake_changes(plan_with(190.0), drives)
-    assert line.endswith('at 3.2 min, while the train braked: nominal at stop 2 (-0.20 m), live at stop 2 (-0.51 m)')
+    lines = brake_changes([day(**drives), day(150.0, **drives), day(190.0, **drives)])
+    assert lines[0] == 'day 1: no sudden change'
+    assert lines[1].endswith('at 2.5 min, but never in a braking to a stop')
+    assert lines[2].endswith('braked with: train file at stop 2 (-0.20 m); live estimates at stop 2 (-0.51 m)')
     elsewhere = replace(drives['nominal'], brakings_s=(70.0, 195.0))
-    (other,) = brake_changes(plan_with(190.0), {**drives, 'nominal': elsewhere})
-    assert other.endswith('while the train braked: live at stop 2 (-0.51 m), not with nominal')
-    page = stop_page(plan_with(190.0), drives)
-    assert line in page
-    assert len(page) > len(stop_page(plan_with(150.0), drives))
+    (other,) = brake_changes([day(190.0, **{**drives, 'nominal': elsewhere})])
+    assert other.endswith('at 3.2 min, while the train braked with: live estimates at stop 2 (-0.51 m)')
+    page = stop_page([day(190.0, **drives)])
+    assert lines[2].replace('day 3', 'day 1') in page
+    assert len(page) > len(stop_page([day(150.0, **drives)]))
 
 
 @pytest.mark.parametrize('heat', [0.0, 1e6])
@@ -72,22 +76,29 @@ def test_the_brake_rate_shown_is_the_true_one_of_a_cold_and_a_hot_brake(heat: fl
 
 @pytest.mark.parametrize(('live', 'worked'), [(0.1, True), (-3.0, False)])
 def test_it_worked_if_the_estimates_made_the_stops_better(live: float, worked: bool) -> None:
-    case = stops.StopCase(plan_with(), {'nominal': drive(1.0), 'live': drive(live)}, Path('report.html'))
+    case = stops.StopCase((day(nominal=drive(1.0), live=drive(live)),), Path('report.html'))
     assert case.worked is worked
 
 
-def test_a_short_day_is_driven_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_brake_changes_at_once_on_all_days_driven() -> None:
+    days = stops.changing_days(1, 4)
+    assert all(plan.events_s for _, plan in days)
+    assert [seed for seed, _ in days] == sorted({seed for seed, _ in days})
+
+
+def test_short_days_are_driven_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stops, '_RUNS', 2)
     monkeypatch.setattr(stops, '_WORLD', 'tram')
     said: list[str] = []
-    case = stops.play_stops(tmp_path / 'stops.html', said.append)
+    case = stops.play_stops(tmp_path / 'stops.html', 1, 1, said.append)
     assert len(said) == 1
-    assert [len(one.errors) for one in case.drives.values()] == [2] * len(CONTROLLERS)
+    (driven,) = case.days
+    assert [len(one.errors) for one in driven.drives.values()] == [2] * len(CONTROLLERS)
     page = case.report.read_text(encoding='utf-8')
     assert page.count('<svg') == 2
     assert 'within 0.30 m' in page
-    assert all(line in page for line in comparison(case.drives))
+    assert all(line in page for line in comparison(case.days))
     assert 'live estimates' in stops.describe_stops(case)
-    told = stops.stops_to_json(case)
-    assert told['errors']['live'] == case.drives['live'].errors.tolist()
-    assert set(told['brake_changed']) == set(CONTROLLERS)
+    (told,) = stops.stops_to_json(case)['days']
+    assert set(told) == set(CONTROLLERS)
+    assert told['live']['errors'] == driven.drives['live'].errors.tolist()

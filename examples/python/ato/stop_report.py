@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of stops on a simulated day: by the train file, what is learned stop by stop, live estimates, the truth."""
+"""Report of stops on simulated days: by the train file, what is learned stop by stop, live estimates, the truth."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,7 +26,7 @@ from trainid_ros.report.page import (
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -33,80 +34,98 @@ if TYPE_CHECKING:
 
 WINDOW: Final = 0.30
 """Largest error of a good stop [m]."""
-_COLOURS: Final = {
-    'nominal': BAD,
-    'fast': BRAKE,
-    'learning': SECOND,
-    'rate': TRACTION,
-    'rate_fast': WAIT,
-    'live': ESTIMATE,
-    'truth': MUTED,
+LABELS: Final = {
+    'nominal': 'train file',
+    'fast': 'train file, strong feedback',
+    'learning': 'strong feedback, bias learned at stops',
+    'rate': 'brake rate learned at stops',
+    'rate_fast': 'the same, strong feedback',
+    'live': 'live estimates',
+    'truth': 'true values',
 }
+_COLOURS: Final = dict(zip(LABELS, (BAD, BRAKE, SECOND, TRACTION, WAIT, ESTIMATE, MUTED), strict=True))
 _FOOTER: Final = (
-    'The same controller and the same day with different values: nominal, those of the train file; fast, the same with '
-    'four times the integral action; learning, that with a bias learned from the last stops; rate, with a brake rate '
-    'learned from them; rate_fast, with that rate and four times the integral action; live, estimates of this service; '
-    'truth, those of the simulated train.'
+    'The same controller and the same days with different values. Train file: those of the commissioning; strong '
+    'feedback: four times the integral action; learned at stops: from the errors of the last stops, as is usual; live '
+    'estimates: those of this service; true values: those of the simulated train, which nobody has.'
 )
-
+_ERRORS_CAPTION: Final = (
+    'A dot for each stop, a line of dots for each day; right of zero: beyond the stop. Band: ±0.30 m. Circled: the '
+    'brake changed during the braking.'
+)
 _RATE_CAPTION: Final = (
-    'Actual over commanded braking, with the true mass. Line: cold brake; band: down to the hottest one; '
+    'Actual over commanded braking, with the true mass. Lines: cold brake; bands: down to the hottest one; '
     'dashed: train file.'
 )
 
 
-def stop_page(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
-    """Return the report as HTML text; drives by controller."""
-    rows = [(name, *_numbers(plan, drive)) for name, drive in drives.items()]
-    sizes = ('mean, m', 'sd, m', 'largest, m', f'within {WINDOW:.2f} m', 'brake steady')
-    table = html_table('Stops of one day', ('values', *sizes, 'energy, kWh', 'time, s'), rows)
-    caption = 'Above zero beyond the stop; band: ±0.30 m; circled: the brake changed during the braking.'
+@dataclass(frozen=True, slots=True)
+class Day:
+    """A day and how each of the controllers has driven it."""
+
+    plan: DayPlan
+    drives: Mapping[str, Drive]
+
+
+def stop_page(days: Sequence[Day]) -> str:
+    """Return the report of some days as HTML text."""
+    sizes = ('mean, m', '95 % within, m', 'largest, m', f'within {WINDOW:.2f} m')
+    table = html_table(f'Stops of {len(days)} days', ('values', *sizes), [*_rows(days)])
     figures = (
-        ('Errors of the stops', caption, _errors_figure(plan, drives)),
-        ('Brake rate of the day', _RATE_CAPTION, _rate_figure(plan)),
+        ('Errors of the stops', _ERRORS_CAPTION, _errors_figure(days)),
+        ('Brake rate of each day', _RATE_CAPTION, _rate_figure(days)),
     )
-    body = table + bullets([*comparison(drives), *brake_changes(plan, drives)]) + captioned(figures)
+    body = table + bullets([*comparison(days), *brake_changes(days)]) + captioned(figures)
     return page('stops of a simulated train', body, _FOOTER)
 
 
-def stop_lines(plan: DayPlan, drives: Mapping[str, Drive]) -> list[str]:
-    """Return the errors in a line of text for each controller."""
-    lines = []
-    for name, drive in drives.items():
-        mean, sd, largest, within, steady, *_ = _numbers(plan, drive)
-        errors = f'mean {mean} m, sd {sd} m, largest {largest} m'
-        lines.append(f'{name:9} {errors}, within {WINDOW:.2f} m {within}, with a steady brake {steady}')
-    return lines
+def errors_of(days: Sequence[Day], name: str) -> NDArray[np.float64]:
+    """Return the errors of all stops with a controller, > 0 beyond them [m], shape (n,)."""
+    return np.concatenate([day.drives[name].errors for day in days])
 
 
-def comparison(drives: Mapping[str, Drive]) -> list[str]:
-    """Return in lines of text which controllers stopped worse than that with live estimates, and which did not."""
-    sizes = {name: float(np.abs(drive.errors).mean()) for name, drive in drives.items()}
-    live = sizes.pop('live')
-    others = {f'{name} ({size:.3f} m)': size for name, size in sizes.items()}
-    better = ', '.join(name for name, size in others.items() if live < size)
-    rest = ', '.join(name for name, size in others.items() if live >= size)
-    lines = [f'mean absolute error with live estimates {live:.3f} m; only that with nominal must be larger']
-    lines += [f'live estimates stopped better than {better}'] if better else []
-    return lines + ([f'live estimates did not stop better than {rest}'] if rest else [])
-
-
-def brake_changes(plan: DayPlan, drives: Mapping[str, Drive]) -> list[str]:
-    """Return in lines of text the stops during whose braking the brake changed at once."""
-    found = [
-        f'{name} at stop {number} ({drive.errors[number - 1]:+.2f} m)'
-        for name, drive in drives.items()
-        for number in changed_stops(plan, drive)
+def stop_lines(days: Sequence[Day]) -> list[str]:
+    """Return the sizes of the errors in a line of text for each controller."""
+    return [
+        f'{label:38} mean {mean} m, 95 % within {p95} m, largest {largest} m, within {WINDOW:.2f} m {within}'
+        for label, mean, p95, largest, within in _rows(days)
     ]
-    if not plan.events_s:
-        return ['the brake did not change at once on this day']
-    # With other values, the train may stand or be elsewhere on its way at the same time.
-    without = [name for name, drive in drives.items() if not changed_stops(plan, drive)]
-    if found and without:
-        found.append(f'not with {", ".join(without)}')
-    times = ' and '.join(f'{event_s / 60.0:.1f} min' for event_s in plan.events_s)
-    during = f'while the train braked: {", ".join(found)}' if found else 'but never while the train braked to a stop'
-    return [f'rain began or a brake unit was isolated at {times}, {during}']
+
+
+def _rows(days: Sequence[Day]) -> Iterator[tuple[str, str, str, str, str]]:
+    for name in days[0].drives:
+        size = np.abs(errors_of(days, name))
+        mean, p95, largest = (f'{figure:.2f}' for figure in (size.mean(), np.quantile(size, 0.95), size.max()))
+        yield LABELS[name], mean, p95, largest, f'{np.mean(size <= WINDOW):.0%}'
+
+
+def comparison(days: Sequence[Day]) -> list[str]:
+    """Return in lines of text which controllers stopped worse than that with live estimates, and which did not."""
+    sizes = {name: float(np.abs(errors_of(days, name)).mean()) for name in days[0].drives}
+    live = sizes.pop('live')
+    others = {f'{LABELS[name]} ({size:.3f} m)': size for name, size in sizes.items()}
+    better = '; '.join(name for name, size in others.items() if live < size)
+    rest = '; '.join(name for name, size in others.items() if live >= size)
+    lines = [f'with live estimates the train stops {live:.3f} m off on average']
+    lines += [f'that is better than with: {better}'] if better else []
+    return lines + ([f'that is not better than with: {rest}'] if rest else [])
+
+
+def brake_changes(days: Sequence[Day]) -> list[str]:
+    """Return in lines of text, for each day, when the brake changed at once, and during the braking to which stops."""
+    lines = []
+    for number, (plan, drives) in enumerate(((day.plan, day.drives) for day in days), 1):
+        found = [
+            f'{LABELS[name]} at stop {stop} ({drive.errors[stop - 1]:+.2f} m)'
+            for name, drive in drives.items()
+            for stop in changed_stops(plan, drive)
+        ]
+        times = ' and '.join(f'{event_s / 60.0:.1f} min' for event_s in plan.events_s)
+        # With other values, the train may stand or be elsewhere on its way at the same time.
+        during = f'while the train braked with: {"; ".join(found)}' if found else 'but never in a braking to a stop'
+        changed = f'rain began or a brake unit was isolated at {times}, {during}' if times else 'no sudden change'
+        lines.append(f'day {number}: {changed}')
+    return lines
 
 
 def changed_stops(plan: DayPlan, drive: Drive) -> list[int]:
@@ -114,35 +133,24 @@ def changed_stops(plan: DayPlan, drive: Drive) -> list[int]:
     return [number for number, changed in enumerate(plan.surprised(drive), 1) if changed]
 
 
-def _numbers(plan: DayPlan, drive: Drive) -> Sequence[str]:
-    errors = drive.errors
-    steady = np.abs(errors[~np.array(plan.surprised(drive))]) <= WINDOW
-    return (
-        f'{errors.mean():+.2f}',
-        f'{errors.std():.2f}',
-        f'{np.abs(errors).max():.2f}',
-        f'{np.mean(np.abs(errors) <= WINDOW):.0%}',
-        f'{steady.mean():.0%} of {steady.size}' if steady.size else '-',
-        f'{drive.energy_kwh:.0f}',
-        f'{drive.duration_s:.0f}',
-    )
-
-
-def _errors_figure(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
-    with styled_figure(3.0) as figure:
+def _errors_figure(days: Sequence[Day]) -> str:
+    names = [*days[0].drives]
+    with styled_figure(0.5 + 0.45 * len(names)) as figure:
         axes = figure.subplots()
-        for name, drive in drives.items():
-            at = np.arange(1, drive.errors.size + 1)
-            axes.plot(at, drive.errors, color=_COLOURS[name], marker='.', label=name)
-            changed = np.array(plan.surprised(drive))
-            axes.plot(at[changed], drive.errors[changed], 'o', color=_COLOURS[name], markersize=9.0, fillstyle='none')
-        axes.axhspan(-WINDOW, WINDOW, color=MUTED, alpha=0.2, linewidth=0)
-        axes.set_yscale('symlog', linthresh=WINDOW)
-        axes.yaxis.set_major_formatter('{x:g}')
-        axes.set_xlabel('stop')
-        axes.set_ylabel('error, m')
-        axes.legend(ncols=len(drives))
-        return to_svg(figure, 'Errors of the stops of a day')
+        for row, name in enumerate(names):
+            for number, day in enumerate(days):
+                drive, colour = day.drives[name], _COLOURS[name]
+                at = np.full(drive.errors.size, row + 0.6 * ((number + 0.5) / len(days) - 0.5))
+                axes.plot(drive.errors, at, '.', color=colour)
+                changed = np.array(day.plan.surprised(drive))
+                axes.plot(drive.errors[changed], at[changed], 'o', color=colour, markersize=9.0, fillstyle='none')
+        axes.axvspan(-WINDOW, WINDOW, color=MUTED, alpha=0.2, linewidth=0)
+        axes.set_xscale('symlog', linthresh=WINDOW)
+        axes.xaxis.set_major_formatter('{x:g}')
+        axes.set_xlabel('error, m')
+        axes.set_yticks(range(len(names)), [LABELS[name] for name in names])
+        axes.invert_yaxis()
+        return to_svg(figure, 'Errors of all stops by the values used')
 
 
 def actual_rates(plan: DayPlan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -155,14 +163,16 @@ def actual_rates(plan: DayPlan) -> tuple[NDArray[np.float64], NDArray[np.float64
     return cold, cold * (1.0 - effect_value(effects, 'brake_fade', 'loss', 0.0))
 
 
-def _rate_figure(plan: DayPlan) -> str:
-    times = [change.time_s / 60.0 for change in plan.case.scenario.changes]
-    cold, hottest = actual_rates(plan)
+def _rate_figure(days: Sequence[Day]) -> str:
     with styled_figure(2.0) as figure:
         axes = figure.subplots()
-        axes.step(times, cold, where='post', color=BRAKE)
-        axes.fill_between(times, hottest, cold, step='post', color=BRAKE, alpha=0.2, linewidth=0)
-        axes.axhline(plan.case.stated.brake.rate, color=MUTED, linestyle='--')
+        for number, day in enumerate(days, 1):
+            times = [change.time_s / 60.0 for change in day.plan.case.scenario.changes]
+            cold, hottest = actual_rates(day.plan)
+            (line,) = axes.step(times, cold, where='post', label=f'day {number}')
+            axes.fill_between(times, hottest, cold, step='post', color=line.get_color(), alpha=0.2, linewidth=0)
+        axes.axhline(days[0].plan.case.stated.brake.rate, color=MUTED, linestyle='--')
         axes.set_xlabel('time, min')
         axes.set_ylabel('brake rate')
-        return to_svg(figure, 'Brake rate over the day')
+        axes.legend(ncols=len(days))
+        return to_svg(figure, 'Brake rate over each day')
