@@ -229,7 +229,7 @@ def growing_drag(world: World, rng: Generator) -> Hidden:
 def brake_speed_rate(world: World, rng: Generator) -> Hidden:
     """Cast-iron brake blocks: friction falls with speed."""
     loss, top = log_uniform(rng, 0.05, 0.45), world.vehicle.top_speed
-    near = ('brake_scale', 'brake_fade')
+    near = ('brake_slope', 'brake_scale', 'brake_fade')
     return Hidden('brake_speed_rate', near=near, brake_gain=lambda m: 1.0 - loss * m.speed / top)
 
 

@@ -221,7 +221,7 @@ OUTSIDE: Final[Mapping[str, Maker]] = {
 NEAR: Final[Mapping[str, tuple[str, ...]]] = {
     'resistance_wave': ('local_drag', 'gradient_error'),
     'day_creep': ('resistance_step', 'bearing_warmup'),
-    'brake_falls_with_speed': ('brake_scale', 'brake_fade'),
+    'brake_falls_with_speed': ('brake_slope', 'brake_scale', 'brake_fade'),
     'traction_saturation': ('traction_scale', 'higher_order_drag'),
     'rotary_mass_error': ('mass_error', 'traction_scale', 'wheel_diameter'),
     'acceleration_drag': ('mass_error', 'traction_scale', 'brake_scale'),

@@ -201,7 +201,7 @@ LIBRARY: Final[Mapping[str, Effect]] = {
     'stamp_skew': Effect('delay', ((m.SKEW, 0.15, 1.0),)),
 }
 OUTSIDE: Final[Mapping[str, Effect]] = {
-    'iron_blocks': Effect('', ((m.IRON, 0.05, 0.4),), 'brake_scale brake_fade'),
+    'iron_blocks': Effect('', ((m.IRON, 0.05, 0.4),), 'brake_slope brake_scale brake_fade'),
     'slow_release': Effect('', ((m.STUCK, 0.3, 3.0),), 'dragging_brake brake_delay'),
     'thinner_air': Effect('', ((m.THIN, 0.1, 0.7),), 'bearing_warmup resistance_step'),
     'wet_legs': Effect('', ((m.WET, 0.2, 2.0),), 'resistance_step'),

@@ -49,6 +49,7 @@ CASES = {
     'local_drag': Case('local_drag:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'gradient_error': Case('gradient_error:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.4),
+    'brake_slope': Case('brake_slope:slope=-0.012', 'brake_rate', 0.02),
     'run_drag': Case('run_drag:size=1.5', 'resistance', 0.7),
     'starting_resistance': Case('starting_resistance:value=9,speed=5', 'speed_model', 0.4),
     'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.4),

@@ -58,6 +58,7 @@ def extra_resistance(text: str, point: TrackPoint = POINT) -> float:
         ('mass_error:ratio=1.25', at(brake=-50.0), -10.0),
         ('traction_scale:ratio=0.9', at(traction=50.0), 5.0),
         ('brake_scale:ratio=0.9', at(brake=-80.0), -8.0),
+        ('brake_slope:slope=-0.01', at(brake=-80.0), -16.0),
         ('brake_fade:loss=0.3,energy=200', at(brake=-80.0, heat=50.0), -6.0),
         ('brake_fade:loss=0.3,energy=200', at(brake=-80.0, heat=500.0), -24.0),
         ('brake_delay:extra=0.5', at(brake=-60.0, brake_before=lambda s: -60.0 + 80.0 * s), -40.0),

@@ -84,7 +84,20 @@ KINDS: Final[tuple[EffectKind, ...]] = (
         twins=(
             Twin('brake_fade', 'braking with a cold brake, and again soon after with a hot one'),
             Twin('brake_delay', 'long steady braking: a delay is visible only while the command changes'),
+            Twin('brake_slope', 'braking at high and at low speed'),
             Twin('mass_error', 'runs with high traction, or weighing the train'),
+        ),
+    ),
+    EffectKind(
+        name='brake_slope', title='braking force that changes with speed',
+        equation='w = -slope v B, B <= 0: at a speed v the brake acts 1 + slope v times as strongly as assumed',
+        parameters={'slope': Parameter('s/m', -0.2, 0.2)},
+        amplitude='slope', typical_size=0.006, linear=True,  # blocks of cast iron lose 10 to 40 % at full speed
+        resistance=lambda p, _, at: -p['slope'] * at.speed * at.brake,
+        needs='braking at high and at low speed',
+        twins=(
+            Twin('brake_scale', 'braking at low speed: a change with speed is not visible there'),
+            Twin('brake_fade', 'fast and slow braking with a cold brake'),
         ),
     ),
     EffectKind(
