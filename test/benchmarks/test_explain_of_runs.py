@@ -11,14 +11,19 @@ from trainid_ros.train.effects import EFFECTS
 
 
 def test_what_is_hidden() -> None:
-    (one,) = hidden(Trial('mass_error', 2.0, False, 1), np.random.default_rng(1))
+    (one,) = hidden(Trial(('mass_error',), 2.0, False, 1), np.random.default_rng(1))
     (amplitude,) = dict(one.parameters).values()
     assert abs(amplitude - 1.0) == pytest.approx(2.0 * EFFECTS['mass_error'].typical_size)
     assert 2 <= len(set(one.runs)) <= 5
-    scattered = hidden(Trial('run_drag', 0.5, True, 1), np.random.default_rng(1))
+    drag, wind = hidden(Trial(('run_drag', 'headwind'), 2.0, False, 1), np.random.default_rng(1))
+    assert (drag.name, wind.name) == ('run_drag', 'headwind')
+    assert not set(drag.runs) & set(wind.runs)
+    scattered = hidden(Trial(('run_drag',), 0.5, True, 1), np.random.default_rng(1))
     assert [effect.runs for effect in scattered] == [(k,) for k in range(1, 13)]
 
 
 @pytest.mark.long
-def test_a_large_effect_is_found() -> None:
-    assert answer(Trial('mass_error', 3.0, False, 5)) == 'right'
+@pytest.mark.parametrize('kinds', [('mass_error',), ('brake_scale', 'mass_error')])
+def test_large_effects_are_found(kinds: tuple[str, ...]) -> None:
+    """Wrong mass on some runs acts on their brake too, so it may be taken for traction and brake."""
+    assert answer(Trial(kinds, 3.0, False, 5)) == 'right'

@@ -345,11 +345,14 @@ def log_bayes(A: Array, b: Array, std: Array | float, sign: int = 0) -> Array:
     return np.asarray(value)
 
 
-def group_log_bayes(A: Array, b: Array, std: float) -> float:
-    """Return 2 ln B of a group of columns whose coefficients are independent with a common prior std."""
-    inner = np.eye(len(b)) + std * std * A
-    _, log_det = np.linalg.slogdet(inner)
-    return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
+def group_log_bayes(A: Array, b: Array, std: float) -> Array:
+    """Return 2 ln B of groups of columns, shapes (..., k, k) and (..., k), whose coefficients are independent.
+
+    They have a common prior std. The shape of the result is (...).
+    """
+    inner = np.eye(b.shape[-1]) + std * std * A
+    gain = std * std * np.sum(b * np.linalg.solve(inner, b[..., None])[..., 0], axis=-1)
+    return np.asarray(gain - np.linalg.slogdet(inner)[1])
 
 
 # Prior median of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],

@@ -17,10 +17,11 @@ abruptly elsewhere.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
+from itertools import combinations, product
 from typing import Final
 
 import numpy as np
@@ -36,7 +37,7 @@ from trainid_ros.explain.effects import (
     runs_cost,
     unit_resistance,
 )
-from trainid_ros.explain.likelihood import Hyperparameters, eliminate, group_log_bayes, log_bayes
+from trainid_ros.explain.likelihood import Hyperparameters, Information, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
 from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
@@ -162,48 +163,88 @@ class EffectScorer:
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return _by_evidence(named), _by_evidence(groups)
 
-    def of_runs(self, model: Model, hyper: Hyperparameters) -> list[EffectScore]:
-        """Return the evidence of effects on two of the runs to half of them, each on those that differ most.
+    def of_runs(self, model: Model, hyper: Hyperparameters) -> list[tuple[EffectScore, ...]]:
+        """Return the evidence of single effects and pairs, each on two of the runs to half of them, those that differ.
 
-        Effects are left out where it is as probable that all runs differ at random; load, brake and wind usually do, so
-        that these need strong evidence.
+        They are left out where it is as probable that all runs differ at random; load, brake and wind usually do, so
+        that these need strong evidence. The evidence of a pair is that of both together.
         """
-        dataset, scores = model.dataset, []
+        dataset, scores = model.dataset, list[tuple[EffectScore, ...]]()
         of_run = np.array([run.number for run in dataset.runs])
         numbers = np.unique(of_run)
         if numbers[0] == 0 or numbers.size < 4:
             return []
         inside = of_run[dataset.run_of][:, None] == numbers
         kinds = [EFFECTS[name] for name in _OF_RUNS]
-        columns = [dataset.column(unit_resistance(model.evaluator, kind, {})[:, None] * inside) for kind in kinds]
-        for kind, found in zip(kinds, model.informations(hyper, columns), strict=True):
-            A, b = found.A, found.b
-            order = np.argsort(np.linalg.solve(A + np.eye(b.size) / kind.typical_size**2, b))
-            tried = [np.sort(ends[:k]) for ends in (order, order[::-1]) for k in range(2, b.size // 2 + 1)]
-            if kind.name == RUN_DRAG:  # on the first or the last runs it is a resistance_step
-                tried = [chosen for chosen in tried if chosen[-1] >= chosen.size and chosen[0] < b.size - chosen.size]
-            if not tried:
+        units = [kind.typical_size * unit_resistance(model.evaluator, kind, {})[:, None] * inside for kind in kinds]
+        (found,) = model.informations(hyper, [dataset.column(np.concatenate(units, axis=1))])
+        places = np.arange(found.b.size).reshape(len(kinds), -1)
+        for some in (*((k,) for k in range(len(kinds))), *combinations(range(len(kinds)), 2)):
+            if (best := _best_sets(found, places[[*some]], [kinds[k].name for k in some])) is None:
                 continue
-            block = np.array([A[np.ix_(chosen, chosen)].sum() for chosen in tried])
-            along = np.array([b[chosen].sum() for chosen in tried])
-            cost = np.array([runs_cost(b.size, chosen.size) for chosen in tried])
-            values = np.stack(
-                [log_bayes(block, along, share * kind.typical_size, kind.sign) - cost for share in _SHARES]
+            evidence, sizes, sets = best
+            scores.append(
+                tuple(
+                    EffectScore(
+                        kinds[k].name,
+                        evidence,
+                        {kinds[k].amplitude: kinds[k].neutral + size * kinds[k].typical_size},
+                        runs=tuple(numbers[chosen > 0.0].tolist()),
+                    )
+                    for k, size, chosen in zip(some, sizes, sets, strict=True)
+                )
             )
-            evidence = np.array([_mean_evidence(column) for column in values.T])
-            best = int(np.argmax(evidence))
-            by_chance = max(group_log_bayes(A, b, share * kind.typical_size) for share in _SCATTER)
-            if evidence[best] < by_chance + (0.0 if kind.name == RUN_DRAG else SHOWN):
-                continue
-            size = along[best] / (block[best] + kind.typical_size**-2)
-            runs = tuple(numbers[tried[best]].tolist())
-            parameters = {kind.amplitude: kind.neutral + float(size)}
-            scores.append(EffectScore(kind.name, float(evidence[best]), parameters, runs=runs))
-        return _by_evidence(scores)
+        return sorted(scores, key=lambda one: -one[0].evidence)
 
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the grid points, shape (m, k)."""
         return self._columns[len(self._families) + [*self._groups].index(name)]
+
+
+def _best_sets(
+    found: Information, places: Indices, names: Sequence[str]
+) -> tuple[float, list[float], list[Array]] | None:
+    """Return the best sets of runs for one or two effects: their evidence, sizes, and 1 or 0 for each run.
+
+    ``places`` (k, n) are those of the columns of each effect, of typical size, on each of the n runs. None if it is as
+    probable that these effects differ from run to run at random.
+    """
+    ways = [places[k] for k in range(len(names))] + ([places.ravel()] if len(names) > 1 else [])
+    by_chance = max(
+        group_log_bayes(found.A[np.ix_(way, way)], found.b[way], share) for way in ways for share in _SCATTER
+    )
+    at = places.ravel()
+    A, b = found.A[np.ix_(at, at)], found.b[at]
+    sizes = np.linalg.solve(A + np.eye(b.size), b).reshape(places.shape)
+    sets = [_sets(size, name) for size, name in zip(sizes, names, strict=True)]
+    if not all(one.size for one in sets):
+        return None
+    # A and b of the sums over sets: shapes (t1, ..., k, k) and (t1, ..., k) for t1, ... sets of each effect.
+    shape, k, n = tuple(map(len, sets)), len(sets), places.shape[1]
+    joint, along, cost = np.empty((*shape, k, k)), np.empty((*shape, k)), np.zeros(shape)
+    for i, one in enumerate(sets):
+        axis = [-1 if i == j else 1 for j in range(k)]
+        along[..., i] = (one @ found.b[places[i]]).reshape(axis)
+        cost = cost + np.array([runs_cost(n, int(count)) for count in one.sum(axis=1)]).reshape(axis)
+        for j, other in enumerate(sets):
+            sums = one @ found.A[np.ix_(places[i], places[j])] @ other.T
+            joint[..., i, j] = sums.diagonal().reshape(axis) if i == j else sums if i < j else sums.T
+    values = np.array([group_log_bayes(joint, along, share) for share in _SHARES]) - cost
+    evidence = 2.0 * (logsumexp(0.5 * values, axis=0) - math.log(len(_SHARES)))
+    best = np.unravel_index(int(np.argmax(evidence)), shape)
+    if evidence[best] < by_chance + (0.0 if names == [RUN_DRAG] else SHOWN):
+        return None
+    amounts: list[float] = np.linalg.solve(joint[best] + np.eye(k), along[best]).tolist()
+    return float(evidence[best]), amounts, [one[place] for one, place in zip(sets, best, strict=True)]
+
+
+def _sets(sizes: Array, name: str) -> Array:
+    """Return sets of two to half of n runs, those of the largest or smallest sizes, as 1 or 0 for each run, (t, n)."""
+    order, n = np.argsort(sizes), sizes.size
+    sets = [np.sort(ends[:k]) for ends in (order, order[::-1]) for k in range(2, n // 2 + 1)]
+    if name == RUN_DRAG:  # on the first or the last runs it is a resistance_step
+        sets = [one for one in sets if one[-1] >= one.size and one[0] < n - one.size]
+    return np.array([np.isin(np.arange(n), one) for one in sets], dtype=float).reshape(-1, n)
 
 
 def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Array, Array]:
@@ -327,7 +368,7 @@ class Search:
         ``slipping`` says that wheels slip.
         """
         states = [self.base]
-        while len(states) <= _MAX_EFFECTS and (extended := self._add(states[-1])) is not None:
+        while len(states[-1].names) < _MAX_EFFECTS and (extended := self._add(states[-1])) is not None:
             states.append(extended)
         while True:
             found = self._described(states.pop(), slipping=slipping)
@@ -384,7 +425,7 @@ class Search:
         """
         found = []
         for candidate in self._candidates(state):
-            self._advance(candidate.name)
+            self._advance(' and '.join(score.name for score in candidate))
             found.append(self._extend(state.model, candidate, state))
         least = Hypothesis(state.names, self._beyond(state)).weight
         for extended in sorted(found, key=lambda one: -self._evidence(one)):
@@ -394,7 +435,7 @@ class Search:
                 return exchanged
         return None
 
-    def _candidates(self, state: State) -> list[EffectScore]:
+    def _candidates(self, state: State) -> list[tuple[EffectScore, ...]]:
         """Return the candidates: the best by the estimated hyperparameters, and the best by those at the prior median.
 
         Estimated variances of payload and brake can absorb all of an effect that is the same in all runs.
@@ -407,9 +448,14 @@ class Search:
             for score in named[:count]:
                 if score.evidence > max(least, named[0].evidence - 25.0):
                     found.setdefault((score.name, score.runs), score)
+        candidates: list[tuple[EffectScore, ...]] = [(score,) for score in found.values()]
         # What lasts for whole runs looks like strong gusts.
         of_runs = self._scorer.of_runs(state.model, state.model.evidence().of_usual_gusts(state.hyper))
-        return [*found.values(), *(score for score in of_runs[:2] if score.evidence > _MIN_SCORE)]
+        # Effects of different runs hide each other, so two are also added at once.
+        for count in (1, 2) if len(state.names) + 2 <= _MAX_EFFECTS else (1,):
+            likely = [scores for scores in of_runs if len(scores) == count and scores[0].evidence > _MIN_SCORE]
+            candidates += likely[: 3 - count]
+        return candidates
 
     def _named(self, model: Model, hyper: Hyperparameters) -> list[EffectScore]:
         present = {term.name for term in model.terms} - set(SECTIONS)
@@ -429,15 +475,15 @@ class Search:
             judged.append(replace(score, evidence=found))
         return _by_evidence([*judged, *groups[_MAX_GROUPS:]])
 
-    def _extend(self, model: Model, score: EffectScore, before: State) -> State:
-        """Add an effect to a model: fit the parameters, estimate the hyperparameters again, and fit once more."""
-        term = EffectTerm(score.name, score.parameters, runs=score.runs)
-        model = model.with_terms((*model.terms, term)).fit(before.hyper)
+    def _extend(self, model: Model, scores: Sequence[EffectScore], before: State) -> State:
+        """Add effects to a model: fit the parameters, estimate the hyperparameters again, and fit once more."""
+        added = (EffectTerm(score.name, score.parameters, runs=score.runs) for score in scores)
+        model = model.with_terms((*model.terms, *added)).fit(before.hyper)
         hyper, logs = model.evidence().maximise(before.logs)
         state = State(model.fit(hyper), hyper, logs)
         self._fitted.append(fitted := Hypothesis(state.names, self._beyond(state)))
-        if len(state.names) == 1 and not score.runs:
-            self._alone[score.name] = max(fitted.evidence, self._alone.get(score.name, 0.0))
+        if len(state.names) == 1 and not scores[0].runs:
+            self._alone[scores[0].name] = max(fitted.evidence, self._alone.get(scores[0].name, 0.0))
         return state
 
     def _beyond(self, state: State) -> float:
@@ -464,7 +510,7 @@ class Search:
             others = (one for one in self._named(without, state.hyper) if one.name != state.model.terms[k].name)
             best = next(others, None)
             if best is not None and best.evidence > self._gain(state, k) + 2.0:
-                state = self._extend(without, best, state)
+                state = self._extend(without, (best,), state)
         return state
 
     def _is_supported(self, state: State) -> bool:
