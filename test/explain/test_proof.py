@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from test.explain.made_runs import TRAIN, Maker, drag, local_drag
-from trainid_ros.explain.effects import SHOWN
+from trainid_ros.explain.effects import SHOWN, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise, eliminate, posterior
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import DAVIS, Spread
-from trainid_ros.explain.proof import gap_of, hold_out, locate, read_gap, where
-from trainid_ros.explain.result import place_text
+from trainid_ros.explain.proof import Outcome, gap_of, hold_out, locate, read_gap, weakest, where
+from trainid_ros.explain.result import Verdict, place_text
 
 
 def test_missing_resistance_is_located_at_the_effect(
@@ -99,6 +99,20 @@ def test_likelihood_of_held_out_runs_is_that_of_the_kalman_filter(dragged_model:
     without, added = (one.likelihood for one in held if one is not None)
     # The determinants of the noise alone are equal for both models.
     assert added - without == pytest.approx(filtered(models[1]) - filtered(models[0]), rel=0.01)
+
+
+def test_an_effect_that_held_out_runs_do_not_show_is_the_weakest(dragged_model: Model) -> None:
+    true, absent = local_drag(100.0, 350.0, 2.5), local_drag(600.0, 900.0, 0.1)  # as far as the std says, certain
+
+    def outcome(*terms: EffectTerm) -> Outcome:
+        final = dragged_model.with_terms(terms)
+        gap = read_gap(dragged_model)
+        return Outcome(Verdict.EXPLAINED, '', HYPER, dragged_model, final, terms, TRAIN.resistance, gap, None, None)
+
+    assert weakest(outcome(true, absent)) == 1
+    assert weakest(outcome(absent, true)) == 0
+    assert weakest(outcome(true)) is None
+    assert weakest(replace(outcome(true, absent), verdict=Verdict.UNEXPLAINED)) is None
 
 
 def filtered(model: Model) -> float:

@@ -193,11 +193,19 @@ class Outcome:
 
 
 def weakest(outcome: Outcome) -> int | None:
-    """Return the index of the least significant effect if that is not significant in the final fit; None if all are."""
+    """Return the index of the weakest effect that must go, None if there is none.
+
+    That is the least significant one if it is not significant in the final fit, or of several effects the one that
+    makes the train file least more likely on runs held out, if that is no strong evidence.
+    """
     if outcome.verdict is Verdict.UNEXPLAINED:
         return None
     weak = [(term.significance, k) for k, term in enumerate(outcome.terms) if not term.significance > SIGNIFICANT]
-    return min(weak)[1] if weak else None
+    if weak or len(outcome.terms) < 2 or (held := hold_out(outcome.final, outcome.hyper)) is None:
+        return min(weak)[1] if weak else None
+    others = [hold_out(outcome.final.without(k), outcome.hyper) for k in range(len(outcome.terms))]
+    shown = [(held.likelihood - other.likelihood, k) for k, other in enumerate(others) if other is not None]
+    return min(shown)[1] if min(shown)[0] <= SHOWN else None
 
 
 def assess(
