@@ -17,7 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_factors
+from trainid_ros.inputs.mapping import QUANTITIES
+from trainid_ros.inputs.units import find_unit, unit_factors
 from trainid_ros.inspection.number_series import (
     MIN_NUMBERS,
     PER_MILLE,
