@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.inputs.mapping import OWN, CsvFormat, Mapping
-from trainid_ros.inputs.times import TextTimes, UnclearError, date_time, time_of_day_ns
+from trainid_ros.inputs.times import TextTimes, UnclearError, is_time
 from trainid_ros.inputs.units import SUFFIXES
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.fields import shown
@@ -204,8 +204,8 @@ def _number(cell: str, decimal: str) -> float | None:
 
 def _is_value(cell: str) -> bool:
     text = cell.strip()
-    found = (date_time(text), time_of_day_ns(text), *(_number(text, decimal) for decimal in _GROUPED))
-    return not _is_blank(text) and any(value is not None for value in found)
+    found = (_number(text, decimal) for decimal in _GROUPED)
+    return not _is_blank(text) and (is_time(text) or any(value is not None for value in found))
 
 
 _COMMENT: Final = '#'
@@ -246,11 +246,13 @@ class CsvTable(Table):
         counts = Counter(_names(rows[place]))
         return tuple(name for name, count in counts.items() if name and count == 1)
 
-    def is_grouped(self, name: str) -> bool:
-        """Return whether all first cells of a column are like 1.250, which may be 1250 as well."""
-        _, rows, _ = next(self._rows(self._layout((name,))), ((), (), 0.0))
-        cells = [cell.strip() for (cell,) in rows if not self.is_missing(cell)]
-        return bool(cells) and all('.' in cell and _GROUPED[','].fullmatch(cell) for cell in cells)
+    def grouped(self, names: Sequence[str]) -> list[str]:
+        """Return the columns of which all first numbers are like 1.250, which may be 1250 as well."""
+        _, rows, _ = next(self._rows(self._layout(names)), ((), (), 0.0))
+        columns = zip(names, zip(*rows, strict=True), strict=False)
+        cells = {name: [cell.strip() for cell in column if not self.is_missing(cell)] for name, column in columns}
+        grouped = _GROUPED[','].fullmatch
+        return [name for name, some in cells.items() if some and all('.' in x and grouped(x) for x in some)]
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
@@ -394,7 +396,7 @@ def _vbox_units(text: str, names: Sequence[str]) -> dict[str, str]:
     """Return the units in the descriptions of the columns, which the header of VBOX has in their order."""
     found = re.search(r'\[header\]\s*\n(.*?)\n\s*\[', text, re.DOTALL)
     lines = found[1].split('\n') if found else []
-    return dict(zip(names, map(str.strip, lines), strict=False)) if len(lines) >= len(names) else {}
+    return dict(zip(names, map(str.strip, lines), strict=False)) if len(lines) >= sum(map(bool, names)) else {}
 
 
 def _encoding(head: bytes) -> str:

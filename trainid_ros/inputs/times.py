@@ -72,6 +72,11 @@ def time_of_day_ns(text: str) -> int | None:
     return ((hour * 60 + int(minutes)) * 60 + int(seconds)) * NS_PER_S + _part_ns(fraction)
 
 
+def is_time(text: str) -> bool:
+    """Return whether a text is a time of day, or starts with a date."""
+    return time_of_day_ns(text) is not None or date_time(text) is not None or _DATE.match(text) is not None
+
+
 def _part_ns(fraction: Iterable[str | None]) -> int:
     """Return the digits after the seconds, the first that are there, in nanoseconds."""
     digits = next(filter(None, fraction), '')
