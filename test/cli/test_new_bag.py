@@ -90,8 +90,13 @@ def test_a_csv_file_becomes_the_bag_that_it_was_made_of(
     assert sorted(item.name for item in tmp_path.iterdir()) == ['bag', 'log.csv', 'map.yaml']
 
 
-def test_three_commands_lead_from_a_file_to_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_commands_lead_from_a_file_to_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each is printed by the one before."""
+    for slow in ('suggested_drive', 'suggested_braking'):  # without which there is a report too
+        monkeypatch.setattr(f'trainid_ros.cli.replay.{slow}', lambda *_: None)
+    monkeypatch.setattr('trainid_ros.report.page.to_svg', lambda *_: '')
     lines = (ROOT / 'bags' / 'logger.csv').read_bytes().splitlines(keepends=True)
     log, train = tmp_path / 'a log.csv', ROOT / 'bags' / 'tiny' / 'train.yaml'
     log.write_bytes(b''.join((*lines[:3], *lines[3:503:5])))  # at 1 Hz, for speed
