@@ -289,9 +289,10 @@ sats time lat long velocity heading
 """
 
 
-def test_a_file_of_vbox_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize('end', ['', ' '])
+def test_a_file_of_vbox_is_read(tmp_path: Path, end: str) -> None:
     path = tmp_path / 'log.vbo'
-    path.write_text(VBOX, encoding='utf-8')
+    path.write_text(VBOX.replace('velocity heading', f'velocity heading{end}'), encoding='utf-8')
     source = CsvTable(path)
     assert source.names() == ('sats', 'time', 'lat', 'long', 'velocity', 'heading')
     assert read(source, 'time', 'velocity', 'lat') == near(

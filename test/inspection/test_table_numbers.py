@@ -192,7 +192,7 @@ def test_a_file_without_a_time_is_refused(tmp_path: Path, rows: list[Row]) -> No
 
 @pytest.mark.parametrize(
     ('cell', 'said'),
-    [('1.{:03d}', 'all numbers of v are like 1.250'), ('1,{:03d}', 'a comma before three digits')],
+    [('1.{:03d}', 'v: all numbers are like 1.250'), ('1,{:03d}', 'a comma before three digits')],
 )
 def test_numbers_that_may_be_others_are_a_doubt(tmp_path: Path, rows: list[Row], cell: str, said: str) -> None:
     path = write(tmp_path / 'log.csv', 't;v', rows, lambda t, *_: f'{HZ * t:.0f};{cell.format(round(HZ * t))}')

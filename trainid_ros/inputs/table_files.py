@@ -20,7 +20,7 @@ from zipfile import BadZipFile, is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import OWN, CsvFormat, Mapping
+from trainid_ros.inputs.mapping import OWN, Mapping
 from trainid_ros.inputs.times import TextTimes, UnclearError, is_time
 from trainid_ros.inputs.units import SUFFIXES
 from trainid_ros.interface.errors import InputError
@@ -79,16 +79,14 @@ class Table(ABC):
     def _of_texts(self, name: str, texts: Sequence[str], kind: object, rows_before: int = 0) -> Column:
         """Return the times in a column of texts; other texts are an error."""
         cells = ['' if self.is_missing(text) else text.strip() for text in texts]
-        read = self.text_times(name).read
-        if (
-            times := read(cells, lambda i: f'{self.path}: row {rows_before + i + 1}: column {shown(name)}')
-        ) is not None:
-            return times
         if not any(cells):
             return np.full(len(cells), np.nan)
-        raise InputError(
-            f'{self.path}: column {shown(name)} of type {kind} holds no numbers, and no times like {_LIKE}'
+        times = self.text_times(name).read(
+            cells, lambda i: f'{self.path}: row {rows_before + i + 1}: column {shown(name)}'
         )
+        if times is None:
+            raise InputError(f'{self.path}: column {shown(name)} of type {kind} holds no numbers or times like {_LIKE}')
+        return times
 
 
 def open_table(path: Path, mapping: Mapping) -> Table:
@@ -149,25 +147,7 @@ def bare(name: str) -> str:
 
 
 _BLANK: Final = frozenset(
-    {
-        '',
-        '-',
-        '--',
-        '---',
-        '----',
-        '?',
-        '*',
-        'na',
-        'n/a',
-        '#n/a',
-        'n.a.',
-        'k.a.',
-        'nan',
-        'null',
-        'nil',
-        'none',
-        'missing',
-    }
+    {'', '-', '--', '---', '----', '?', '*'} | {'na', 'n/a', '#n/a', 'n.a.', 'k.a.', 'nan', 'null', 'nil', 'none'}
 )
 _EXCEL_ERROR: Final = re.compile(r'#(nv|n/d|\S+[!?])')  # such as #DIV/0!; #N/A in other languages
 # Numbers with thousands marks by decimal sign: point, comma, apostrophe or space before each three digits.
@@ -230,13 +210,10 @@ class CsvTable(Table):
     number in the file which only one sign explains.
     """
 
-    @property
-    def _is_vbox(self) -> bool:
-        return self.path.suffix.lower() == VBOX_SUFFIX
-
-    @property
-    def _form(self) -> CsvFormat:
-        return self._mapping.csv
+    def __init__(self, path: Path, mapping: Mapping = OWN) -> None:
+        super().__init__(path, mapping)
+        self._form = mapping.csv
+        self._is_vbox = path.suffix.lower() == VBOX_SUFFIX
 
     def names(self) -> tuple[str, ...]:
         """Return the names that are there once; see :class:`Table`."""
@@ -249,10 +226,9 @@ class CsvTable(Table):
     def grouped(self, names: Sequence[str]) -> list[str]:
         """Return the columns of which all first numbers are like 1.250, which may be 1250 as well."""
         _, rows, _ = next(self._rows(self._layout(names)), ((), (), 0.0))
-        columns = zip(names, zip(*rows, strict=True), strict=False)
-        cells = {name: [cell.strip() for cell in column if not self.is_missing(cell)] for name, column in columns}
-        grouped = _GROUPED[','].fullmatch
-        return [name for name, some in cells.items() if some and all('.' in x and grouped(x) for x in some)]
+        columns = ([cell.strip() for cell in column if not self.is_missing(cell)] for column in zip(*rows, strict=True))
+        grouped = (bool(x) and all('.' in cell and _GROUPED[','].fullmatch(cell) for cell in x) for x in columns)
+        return [name for name, is_grouped in zip(names, grouped, strict=False) if is_grouped]
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
@@ -340,9 +316,9 @@ class CsvTable(Table):
         with self.path.open('rb') as file:
             head = file.read(1 << 18)
         encoding = self._form.encoding or _encoding(head)
-        separators = (' ',) if self._is_vbox else (';', '\t', ',', '|')
         text = head.decode(encoding, errors='replace')
-        return encoding, text, *_find_names(text, (self._form.separator or separators), names)
+        separators = self._form.separator or (' ' if self._is_vbox else ';\t,|')  # of one character each
+        return encoding, text, *_find_names(text, separators, names)
 
     def _decimal(self, layout: _Layout) -> str:
         """Return the decimal sign of a file; InputError where a comma may also mark thousands."""
@@ -367,8 +343,8 @@ class CsvTable(Table):
         times = self.text_times(name)
         if all(map(_WHOLE.fullmatch, cells)) and '%' not in times.form:
             return np.array([int(cell) for cell in cells], dtype=np.int64)
-        has_point, has_mark = (any(sign in cell for cell in cells) for sign in '._')
-        if (decimal == '.' or not has_point) and not has_mark and '%' not in times.form:
+        is_plain = '%' not in times.form and not any('_' in cell for cell in cells)
+        if is_plain and (decimal == '.' or not any('.' in cell for cell in cells)):
             with suppress(ValueError):
                 return np.array([float(cell.replace(decimal, '.')) for cell in cells], dtype=np.float64)
 
@@ -492,14 +468,13 @@ class ParquetTable(Table):
         with self._opened() as file:
             schema = file.schema_arrow
             columns = dict(zip(names, find_columns(self.path, names, schema.names), strict=True))
-            stated = (
-                (name, (schema.field(column).metadata or {}).get(b'unit', b'')) for name, column in columns.items()
-            )
-            self.units = {name: unit.decode(errors='replace') for name, unit in stated if unit}
+            stated = {name: schema.field(column).metadata or {} for name, column in columns.items()}
+            self.units = {
+                name: data[b'unit'].decode(errors='replace') for name, data in stated.items() if b'unit' in data
+            }
             count = max(1, file.metadata.num_rows)
             for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(columns.values())):
-                cells = {name: batch.column(column) for name, column in columns.items()}
-                found = {name: self._column(name, column, rows) for name, column in cells.items()}
+                found = {name: self._column(name, batch.column(column), rows) for name, column in columns.items()}
                 yield Block(found, batch.num_rows / count)
                 rows += batch.num_rows
 

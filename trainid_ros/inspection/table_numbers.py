@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -28,15 +28,11 @@ _BLOCKS: Final = 10  # of rows that are read
 _MAX_NOTCHES: Final = 16  # whole numbers of more values are measurements
 
 
-class TableNumbers(NamedTuple):
-    """The numbers of a table, and what a mapping says of its time and form."""
+def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
+    """Return the numbers in the first rows of a table, and what a mapping says of its time and form.
 
-    numbers: BagNumbers
-    choices: tuple[Choice, ...]
-
-
-def read_table(path: Path) -> TableNumbers:
-    """Read the first rows of a table; InputError if it cannot be read, or no column is a time."""
+    InputError if it cannot be read, or no column is a time.
+    """
     reader = _Reader(path)
     names = open_table(path, reader.mapping).names()
     columns = reader.columns(names)
@@ -47,8 +43,7 @@ def read_table(path: Path) -> TableNumbers:
     name = max(points, key=lambda name: points[name], default='')
     if not name or points[name] <= 0.0:
         raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
-    choice, clock = _time(series[name], columns.pop(name), reader, points)
-    stamps, known = clock
+    choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
     time = (stamps - stamps[known][0]) / NS_PER_S
     found = tuple(
         replace(item, time=time[rows_of], value=np.asarray(column[rows_of], dtype=np.float64))
@@ -56,7 +51,7 @@ def read_table(path: Path) -> TableNumbers:
         if np.any(column[rows_of := known & np.isfinite(column)] != 0)
     )
     numbers = BagNumbers(found, frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
-    return TableNumbers(numbers, (choice, *reader.form()))
+    return numbers, (choice, *reader.form())
 
 
 def _series(name: str, column: Column, unit: str) -> NumberSeries:
@@ -103,11 +98,9 @@ class _Reader:
         if self._decimal is not None:
             problem = str(self._decimal).removeprefix(f'{self._path}: ')
             return [Choice('csv', text='{decimal: ","}', head='csv: as written', decisions=[problem])]
-        names = [name for name in table.names() if isinstance(table, CsvTable) and name not in dict(self.left_out)]
-        grouped = table.grouped(names) if isinstance(table, CsvTable) else []
-        problem = (
-            f'all numbers of {listed(grouped, 6)} are like 1.250, read as 1.25; csv: {{decimal: ","}} if it is 1250'
-        )
+        read = [name for name in table.names() if name not in dict(self.left_out)]
+        grouped = table.grouped(read) if isinstance(table, CsvTable) else []
+        problem = f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
         return [Choice('csv', head='csv: as found', decisions=[problem])] if grouped else []
 
 
