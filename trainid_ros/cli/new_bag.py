@@ -99,7 +99,9 @@ def _suggest(args: argparse.Namespace) -> int:
             for decision in choice.decisions:
                 warn(f'{choice.quantity}: {decision}', 'decide')
         train = '' if args.train is None else f' --train {_quoted(args.train)}'
-        warn(f'trainid import {_quoted(args.file)} {_quoted(args.file.with_suffix(""))} --map map.yaml{train}', 'next')
+        if 'speed' not in missing:  # without which there is no bag
+            out = args.file.with_suffix('')
+            warn(f'trainid import {_quoted(args.file)} {_quoted(out)} --map map.yaml{train}', 'next')
     if missing:
         report_error(f'{args.file}: nothing found for {", ".join(missing)}')
     return EXIT_NO_ANSWER if missing else 0
