@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -87,6 +88,56 @@ def test_a_csv_file_becomes_the_bag_that_it_was_made_of(
         assert record.row()[2:4] == pytest.approx(other.row()[2:4], rel=1e-6, abs=1e-6)
     assert main(['replay', str(tmp_path / 'bag'), '--train', str(driven_bag / 'train.yaml')]) == 0
     assert sorted(item.name for item in tmp_path.iterdir()) == ['bag', 'log.csv', 'map.yaml']
+
+
+def test_three_commands_lead_from_a_file_to_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is printed by the one before."""
+    for slow in ('suggested_drive', 'suggested_braking'):  # without which there is a report too
+        monkeypatch.setattr(f'trainid_ros.cli.replay.{slow}', lambda *_: None)
+    monkeypatch.setattr('trainid_ros.report.page.to_svg', lambda *_: '')
+    lines = (ROOT / 'bags' / 'logger.csv').read_bytes().splitlines(keepends=True)
+    log, train = tmp_path / 'a log.csv', ROOT / 'bags' / 'tiny' / 'train.yaml'
+    log.write_bytes(b''.join((*lines[:3], *lines[3:503:5])))  # at 1 Hz, for speed
+
+    def next_of(text: str) -> list[str]:
+        (command,) = re.findall(r'^(?:trainid: )?next: trainid (.*)$', text, re.MULTILINE)
+        return shlex.split(command)
+
+    assert main(['import', str(log), '--suggest-map', '--train', str(train)]) == 0
+    mapping, said = capsys.readouterr()
+    (tmp_path / 'map.yaml').write_text(mapping, encoding='utf-8')
+    command = next_of(said)
+    command[command.index('map.yaml')] = str(tmp_path / 'map.yaml')
+    assert main(command) == 0
+    assert main(next_of(capsys.readouterr().out)) == 0
+    assert {'a log', 'a log.html'} <= {item.name for item in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'error'),
+    [
+        ([], r'OUT and --map are missing; trainid import \S*log\.csv --suggest-map > map\.yaml proposes a mapping'),
+        (['out'], r'--map is missing; trainid import'),
+        (['out', '--suggest-map'], r'--suggest-map takes a table alone'),
+    ],
+)
+def test_what_an_import_lacks_is_said(
+    tmp_path: Path, arguments: list[str], error: str, one_error: Callable[[], str]
+) -> None:
+    assert main(['import', str(tmp_path / 'log.csv'), *arguments]) == 2
+    assert re.search(error, one_error())
+
+
+def test_a_suggested_mapping_names_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / 'log.csv'
+    rows = (f'{0.2 * k:.1f},{5.0 + 0.1 * k:.1f}' for k in range(100))
+    log.write_text('\n'.join(('t,v [m/s]', *rows)), encoding='utf-8')
+    assert main(['import', str(log), '--suggest-map', '--json']) == 1
+    shown = json.loads(capsys.readouterr().out)
+    assert shown['missing'] == ['force', 'gradient', 'brake_command']
+    assert 'speed: {field: "v [m/s]", unit: m/s}' in shown['mapping']
 
 
 def test_the_line_of_a_train_file_gives_the_gradient(tmp_path: Path) -> None:

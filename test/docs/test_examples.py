@@ -16,7 +16,7 @@ import pytest
 from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.cli.arguments import VERBS
 from trainid_ros.client import TrainModel
-from trainid_ros.inputs import mapping
+from trainid_ros.inputs import units as known_units
 from trainid_ros.interface.errors import TrainIdError
 from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.interface.results import ResistanceEstimate, Status
@@ -129,7 +129,7 @@ def test_the_table_of_effects_is_complete() -> None:
 def test_the_units_are_listed() -> None:
     (row,) = re.findall(r'^\| `unit` \| (.*) \|$', text_of('docs/mapping.md'), re.MULTILINE)
     listed = set(re.split(r'[,·`] *| ·', row))
-    units = {unit for quantity, known in mapping._FACTORS.items() if quantity != 'time' for unit in known}
+    units = {unit for quantity, known in known_units._FACTORS.items() if quantity != 'time' for unit in known}
     assert units <= {unit.strip() for unit in listed}
 
 

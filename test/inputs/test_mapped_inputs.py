@@ -233,3 +233,35 @@ def test_which_series_arrives_first_within_a_second_does_not_matter(order: list[
     # Even numbers are of the first series; before the first odd one nothing is known.
     assert [stamp_ns for stamp_ns, _ in sorted(found)] == [k * S // 25 for k in range(0, 20, 2)]
     assert [sum(values) for _, values in sorted(found)][1:] == pytest.approx([2.0 * k for k in range(2, 20, 2)])
+
+
+POSTS = 'speed: {topic: v, field: data}\nposition: {topic: x, field: data}\nchainage: '
+
+
+def measured(jumps: str, posts: list[float]) -> list[float]:
+    """Return the positions of a train at 10 m/s that reads a post once a second."""
+    mapped, found = inputs(f'{POSTS}{jumps}'), []
+    for k, post in enumerate(posts):
+        mapped.take('x', message(post, at(5 * k)), 0)
+        (record,) = mapped.take('v', message(10.0, at(5 * k)), 0)[:1]
+        assert isinstance(record, SpeedRecord)
+        found.append(record.position)
+    return found
+
+
+@pytest.mark.parametrize('direction', [1, -1])
+@pytest.mark.parametrize(
+    ('jumps', 'shift'), [('[[1250.0, 500.0]]', 500.0), ('[[1250.0, -100.0], [1350.0, 40.0]]', 0.0)]
+)
+def test_posts_that_jump_give_a_distance_without_jumps(jumps: str, shift: float, direction: int) -> None:
+    line = [1000.0 + 10.0 * k for k in range(80)]
+    ends = [x + shift if x > 1250.0 else x for x in line]
+    if not shift:  # 1150 to 1250 is there twice, and 1350 to 1390 not at all
+        ends = [x if x <= 1250.0 else x - 100.0 if x <= 1450.0 else x - 60.0 for x in line]
+    assert measured(jumps, ends[::direction]) == pytest.approx(line[::direction])
+
+
+def test_a_post_that_is_there_twice_says_nothing_of_the_place() -> None:
+    found = measured('[[1250.0, -100.0]]', [1200.0, 1210.0])
+    assert [math.isnan(position) for position in found] == [True, True]
+    assert math.isnan(measured('[[1250.0, 500.0]]', [1400.0])[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units, dates and functions of a mapping; contents of mapping files, and errors that name the field."""
+"""Functions of a mapping; contents of mapping files, and errors that name the field."""
 
 from __future__ import annotations
 
@@ -19,96 +19,14 @@ from trainid_ros.inputs.mapping import (
     Signal,
     SpeedIntegral,
     UserFunction,
-    date_time_ns,
-    find_unit,
     load_mapping,
     load_table_mapping,
     parse_mapping,
-    time_of_day_ns,
     user_function,
 )
+from trainid_ros.inputs.units import find_unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.stream.alignment import AlignmentConfig
-
-
-@pytest.mark.parametrize(
-    ('text', 'quantity', 'value', 'expected'),
-    [
-        ('m/s', 'speed', 20.0, 20.0),
-        ('km/h', 'speed', 72.0, 20.0),
-        ('mph', 'speed', 10.0, 4.4704),
-        ('kN', 'force', -1.5, -1500.0),
-        ('lbf', 'force', 1.0, 4.4482216152605),
-        ('percent', 'gradient', 1.2, 12.0),
-        ('deg', 'gradient', 1.0, 17.4524064),
-        ('rad', 'gradient', 0.01, 9.99983333),
-        ('t', 'mass', 194.0, 194e3),
-        ('lb', 'mass', 1.0, 0.45359237),
-        ('km', 'length', 1.5, 1500.0),
-        ('percent_of 300 kN', 'force', 50.0, 150e3),
-        ('percent_of 1.2 m/s^2', 'acceleration', -100.0, -1.2),
-    ],
-)
-def test_a_value_is_converted(text: str, quantity: str, value: float, expected: float) -> None:
-    assert find_unit(text, quantity).convert(value) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ('text', 'quantity', 'hint'),
-    [
-        ('kmh', 'speed', "did you mean 'km/h'"),
-        ('kN', 'speed', 'known: '),
-        ('deg', 'speed', 'known: '),
-        ('', 'mass', 'known: '),
-        ('percent_of', 'force', 'must be like'),
-        ('percent_of x kN', 'force', 'must be like'),
-        ('percent_of 0 kN', 'force', 'must be like'),
-        ('percent_of nan kN', 'force', 'must be like'),
-        ('percent_of 300 km/h', 'force', 'must be like'),
-    ],
-)
-def test_an_unknown_unit_is_rejected_with_a_hint(text: str, quantity: str, hint: str) -> None:
-    with pytest.raises(ValueError, match=hint.replace('.', r'\.')):
-        find_unit(text, quantity)
-
-
-NOON_NS = 1_709_899_200 * 10**9
-
-
-@pytest.mark.parametrize(
-    ('text', 'expected'),
-    [
-        ('2024-03-08T12:00:00Z', NOON_NS),
-        ('2024-03-08 12:00:00', NOON_NS),
-        ('2024-03-08T13:00:00+01:00', NOON_NS),
-        ('2024-03-08T12:00:00.123456789Z', NOON_NS + 123_456_789),
-        ('2024-03-08T13:00:00,5+01:00', NOON_NS + 500_000_000),
-        ('2024-03-08', NOON_NS - 12 * 3600 * 10**9),
-        ('8.3.2024 12:00:00,25', NOON_NS + 250_000_000),
-        ('08.03.2024', NOON_NS - 12 * 3600 * 10**9),
-        ('2024-03-08 12:00:00:900', NOON_NS + 900_000_000),
-        ('08.03.2024 12:00:00:009', NOON_NS + 9_000_000),
-        ('2024-03-08T13:00:00:900+01:00', NOON_NS + 900_000_000),
-        ('2024-03-08T120000.5Z', NOON_NS + 500_000_000),
-        ('2024-03-08 12', NOON_NS),
-        # Only a part of these would be used, or not as what it is.
-        ('2024-03-08 12:00:00:9', None),
-        ('2024-03-08 12:00:00:900:1', None),
-        ('2024-03-08 12:00:00.123.456', None),
-        ('2024-03-08 12:00:00.123:456', None),
-        ('2024-03-08 12:00.5', None),
-        ('2024-03-08 12:00:00+01:00:30.5', None),
-        ('08/03/2024 12:00:00', None),
-        ('12,5', None),
-        ('1.5', None),
-        ('20240308', None),
-        ('2024-13-08T12:00:00', None),
-        ('a-b-c', None),
-    ],
-)
-def test_dates_are_read_to_the_nanosecond(text: str, expected: int | None) -> None:
-    assert date_time_ns(text) == expected
-
 
 CODE = """
 import numpy as np
@@ -182,17 +100,6 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
 def test_what_a_function_does_wrong_is_said(folder: Path, text: str, error: str) -> None:
     with pytest.raises(InputError, match=error):
         function(folder, text).of_columns([np.zeros(3)])
-
-
-TENTHS_NS = 43_200_900_000_000
-
-
-@pytest.mark.parametrize(
-    ('text', 'expected_ns'),
-    [('12:00:00:900', TENTHS_NS), ('12:00:00,9', TENTHS_NS), ('12:00:00:9', None), ('12:00:00.9:1', None)],
-)
-def test_a_time_of_day_is_read_whole_or_not_at_all(text: str, expected_ns: int | None) -> None:
-    assert time_of_day_ns(text) == expected_ns
 
 
 WHOLE = """
@@ -367,6 +274,18 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('csv: {decimal: x}', "csv.decimal = 'x' must be . or ,"),
         ('csv: {encoding: none}', "csv.encoding = 'none' is not known"),
         ('csv: {header_rows: 0}', 'csv.header_rows = 0 must be >= 1'),
+        (
+            '{time: {field: t, zone: Europe/Berlim}}',
+            "time.zone = 'Europe/Berlim' is no zone .* did you mean 'Europe/Berlin'",
+        ),
+        ('{time: {field: t, zone: UTC, start: 2024-03-08T12:00:00Z}}', 'time.zone is of a start without a zone'),
+        ('{time: {field: t, format: DD/MM/YYYY}}', "time.format = 'DD/MM/YYYY' must be like '%d/%m/%Y'"),
+        ('missing: none', 'missing'),
+        ('chainage: [[1.0, 2.0]]', 'chainage is of measured positions'),
+        ('{position: {from: speed}, chainage: [[1.0, 2.0]]}', 'chainage is of measured positions'),
+        ('{position: {topic: /x, field: x}, chainage: [[1.0, 0.0]]}', r'chainage\[0\] = \[1, 0\] must jump'),
+        ('{position: {topic: /x, field: x}, chainage: [[9.0, 2.0], [11.0, 2.0]]}', r'chainage\[1\] = \[11, 2\] must'),
+        ('{position: {topic: /x, field: x}, chainage: [[9.0]]}', r'chainage\[0\] = \[9.0\] must be \[m, m\]'),
     ],
 )
 def test_an_impossible_mapping_is_rejected_by_field(text: str, message: str) -> None:

@@ -18,7 +18,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import QUANTITIES, Mapping, Signal, Source, parse_mapping
-from trainid_ros.inspection.number_series import read_numbers
+from trainid_ros.inspection.number_series import NumberSeries, read_numbers
 from trainid_ros.inspection.suggest import Suggestion, comment, family, score, suggest, unit_in, words_of
 from trainid_ros.interface.records import (
     BrakeRecord,
@@ -420,9 +420,14 @@ def test_names_speak_for_a_quantity_or_against_it(quantity: str, topic: str, fie
 
 
 def test_units_are_found_by_the_last_word_that_is_one_of_the_quantity() -> None:
-    assert unit_in('/train/speed_kmh data', ('m/s', 'km/h')) == 'km/h'
-    assert unit_in('/n/force_kN data', ('N', 'kN')) == 'kN'
-    assert unit_in('/force data', ('N', 'kN')) == ''
+    def unit(topic: str, quantity: str, kind: str = FLOAT) -> str:
+        none = np.empty(0)
+        return unit_in(NumberSeries(topic, kind, 'data', none, none, has_stamps=True, is_whole=False), quantity)
+
+    assert unit('/train/speed_kmh', 'speed') == 'km/h'
+    assert unit('/n/force_kN', 'force') == 'kN'
+    assert unit('/force', 'force') == ''
+    assert unit('/force_N', 'force', 'kN') == 'kN'
 
 
 def test_topics_of_alike_cars_are_one_family() -> None:

@@ -133,7 +133,8 @@ VERBS: Final = (
         'bags --map --suggest-map --train --max-chunk --jobs --namespace --json',
     ),
     Verb(
-        'import', 'make a bag of a table: CSV, Parquet or npz', 'file out --map --train --json', 'new_bag.import_table'
+        'import', 'make a bag of a table: CSV, Parquet or npz', 'file out --map --suggest-map --train --json',
+        'new_bag.import_table',
     ),
     Verb(
         'fleet', 'replay the bags of a fleet into a table',
@@ -151,16 +152,18 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file', nargs='+'),
     'fleet bags': _path('BAG', 'bags, folders that hold bags, or patterns', nargs='+'),
     'tables': _path('TABLE', 'tables of trainid fleet', nargs='+'),
-    'file': _path('FILE', 'table: .csv, .parquet or .npz'),
+    'file': _path('FILE', 'table: .csv, .vbo, .parquet or .npz'),
     'out': _path('OUT', 'bag to create'),
+    'import out': _path('OUT', 'bag to create', nargs='?'),
     '--map': _path('MAPPING.yaml', 'mapping file: inputs from other topics, types and units'),
     'run --map': _path(
         'MAPPING.yaml', 'mapping file (parameter mapping_file): inputs from other topics, types and units'
     ),
     'play --map': _path('MAPPING.yaml', 'mapping file: also play the topics that it names'),
     'info --map': _path('MAPPING.yaml', 'mapping file: check the inputs that it makes'),
-    'import --map': _path('MAPPING.yaml', 'mapping file: inputs from columns and units', required=True),
+    'import --map': _path('MAPPING.yaml', 'mapping file: inputs from columns and units'),
     '--suggest-map': _flag('print a mapping file for a bag, with reasons as comments'),
+    'import --suggest-map': _flag('print a mapping file for the table, with reasons as comments'),
     '--max-chunk': _value(
         _megabytes, 64 << 20, 'MB', 'leave out chunks of a bag that unpack to more than this (default: 64)'
     ),
@@ -171,7 +174,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'explain bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file; with --watch folders of them', nargs='+'),
     'explain --train': _path('T.yaml', 'train file: the model to check', required=True),
     'info --train': _path('T.yaml', 'train file: its mass shows units, its line has gradients'),
-    'import --train': _path('T.yaml', 'train file, if the gradient comes from its line'),
+    'import --train': _path('T.yaml', 'train file: its line has gradients, its mass shows units for --suggest-map'),
     '--params': _path(
         'FILE.yaml', 'ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given'
     ),

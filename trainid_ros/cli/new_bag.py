@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +15,7 @@ import numpy as np
 
 from trainid_ros.bag.reader import PROGRESS_EVERY
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.output import print_json, progress, show, warn
+from trainid_ros.cli.output import EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import load_table_mapping
 from trainid_ros.inputs.tables import TableRecords
@@ -40,7 +41,13 @@ TRUTH_FILE: Final = 'truth.yaml'
 
 
 def import_table(args: argparse.Namespace) -> int:
-    """Read the table and write the bag; after an InputError no bag is left."""
+    """Read the table and write the bag, or print a mapping for it; after an InputError no bag is left."""
+    if args.suggest_map:
+        return _suggest(args)
+    if args.out is None or args.map is None:
+        lacks = '--map is' if args.out else 'OUT is' if args.map else 'OUT and --map are'
+        command = f'trainid import {_quoted(args.file)} --suggest-map > map.yaml'
+        raise InputError(f'{lacks} missing; {command} proposes a mapping')
     train_file = None if args.train is None else load_train_file(args.train)
     table = TableRecords(args.file, MappedInputs(load_table_mapping(args.map), train_file))
     counts: Counter[str] = Counter({topic.name: 0 for topic in REQUIRED_TOPICS})
@@ -66,7 +73,42 @@ def import_table(args: argparse.Namespace) -> int:
     show('\n'.join(f'  {topic}: {count}' for topic, count in counts.items()))
     if blank:
         show('rows without a value: ' + ', '.join(f'{name} {count}' for name, count in blank.items()))
+    if all(counts[topic.name] for topic in REQUIRED_TOPICS):
+        train, out = _quoted(args.train or Path('T.yaml')), _quoted(args.out)
+        show(f'next: trainid replay {out} --train {train} --report {out}.html')
     return 0
+
+
+def _suggest(args: argparse.Namespace) -> int:
+    """Print a mapping for a table, and on standard error what it doubts and the next command."""
+    from trainid_ros.inspection.suggest import suggest  # noqa: PLC0415 - loads much that only this needs
+    from trainid_ros.inspection.table_numbers import read_table  # noqa: PLC0415
+
+    if args.map is not None or args.out is not None:
+        raise InputError('--suggest-map takes a table alone, without OUT and --map')
+    with progress(f'reading {args.file.name}'):
+        numbers, choices = read_table(args.file)
+        train_file = None if args.train is None else load_train_file(args.train)
+        suggestion = suggest(numbers, args.file.name, train_file, choices)
+    missing = list(suggestion.missing)
+    if args.json:
+        print_json({'mapping': suggestion.text(), 'missing': missing})
+    else:
+        show(suggestion.text())
+        for choice in suggestion.choices:
+            for decision in choice.decisions:
+                warn(f'{choice.quantity}: {decision}', 'decide')
+        train = '' if args.train is None else f' --train {_quoted(args.train)}'
+        if 'speed' not in missing:  # without which there is no bag
+            out = args.file.with_suffix('')
+            warn(f'trainid import {_quoted(args.file)} {_quoted(out)} --map map.yaml{train}', 'next')
+    if missing:
+        report_error(f'{args.file}: nothing found for {", ".join(missing)}')
+    return EXIT_NO_ANSWER if missing else 0
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(str(path))
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from bisect import bisect_left, insort
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,6 +63,7 @@ class MappedInputs:
             for index, source in enumerate(signal.sources):
                 self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = _DeadReckoning(mapping.position)
+        self._chainage = _Chainage(mapping.chainage)
         # Messages by topic and number that is not in the table, and that of the last message of a topic.
         self._unlisted: Counter[tuple[str, float]] = Counter()
         self._last_unlisted: dict[str, float] = {}
@@ -124,7 +126,7 @@ class MappedInputs:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
             case 'position':
-                self._position.correct(stamp_ns, value)
+                self._position.correct(stamp_ns, self._chainage.distance(value, self._position.at))
                 return []
             case 'force':
                 return [ForceRecord(stamp_ns, value)]
@@ -224,6 +226,27 @@ class _DeadReckoning:
             self._earlier_ns = self._stamp_ns
         self._stamp_ns, self._speed = max(stamp_ns, self._stamp_ns), speed
         return self.at
+
+
+class _Chainage:
+    """Kilometre posts of a line, which jump where it was rebuilt.
+
+    A jump up leaves posts out; after a jump down some are there twice.
+    """
+
+    def __init__(self, jumps: tuple[tuple[float, ...], ...]) -> None:
+        starts = (-math.inf, *(at + jump for at, jump in jumps))
+        ends = (*(at for at, _ in jumps), math.inf)
+        shifts = accumulate((0.0, *(-jump for _, jump in jumps)))
+        self._sections = tuple(zip(starts, ends, shifts, strict=True))
+
+    def distance(self, post: float, near: float) -> float:
+        """Return the distance along the line at a post, near another one if that is known [m]; NaN if unclear."""
+        found = [post + shift for start, end, shift in self._sections if start <= post <= end]
+        found.sort(key=lambda distance: abs(distance - near))
+        if len(found) == 1 or (found and abs(found[0] - near) < 0.25 * abs(found[1] - found[0])):
+            return found[0]
+        return math.nan
 
 
 def _stamp(source: Source, message: Any, received_ns: int) -> int:

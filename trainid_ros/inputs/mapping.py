@@ -6,9 +6,9 @@ from __future__ import annotations
 import codecs
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from datetime import UTC, datetime
+from datetime import tzinfo
 from functools import cache
 from pathlib import Path
 from traceback import extract_tb
@@ -17,102 +17,12 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.inputs.times import CLOCK, EXCEL, date_time, find_zone
+from trainid_ros.inputs.units import Unit, find_unit
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC
+from trainid_ros.interface.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.train.fields import Section, as_section, did_you_mean, finite_number, parse_yaml, read_text, shown
-
-# Factor from each unit to that of the interface; angles to radian.
-_FACTORS: Final[dict[str, dict[str, float]]] = {
-    'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
-    'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},
-    'force': {'N': 1.0, 'kN': 1e3, 'lbf': 4.4482216152605},
-    'gradient': {'per_mille': 1.0, 'percent': 10.0},
-    'angle': {'rad': 1.0, 'deg': math.pi / 180.0},
-    'acceleration': {'m/s^2': 1.0},
-    'mass': {'kg': 1.0, 't': 1e3, 'lb': 0.45359237},
-    'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'min': 60.0, 'h': 3600.0},
-}
-_PERCENT_OF: Final = 'percent_of'
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """A unit of a quantity."""
-
-    name: str  # As in the file
-    factor: float  # SI units (for gradients: per mille, for angles: radian) in this one
-    is_angle: bool = False  # True for a gradient that is stated as the angle of the track
-
-    def convert(self, value: float) -> float:
-        """Return a value in the unit of the interface."""
-        scaled = self.factor * value
-        return 1000.0 * math.sin(scaled) if self.is_angle else scaled
-
-
-def find_unit(text: str, quantity: str) -> Unit:
-    """Return a unit of a quantity ('speed', 'length', ...) by its name, or ``percent_of NUMBER UNIT``.
-
-    ValueError if it is not known for this quantity; the message says which are.
-    """
-    factors, known = _FACTORS[quantity], unit_factors(quantity)
-    if text in known:
-        return Unit(text, known[text], is_angle=text not in factors)
-    if not text.startswith(_PERCENT_OF):
-        raise ValueError(f'is not a unit of {quantity}; {did_you_mean(text, [*known, f"{_PERCENT_OF} NUMBER UNIT"])}')
-    try:
-        _, number, name = text.split()
-        whole = float(number) * factors[name]
-    except (ValueError, KeyError):
-        whole = math.nan
-    if not (math.isfinite(whole) and whole != 0.0):
-        raise ValueError(
-            f'must be like "{_PERCENT_OF} 300 {next(reversed(factors))}", with a unit of {", ".join(factors)}'
-        )
-    return Unit(text, whole / 100.0)
-
-
-def unit_factors(quantity: str) -> dict[str, float]:
-    """Return the factors of the units of a quantity, by name; see :class:`Unit`."""
-    return _FACTORS[quantity] | (_FACTORS['angle'] if quantity == 'gradient' else {})
-
-
-# After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
-_FRACTION: Final = re.compile(
-    r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
-)
-_DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
-_TIME_OF_DAY: Final = re.compile(r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?')
-
-
-def date_time_ns(text: str) -> int | None:
-    """Return a date with time as stamp [ns], None if the text is none; without a zone it is UTC."""
-    text = _DOTTED.sub(lambda found: f'{found[3]}-{found[2]:>02}-{found[1]:>02}', text)
-    if text.count('-') < 2:  # datetime also takes 20240308
-        return None
-    fraction = _FRACTION.search(text)
-    try:
-        when = datetime.fromisoformat(_FRACTION.sub('', text, count=1))
-    except ValueError:
-        return None
-    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-    if since.microseconds:  # of something else than a fraction, such as a second one
-        return None
-    return (since.days * 86400 + since.seconds) * NS_PER_S + _part_ns(fraction.groups() if fraction else ())
-
-
-def time_of_day_ns(text: str) -> int | None:
-    """Return a time of day as time since midnight [ns], None if the text is none."""
-    if (found := _TIME_OF_DAY.fullmatch(text)) is None:
-        return None
-    hours, minutes, seconds, *fraction = found.groups()
-    return ((int(hours) * 60 + int(minutes)) * 60 + int(seconds)) * NS_PER_S + _part_ns(fraction)
-
-
-def _part_ns(fraction: Iterable[str | None]) -> int:
-    """Return the digits after the seconds, the first that are there, in nanoseconds."""
-    digits = next(filter(None, fraction), '')
-    return int(digits.ljust(9, '0'))
+from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
 
 def type_of(message: Any) -> str:
@@ -282,6 +192,8 @@ class TimeColumn:
     unit: Unit  # Unit of times that are numbers
     start_ns: int | None = None  # What such times count from [ns], None if the file does not say so
     function: UserFunction | None = None  # Function of the columns, None without
+    format: str = ''  # Form of the times: that of ``strptime``, a name, or '' if it is to be found out
+    zone: tzinfo | None = None  # What their clock shows, None if the file does not say so
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,6 +241,9 @@ class Mapping:
     on_change: bool = False  # Whether brake commands are published only when they change
     time: TimeColumn | None = None  # Times of the rows of a table, None for messages
     csv: CsvFormat = CsvFormat()  # How the table is written, if it is a CSV file
+    missing: frozenset[str] = frozenset()  # Cells of a table that hold no value, beside the usual ones
+    # Kilometre posts [m] after which the posts jump, and by how much [m], in the order of the line
+    chainage: tuple[tuple[float, ...], ...] = ()
 
     def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
         """Return settings of the alignment that fit the mapping."""
@@ -380,9 +295,9 @@ RAW: Final = Unit('', 1.0)
 def load_mapping(path: str | Path) -> Mapping:
     """Read a mapping file of messages; InputError, naming file and field, if it says something impossible."""
     mapping = parse_mapping(read_text(path), str(path))
-    if mapping.time is not None:
-        problem = 'time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
-        raise InputError(f'{path}: {problem}')
+    for key in ('time', 'missing'):
+        if getattr(mapping, key):
+            raise InputError(f'{path}: {key} is of the rows of a table, which trainid import makes a bag of')
     return mapping
 
 
@@ -412,11 +327,13 @@ def parse_mapping(text: str, source: str) -> Mapping:
         on_change=brake.boolean('on_change', default=False),
         time=_time(top),
         csv=_csv(top.section('csv')),
+        missing=frozenset(str(text).strip().lower() for text in top.items('missing')),
+        chainage=_chainage(top),
     )
 
 
 def _top(text: str, source: str) -> Section:
-    return parse_yaml(text, source).only((*QUANTITIES, 'time', 'csv'))
+    return parse_yaml(text, source).only((*QUANTITIES, 'time', 'csv', 'missing', 'chainage'))
 
 
 def _position(top: Section) -> Position | None:
@@ -428,6 +345,16 @@ def _position(top: Section) -> Position | None:
     if direction == 0:
         section.fail('direction', '= 0 must be 1 (positions rise) or -1')
     return SpeedIntegral(section.number('start', 'm', 0.0), direction)
+
+
+def _chainage(top: Section) -> tuple[tuple[float, ...], ...]:
+    jumps = top.rows('chainage', ('m', 'm'))
+    if jumps and ('position' not in top.data or 'from' in top.section('position').data):
+        top.fail('chainage', 'is of measured positions, and position: {field: ...} is missing')
+    for place, (at, jump) in enumerate(jumps):
+        if jump == 0.0 or (place and at <= sum(jumps[place - 1])):
+            top.fail(f'chainage[{place}]', f'= [{at:g}, {jump:g}] must jump, and lie behind the jump before it')
+    return jumps
 
 
 def _gradient(top: Section) -> Gradient | None:
@@ -567,13 +494,23 @@ def _time(top: Section) -> TimeColumn | None:
     if 'time' not in top.data:
         return None
     section = top.section('time', required=True)
-    unit, start_ns = _unit(section, 'time'), None
+    unit, start, zone, form = _unit(section, 'time'), None, None, section.text('format', '')
     # When numbers of a column of times start to count.
-    if 'start' in section.data and (start_ns := date_time_ns(str(section.data['start']))) is None:
+    if 'start' in section.data and (start := date_time(str(section.data['start']))) is None:
         section.fail('start', f'= {shown(section.data["start"])} must be a date and time, like 2024-03-08T12:00:00Z')
+    if 'zone' in section.data:
+        try:
+            zone = find_zone(section.text('zone'))
+        except ValueError as error:
+            section.fail('zone', f'= {shown(section.data["zone"])} {error}')
+    if start is not None and start.has_zone and zone is not None:
+        section.fail('zone', 'is of a start without a zone, and this one has one')
+    if form and form not in {EXCEL, CLOCK} and '%' not in form:
+        section.fail('format', f"= {shown(form)} must be like '%d/%m/%Y', '%d/%m/%Y %H:%M:%S', {EXCEL} or {CLOCK}")
+    start_ns = None if start is None else start.ns
     if 'function' not in section.data:
-        section.only(('field', 'unit', 'start'))
-        return TimeColumn((section.text('field'),), unit, start_ns)
+        section.only(('field', 'unit', 'start', 'format', 'zone'))
+        return TimeColumn((section.text('field'),), unit, start_ns, None, form, zone)
     section.only(('function', 'of', 'unit', 'start'))
     columns = tuple(_raw(part, is_table=True).field for part in _parts(section, 'of'))
     return TimeColumn(columns, unit, start_ns, _function(section, unit))

@@ -1,464 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables in files, in blocks of rows: CSV as loggers write it, Parquet and npz; their records, by a mapping."""
+"""The rows of a table as the records of a train, by a mapping."""
 
 from __future__ import annotations
 
-import codecs
-import csv
-import io
 import math
 import re
-from abc import ABC, abstractmethod
 from collections import Counter
-from contextlib import suppress
-from dataclasses import dataclass
-from itertools import chain, islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
-from zipfile import BadZipFile, is_zipfile
+from itertools import chain
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import (
-    QUANTITIES,
-    UNKNOWN_EFFORT,
-    CsvFormat,
-    Mapping,
-    Source,
-    TimeColumn,
-    date_time_ns,
-    find_unit,
-    time_of_day_ns,
-    unit_factors,
-)
+from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Source, TimeColumn
+from trainid_ros.inputs.table_files import ROWS_AT_ONCE, Block, Column, joined, open_table
+from trainid_ros.inputs.times import CLOCK, DAY_NS, EXCEL, LocalClock
+from trainid_ros.inputs.units import unit_factors, written_unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Record
-from trainid_ros.train.fields import did_you_mean, shown
+from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
-
-    import pyarrow as pa
 
     from trainid_ros.inputs.mapped_inputs import MappedInputs
 
-Column: TypeAlias = NDArray[Any]
-"""Numbers as float64, whole numbers as int64, times as datetime64[ns], times of day and durations as timedelta64[ns];
-NaN or NaT where a cell is blank."""
-ROWS_AT_ONCE: Final = 10_000
-CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
-_PARQUET_SUFFIXES: Final = ('.parquet', '.pq')
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Some rows of a table."""
-
-    columns: dict[str, Column]  # Columns by name, each of shape (n,)
-    share: float  # Share of the file that was read for them [1]
-
-
-class Table(ABC):
-    """A file with columns."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.units: dict[str, str] = {}  # that the file states, by column; known once a block is read
-
-    @abstractmethod
-    def blocks(self, names: Sequence[str]) -> Iterator[Block]:
-        """Yield the columns of these names; InputError, naming file, column and row, if they cannot be read."""
-
-
-def open_table(path: Path, mapping: Mapping) -> Table:
-    """Return the table in a file, by its suffix; InputError if there is no such file, or the suffix is not known."""
-    if not path.is_file():
-        raise InputError(f'{path}: is not a file' if path.exists() else f'{path}: no such file')
-    suffix = path.suffix.lower()
-    if suffix in CSV_SUFFIXES:
-        return CsvTable(path, mapping.csv)
-    if suffix in _PARQUET_SUFFIXES:
-        return ParquetTable(path)
-    if suffix == '.npz':
-        return NpzTable(path)
-    raise InputError(f'{path}: not a table: {", ".join((*CSV_SUFFIXES, *_PARQUET_SUFFIXES, ".npz"))} expected')
-
-
-def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
-    """Return the columns of all blocks; blank cells are NaN in a block without times, NaT beside times."""
-    found, whole = list(blocks), {}
-    for name in names:
-        parts = [block.columns[name] for block in found]
-        if times := [part.dtype for part in parts if part.dtype.kind in 'mM']:
-            blank = np.array('NaT', times[0])
-            parts = [
-                np.full(len(part), blank) if part.dtype.kind == 'f' and np.isnan(part).all() else part for part in parts
-            ]
-        whole[name] = np.concatenate(parts) if parts else np.empty(0)
-    return whole
-
-
-def _check_columns(path: Path, wanted: Iterable[str], known: Sequence[str]) -> None:
-    for name in wanted:
-        if known.count(name) > 1:
-            raise InputError(f'{path}: column {shown(name)} is there {known.count(name)} times')
-        if name not in known:
-            columns = ', '.join(map(shown, known[:20])) + (', ...' if len(known) > 20 else '')
-            hint = did_you_mean(name, known) if known else ''
-            hint = f'; {hint}' if hint.startswith('did') else ''
-            raise InputError(f'{path}: no column {shown(name)}{hint} (columns: {columns or "none"})')
-
-
-_BLANK: Final = frozenset({'', '-', '--', 'na', 'n/a', '#n/a', 'nan', 'null', 'none'})
-_EXCEL_ERROR: Final = re.compile(r'#(nv|n/d|\S+[!?])')  # such as #DIV/0!; #N/A in other languages
-# Numbers with thousands marks by decimal sign: point, comma, apostrophe or space before each three digits.
-_GROUPED: Final = {
-    decimal: re.compile(
-        rf"[+-]?[1-9]\d{{0,2}}([{other}'\u2019\u00a0\u202f ])\d{{3}}(\1\d{{3}})*({re.escape(decimal)}\d*)?"
-    )
-    for decimal, other in (('.', ','), (',', '.'))
-}
-_LIKE: Final = '2024-03-08T12:00:00, 08.03.2024 12:00:00 or 12:00:00'
-_WHOLE: Final = re.compile(r'[+-]?(\d{1,18}|1\d{18})')  # of 64 bits
-
-
-def _is_blank(cell: str) -> bool:
-    text = cell.strip().lower()
-    return text in _BLANK or _EXCEL_ERROR.fullmatch(text) is not None
-
-
-def _number(cell: str, decimal: str) -> float | None:
-    """Return the number in a cell, NaN if it is blank, None if it holds something else."""
-    text = cell.strip().replace('\u2212', '-')  # the minus sign of Unicode
-    if _is_blank(text):
-        return math.nan
-    if grouped := _GROUPED[decimal].fullmatch(text):
-        text = text.replace(grouped[1], '')
-    # float() would take a point for the decimal sign, and underscores.
-    if (decimal == ',' and '.' in text) or '_' in text:
-        return None
-    try:
-        return float(text.replace(decimal, '.'))
-    except ValueError:
-        return {'true': 1.0, 'false': 0.0}.get(text.lower())
-
-
-def _is_value(cell: str) -> bool:
-    text = cell.strip()
-    found = (date_time_ns(text), time_of_day_ns(text), *(_number(text, decimal) for decimal in _GROUPED))
-    return not _is_blank(text) and any(value is not None for value in found)
-
-
-def _times(cells: Sequence[str], where: Callable[[int], str], hint: str = '') -> Column | None:
-    """Return the times in texts, by the kind of the first, None if that is no time.
-
-    InputError, naming ``where`` by index, for a later cell that is no such time.
-    """
-    first = next((cell.strip() for cell in cells if not _is_blank(cell)), '')
-    for of_text, kind, what in (
-        (date_time_ns, 'datetime64[ns]', 'date with time'),
-        (time_of_day_ns, 'timedelta64[ns]', 'time of day'),
-    ):
-        if of_text(first) is None:
-            continue
-        stamps = [None if _is_blank(cell) else of_text(cell.strip()) for cell in cells]
-        for index, (cell, stamp) in enumerate(zip(cells, stamps, strict=True)):
-            if stamp is None and not _is_blank(cell):
-                raise InputError(f'{where(index)} = {shown(cell)} is not a {what}{hint}')
-        return np.array(['NaT' if stamp is None else stamp for stamp in stamps], dtype=kind)
-    return None
-
-
-_COMMENT: Final = '#'
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """How a file is written: encoding, separator, number of its columns, those read, and rows before the numbers."""
-
-    encoding: str
-    separator: str
-    width: int
-    places: tuple[int, ...]
-    skipped: int
-
-
-class CsvTable(Table):
-    """A CSV file; comments, and whatever stands above the names of the columns, are skipped.
-
-    The names that the mapping gives show the separator and the row of the names. The decimal sign is that of the first
-    number in the file which only one sign explains.
-    """
-
-    def __init__(self, path: Path, form: CsvFormat) -> None:
-        super().__init__(path)
-        self._form = form
-
-    def blocks(self, names: Sequence[str]) -> Iterator[Block]:
-        """Yield columns; see :class:`Table`."""
-        layout = self._layout(names)
-        decimal = self._form.decimal or self._decimal(layout)
-        for lines, cells, share in self._rows(layout):
-            columns = zip(names, zip(*cells, strict=True), strict=True)
-            yield Block({name: self._column(name, lines, column, decimal) for name, column in columns}, share)
-
-    def _rows(self, layout: _Layout) -> Iterator[tuple[Sequence[int], Sequence[Sequence[str]], float]]:
-        """Yield blocks of the rows below the names: line numbers, cells of the columns, share of the file read."""
-        size, reached = max(1, self.path.stat().st_size), 0
-        with self.path.open('rb') as raw, io.TextIOWrapper(raw, layout.encoding, errors='replace', newline='') as text:
-            reader = csv.reader(text, delimiter=layout.separator)
-            full = ((reader.line_num, row) for row in self._closed(reader, layout) if any(map(str.strip, row)))
-            data = (item for item in full if not self._is_comment(item[1]) or self._holds_numbers(*item, layout.places))
-            rows = islice(data, layout.skipped, None)
-            try:
-                while some := list(islice(rows, ROWS_AT_ONCE)):
-                    lines, cells = zip(*((line, self._cells(line, row, layout)) for line, row in some), strict=True)
-                    before, reached = reached, raw.tell()
-                    yield lines, cells, (reached - before) / size
-            except csv.Error as error:
-                raise InputError(f'{self.path}: line {reader.line_num}: {error}') from None
-
-    def _closed(self, reader: Any, layout: _Layout) -> Iterator[list[str]]:
-        """Yield the rows; InputError for a text in quotes that holds whole rows: its second quote is missing."""
-        before, others = 0, layout.width - 1
-        for row in reader:
-            if reader.line_num > before + 1:
-                inside = [line for cell in row for line in cell.splitlines()[1:]]
-                if others and any(line.count(layout.separator) >= others for line in inside):
-                    raise InputError(
-                        f'{self.path}: lines {before + 1} to {reader.line_num} are one row by their quotes: one is not '
-                        'closed'
-                    )
-            before = reader.line_num
-            yield row
-
-    def _cells(self, line: int, row: list[str], layout: _Layout) -> list[str]:
-        """Return the cells of the columns in a row, blank where it ends early."""
-        # No one can say which of more cells than names belongs to which.
-        if len(row) > layout.width and any(map(str.strip, row[layout.width :])):
-            raise InputError(
-                f'{self.path}: line {line} has {len(row)} cells, {layout.width} columns have names; a text with the '
-                f'separator {layout.separator!r} must be in quotes'
-            )
-        return [row[place] if place < len(row) else '' for place in layout.places]
-
-    def _is_comment(self, row: list[str]) -> bool:
-        return self._form.comments is not False and row[0].startswith(_COMMENT) and not _is_blank(row[0])
-
-    def _holds_numbers(self, line: int, row: list[str], places: Sequence[int]) -> bool:
-        """Return False for a comment; one with numbers where they are read is an error until the mapping says so."""
-        cells = [row[place] for place in places if place < len(row)]
-        is_data = any(map(_is_value, cells)) and all(_is_value(cell) or _is_blank(cell) for cell in cells)
-        if self._form.comments is None and is_data:
-            raise InputError(
-                f'{self.path}: line {line} starts with {shown(row[0])} like a comment, but holds numbers; '
-                'csv: {comments: true} in the mapping leaves such rows out, {comments: false} reads them'
-            )
-        return False
-
-    def _layout(self, names: Sequence[str]) -> _Layout:
-        with self.path.open('rb') as file:
-            head = file.read(1 << 18)
-        encoding = self._form.encoding or _encoding(head)
-        separators = (self._form.separator,) if self._form.separator else (';', '\t', ',', '|')
-        separator, rows, place = _find_names(head.decode(encoding, errors='replace'), separators, names)
-        known = _names(rows[place]) if rows else []
-        _check_columns(self.path, names, known)
-        above = sum(not self._is_comment(row) for row in rows[:place])
-        places = tuple(known.index(name) for name in names)
-        below = [row for row in rows[place:] if not self._is_comment(row)]
-        cells = [[row[i] if i < len(row) else '' for i in places] for row in below]
-        named = int(not self._is_comment(rows[place]))
-        if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
-            raise InputError(f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}')
-        skipped = self._form.header_rows or named + _unit_rows(cells[named:])
-        for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
-            self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
-        return _Layout(encoding, separator, len(known), places, above + skipped)
-
-    def _decimal(self, layout: _Layout) -> str:
-        """Return the decimal sign of a file; InputError where a comma may also mark thousands."""
-        unclear = ''
-        for _, rows, _ in self._rows(layout):
-            for cell in (cell.strip() for row in rows for cell in row if ',' in cell or '.' in cell):
-                with_comma, with_point = _number(cell, ','), _number(cell, '.')
-                if (with_comma is None) != (with_point is None):
-                    return '.' if with_comma is None else ','
-                if with_comma is not None and ',' in cell:
-                    unclear = unclear or cell
-        if unclear:
-            raise InputError(
-                f'{self.path}: {shown(unclear)} may be {_number(unclear, ",")} or {_number(unclear, ".")}: a comma '
-                'before three digits in every cell that has one; csv: {decimal: ","} or {decimal: "."} in the mapping '
-                'says which'
-            )
-        return '.'
-
-    def _column(self, name: str, lines: Sequence[int], cells: Sequence[str], decimal: str) -> Column:
-        if all(map(_WHOLE.fullmatch, cells)):
-            return np.array([int(cell) for cell in cells], dtype=np.int64)
-        if (decimal == '.' or not any('.' in cell for cell in cells)) and not any('_' in cell for cell in cells):
-            with suppress(ValueError):
-                return np.array([float(cell.replace(decimal, '.')) for cell in cells], dtype=np.float64)
-
-        def where(index: int) -> str:
-            return f'{self.path}: line {lines[index]}: column {shown(name)}'
-
-        footer = '; lines of text below the numbers must go, or start with #'
-        if (times := _times(cells, where, footer)) is not None:
-            return times
-        values = [_number(cell, decimal) for cell in cells]
-        if None in values:
-            cell = cells[index := values.index(None)]
-            problem = f'is not a number with the decimal sign {decimal!r}; csv: {{separator, decimal, header_rows}} in '
-            problem += f'the mapping says how the file is written{footer}'
-            raise InputError(f'{where(index)} = {shown(cell)} {f"is no time like {_LIKE}" if ":" in cell else problem}')
-        return np.array(values, dtype=np.float64)
-
-
-def _encoding(head: bytes) -> str:
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return 'utf-16'
-    try:
-        codecs.getincrementaldecoder('utf-8')().decode(head)
-    except UnicodeDecodeError:
-        return 'cp1252'  # latin-1 with what Windows adds
-    return 'utf-8-sig'
-
-
-def _find_names(text: str, separators: Sequence[str], names: Sequence[str]) -> tuple[str, list[list[str]], int]:
-    """Return separator, first rows, and the place of the one with most of the names, or else with most cells."""
-    best: tuple[int, int, str, list[list[str]], int] = (-1, 0, separators[0], [], 0)
-    for separator in separators:
-        rows: list[list[str]] = []
-        with suppress(csv.Error):  # where the text is cut off
-            reader = csv.reader(io.StringIO(text, newline=''), delimiter=separator)
-            rows.extend(islice((row for row in reader if any(map(str.strip, row))), 200))
-        for place, row in enumerate(rows):
-            found = sum(name in _names(row) for name in names)
-            if (found, len(row)) > best[:2]:
-                best = found, len(row), separator, rows, place
-    return best[2:]
-
-
-def _names(row: list[str]) -> list[str]:
-    """Return the names of the columns in a row, which some programs write as a comment."""
-    return [row[0].lstrip(_COMMENT).strip(), *map(str.strip, row[1:])]
-
-
-def _in_brackets(name: str) -> str:
-    """Return the text in brackets at the end of a name, such as a unit."""
-    found = re.search(r'[\[(]([^\[\]()]+)[\])]$', name)
-    return found[1] if found else ''
-
-
-def _unit_rows(rows: list[list[str]]) -> int:
-    """Return the number of rows, up to five, between the names and the first numbers, such as units.
-
-    The first cell of each is that of the time: no units stand beside one.
-    """
-    head = rows[:6]
-    for count, row in enumerate(head):
-        if _is_value(row[0]) or (any(map(_is_value, row)) and all(_is_value(cell) or _is_blank(cell) for cell in row)):
-            return count
-    # Such as a date that cannot be read beside numbers: it is then named, and not the units above it.
-    return next((count for count, row in enumerate(head) if any(map(_is_value, row))), 0)
-
-
-class ParquetTable(Table):
-    """A Parquet file, read by row groups."""
-
-    def blocks(self, names: Sequence[str]) -> Iterator[Block]:
-        """Yield columns; see :class:`Table`."""
-        import pyarrow as pa  # noqa: PLC0415 - an optional package
-        from pyarrow import parquet  # noqa: PLC0415
-
-        rows = 0
-        try:
-            with parquet.ParquetFile(self.path) as file:
-                _check_columns(self.path, names, file.schema_arrow.names)
-                stated = ((name, (file.schema_arrow.field(name).metadata or {}).get(b'unit', b'')) for name in names)
-                self.units = {name: unit.decode(errors='replace') for name, unit in stated if unit}
-                count = max(1, file.metadata.num_rows)
-                for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(names)):
-                    columns = {name: self._column(name, batch.column(name), rows) for name in names}
-                    yield Block(columns, batch.num_rows / count)
-                    rows += batch.num_rows
-        except (pa.ArrowException, OSError) as error:
-            problem = ' '.join(str(error).split())
-            raise InputError(f'{self.path}: is not a Parquet file that can be read ({problem})') from None
-
-    def _column(self, name: str, cells: pa.Array, rows_before: int) -> Column:
-        import pyarrow as pa  # noqa: PLC0415 - an optional package
-
-        if pa.types.is_dictionary(cells.type):
-            cells = cells.dictionary_decode()
-        kind = cells.type
-        try:
-            if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
-                cells = cells.cast(pa.timestamp('ns'))
-            elif pa.types.is_time(kind):
-                cells = cells.cast(pa.time64('ns')).cast(pa.int64()).cast(pa.duration('ns'))
-            elif pa.types.is_duration(kind):
-                cells = cells.cast(pa.duration('ns'))
-            elif str(kind) in {'string', 'large_string', 'string_view'}:
-                return _text_times(self.path, name, [cell or '' for cell in cells.to_pylist()], kind, rows_before)
-            else:
-                is_whole = pa.types.is_integer(kind) and not cells.null_count
-                # Nanoseconds since 1970 beside blank cells are rounded to 256.
-                cells = cells.cast(pa.int64()) if is_whole else cells.cast(pa.float64(), safe=False)
-            return np.asarray(cells.to_numpy(zero_copy_only=False))
-        except pa.ArrowException:
-            raise InputError(f'{self.path}: column {shown(name)} of type {kind} holds no numbers') from None
-
-
-def _text_times(path: Path, name: str, cells: Sequence[str], kind: object, rows_before: int = 0) -> Column:
-    """Return the times in a column of texts; other texts are an error."""
-    times = _times(cells, lambda index: f'{path}: row {rows_before + index + 1}: column {shown(name)}')
-    if times is not None:
-        return times
-    if all(map(_is_blank, cells)):
-        return np.full(len(cells), np.nan)
-    raise InputError(f'{path}: column {shown(name)} of type {kind} holds no numbers, and no times like {_LIKE}')
-
-
-class NpzTable(Table):
-    """An ``.npz`` file of NumPy with one array a column; arrays that are not used may have any shape."""
-
-    def blocks(self, names: Sequence[str]) -> Iterator[Block]:
-        """Yield columns; see :class:`Table`. They are read as a whole."""
-        if not is_zipfile(self.path):
-            raise InputError(f'{self.path}: is not an npz file')
-        try:
-            with np.load(self.path, allow_pickle=False) as file:
-                _check_columns(self.path, names, file.files)
-                columns = {name: file[name] for name in names}
-        except (OSError, ValueError, BadZipFile, EOFError) as error:
-            raise InputError(f'{self.path}: cannot be read ({" ".join(str(error).split())})') from None
-        # Other programs save a vector as a matrix of one column or one row.
-        columns = {name: x.ravel() if x.ndim == 2 and 1 in x.shape else x for name, x in columns.items()}
-        first = columns[names[0]]
-        columns = {name: self._column(name, column, names[0], first.shape) for name, column in columns.items()}
-        for start in range(0, len(first), ROWS_AT_ONCE):
-            rows = {name: column[start : start + ROWS_AT_ONCE] for name, column in columns.items()}
-            yield Block(rows, len(rows[names[0]]) / len(first))
-
-    def _column(self, name: str, column: Column, first: str, shape: tuple[int, ...]) -> Column:
-        to = {'M': 'datetime64[ns]', 'm': 'timedelta64[ns]', 'i': 'int64', 'u': 'int64', 'b': 'float64', 'f': 'float64'}
-        kind = column.dtype.kind
-        if column.ndim != 1 or column.shape != shape or kind not in {*to, 'U'}:
-            raise InputError(
-                f'{self.path}: column {shown(name)} of type {column.dtype} and shape {column.shape}; one number for '
-                f'each of {shown(first)} expected, which has shape {shape}'
-            )
-        if kind == 'u' and column.size and column.max() > np.iinfo(np.int64).max:
-            raise InputError(f'{self.path}: column {shown(name)}: {column.max()} is no number of 64 bits with a sign')
-        return _text_times(self.path, name, column.tolist(), column.dtype) if kind == 'U' else column.astype(to[kind])
-
-
-_UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
-_DAY_NS: Final = 86400 * NS_PER_S
+_IS_NUMBER: Final = re.compile(r'[+-]?\d+(\.\d*)?')
 
 
 class Clock:
@@ -467,34 +35,41 @@ class Clock:
     def __init__(self, time: TimeColumn) -> None:
         self._start_ns = time.start_ns  # what numbers count from [ns], None if that is not known yet
         self._time = time
+        self._local = LocalClock(time.zone)
         self._midnights = 0
         self._time_of_day_ns = 0
 
     def stamps(
-        self, columns: dict[str, Column], where: object, rows_before: int
+        self, columns: dict[str, Column], where: object, rows_before: int, *, has_zone: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return the stamps of rows [ns], shape (n,), and which rows have one, shape (n,).
 
-        ``where`` and ``rows_before`` are for the InputError of a time that ROS cannot hold.
+        ``where`` and ``rows_before`` are for the InputError of a time that ROS cannot hold, or that may be several.
+        With ``has_zone`` dates with time are in UTC.
         """
+        place = f'column {shown(", ".join(self._time.columns))}'
         if self._time.function is None:
-            values = columns[self._time.columns[0]]
+            values = _of_form(columns[self._time.columns[0]], self._time.format, f'{where}: {place}')
         else:
             values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
         known = np.isfinite(values)
         since_ns = self._since_ns(values, known)
         if values.dtype.kind != 'M' and self._start_ns is None and known.any():
             # Times below a year count from the start of a recording, which is put at 2000-01-01 unless it is stated.
-            is_relative = abs(int(since_ns[known][0])) < 366 * _DAY_NS
+            is_relative = abs(int(since_ns[known][0])) < 366 * DAY_NS
             self._start_ns = 946_684_800 * NS_PER_S if is_relative else 0
         stamps = since_ns + (0 if values.dtype.kind == 'M' else self._start_ns or 0)
         wrong = known & ((stamps <= 0) | (stamps >= 2**31 * NS_PER_S))  # a ROS time holds no later one
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
-                f'{where}: row {rows_before + row + 1}: column {shown(", ".join(self._time.columns))} = {values[row]} '
+                f'{where}: row {rows_before + row + 1}: {place} = {values[row]} '
                 'is no time between 1970 and 2038; time: {unit, start} in the mapping may be wrong'
             )
+        is_zoned = self._time.zone is not None and self._time.start_ns is not None
+        if is_zoned or (values.dtype.kind == 'M' and not has_zone):
+            rows = np.flatnonzero(known)
+            stamps[rows] = self._local.utc(stamps[rows], lambda i: f'{where}: row {rows_before + rows[i] + 1}: {place}')
         return stamps, known
 
     def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -512,12 +87,28 @@ class Clock:
     def _through_midnight(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight."""
         times = since_ns[known]
-        passed = np.diff(times, prepend=self._time_of_day_ns) < -_DAY_NS // 2
+        passed = np.diff(times, prepend=self._time_of_day_ns) < -DAY_NS // 2
         days = self._midnights + np.cumsum(passed)
         if times.size:
             self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
-        since_ns[known] = times + _DAY_NS * days
+        since_ns[known] = times + DAY_NS * days
         return since_ns
+
+
+def _of_form(values: Column, form: str, where: str) -> Column:
+    """Return numbers of a form as times; other columns as they are."""
+    if not form or values.dtype.kind in 'mM':
+        return values
+    if form == EXCEL:
+        days = np.asarray(values, dtype=np.float64) - 25569.0  # 1970-01-01
+        return np.where(np.isnan(days), np.nan, np.rint(days * DAY_NS)).astype('datetime64[ns]')
+    if form != CLOCK:
+        raise InputError(f'{where} holds numbers, and time.format = {shown(form)} in the mapping is one of texts')
+    minutes, hours = values // 100 % 100, values // 10_000
+    if np.any((values < 0) | (hours > 23) | (minutes > 59) | (values % 100 >= 61)):
+        raise InputError(f'{where} holds numbers that are no times like {CLOCK}')
+    seconds = values % 100 + 60.0 * minutes + 3600.0 * hours
+    return np.where(np.isnan(seconds), np.nan, np.rint(seconds * NS_PER_S)).astype('timedelta64[ns]')
 
 
 def numbers(column: Column) -> NDArray[np.float64]:
@@ -556,6 +147,7 @@ class TableRecords:
         signals = self._mapping.signals
         # A position at the stamp of a speed must be known before that.
         self._signals = {name: signals[name] for name in ('position', *signals) if name in signals}
+        self._codes = [float(text) for text in self._mapping.missing if _IS_NUMBER.fullmatch(text)]  # of no value
         self._held = math.nan
         self._newest_ns = self._speed_ns = 0
         self._speeds = 0
@@ -577,7 +169,9 @@ class TableRecords:
             if not len(block.columns[names[0]]):
                 continue
             self.warnings = tuple(self._other_units())
-            stamps, known = self._clock.stamps(block.columns, self._path, self.rows)
+            text = self._table.times.get(self._time.columns[0])
+            has_zone = text is not None and text.has_zone
+            stamps, known = self._clock.stamps(block.columns, self._path, self.rows, has_zone=has_zone)
             self._rows_before = self.rows
             self.rows += len(stamps)
             self.blank['time'] += int(np.count_nonzero(~known))
@@ -596,12 +190,9 @@ class TableRecords:
                 columns += [(source.field, source.unit, QUANTITIES[key].kind) for source in signal.sources]
         for name, unit, quantity in columns:
             stated = self._table.units.get(name, '')
-            with suppress(ValueError):
-                text = _UNIT_SIGNS.get(stated.lower(), stated)
-                # A file may write another case, such as KM/H.
-                read = find_unit(next((n for n in unit_factors(quantity) if n.lower() == text.lower()), text), quantity)
-                if read.factor != unit.factor:
-                    yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
+            read = unit_factors(quantity).get(written_unit(stated, quantity))
+            if read is not None and read != unit.factor:
+                yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 
     def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
         """Count speeds at the time of the one before; InputError if they are many: the times are too coarse."""
@@ -647,6 +238,8 @@ class TableRecords:
         feeds: list[_Feed] = []
         for quantity, signal in self._signals.items():
             raw = [numbers(columns[source.field]) for source in signal.sources]
+            if self._codes:
+                raw = [np.where(np.isin(column, self._codes), np.nan, column) for column in raw]
             if signal.function is not None:
                 made = [_Feed(quantity, -1, signal.function.of_columns(raw))]
             else:

@@ -40,9 +40,9 @@ _IMAGES: Final = ('Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'Occup
 class NumberSeries:
     """One number of the messages of one topic over time."""
 
-    topic: str  # Name of the topic, relative in a namespace
-    type: str  # Message type
-    field: str  # Path to the number, as in a mapping
+    topic: str  # Name of the topic, relative in a namespace; '' for a column of a table
+    type: str  # Message type, or the unit that a table states
+    field: str  # Path to the number, as in a mapping, or name of the column
     time: NDArray[np.float64]  # Stamps, from the first log time of the bag on [s], shape (n,)
     value: NDArray[np.float64]  # The numbers, shape (n,)
     has_stamps: bool  # Whether the stamps are of headers; if not, they are log times
@@ -51,7 +51,12 @@ class NumberSeries:
     @property
     def name(self) -> str:
         """Topic and field."""
-        return f'{self.topic} {self.field}'
+        return f'{self.topic} {self.field}'.lstrip()
+
+    @property
+    def source(self) -> str:
+        """Topic, or the column of a table."""
+        return self.topic or self.field
 
     @property
     def rate(self) -> float:
@@ -62,7 +67,7 @@ class NumberSeries:
 
 @dataclass(frozen=True, slots=True)
 class BagNumbers:
-    """The numbers of a bag."""
+    """The numbers of a bag or a table."""
 
     # All numbers that are not zero throughout; values that are not finite are left out
     series: tuple[NumberSeries, ...]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suggest a mapping for a bag, from the names of its topics and fields and from relations between its numbers.
+"""Suggest a mapping for a bag or a table, from names of topics, fields or columns and from relations of their numbers.
 
 Speed is what positions are the integral of, and forces go with its derivative; units follow from ratios.
 """
@@ -10,14 +10,16 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.inputs.mapping import QUANTITIES, find_unit, unit_factors
+from trainid_ros.inputs.mapping import QUANTITIES
+from trainid_ros.inputs.table_files import bare
+from trainid_ros.inputs.units import find_unit, unit_factors, written_unit
 from trainid_ros.inspection.number_series import (
     MIN_NUMBERS,
     PER_MILLE,
@@ -54,11 +56,12 @@ class Part:
 
     def text(self, more: str = '') -> str:
         """Return it as in a mapping file; ``more`` are further keys."""
-        words = [f'topic: {_quoted(self.series.topic)}', f'field: {_quoted(self.series.field)}']
+        words = [f'topic: {quoted(self.series.topic)}'] if self.series.topic else []
+        words.append(f'field: {quoted(self.series.field)}')
         if self.table:
             words.append(f'table: {{{", ".join(f"{raw:g}: {value:g}" for raw, value in self.table)}}}')
         else:
-            words.append(f'unit: {_quoted(self.unit)}')
+            words.append(f'unit: {quoted(self.unit)}')
         if self.sign < 0.0:
             words.append('sign: -1')
         if not self.series.has_stamps:
@@ -76,11 +79,13 @@ class Choice:
     reasons: list[str] = field(default_factory=list)  # What speaks for it
     decisions: list[str] = field(default_factory=list)  # What the reader must decide
     on_change: bool = False  # Whether commands come only when they change
+    head: str = ''  # What it is in place of sources
 
     def lines(self) -> list[str]:
         """Return its lines in the file."""
         heads = [f'{self.quantity}: {described(part.series)}' for part in self.parts]
-        said = [*(heads or [f'{self.quantity}: not on a topic']), *(f'  {reason}' for reason in self.reasons)]
+        said = heads or [self.head or f'{self.quantity}: not on a topic']
+        said += [f'  {reason}' for reason in self.reasons]
         said += [f'  decide: {decision}' for decision in self.decisions]
         return [*map(comment, said), *self._body()]
 
@@ -117,35 +122,47 @@ def comment(text: str) -> str:
 
 def described(series: NumberSeries) -> str:
     """Return topic, field, type and rate of a series."""
-    rate = '' if math.isnan(series.rate) else f', {series.rate:.3g} Hz'
-    return f'{series.name} ({series.type}{rate})'
+    rate = '' if math.isnan(series.rate) else f'{series.rate:.3g} Hz'
+    return f'{series.name} ({", ".join(filter(None, (series.type, rate)))})'
 
 
-def _quoted(text: str) -> str:
-    return text if re.fullmatch(r'[A-Za-z/][A-Za-z0-9_/.]*', text) else json.dumps(text)
+def quoted(text: str) -> str:
+    """Return a text as in YAML."""
+    is_word = re.fullmatch(r'[A-Za-z/][A-Za-z0-9_/.]*', text) and text.lower() not in {'yes', 'no', 'on', 'off'}
+    return text if is_word else json.dumps(text, ensure_ascii=False)
 
 
 # Words in names that speak for a quantity.
 _WORDS: Final = {
-    'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v',
-    'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg',
-    'force': 'force effort traction tractive wrench thrust kn te zugkraft',
-    'gradient': 'gradient grade slope incline inclination permille steigung neigung',
-    'brake_command': 'brake braking notch decel deceleration handle bremse',
-    'mass': 'mass load weight payload masse',
-    'acceleration': 'acceleration accel acc',
+    'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v 速度 车速',
+    'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg strecke pk 里程'
+    ' 位置 公里标 距离',
+    'force': 'force effort traction tractive wrench thrust kn te zugkraft bremskraft kraft 牵引力 制动力',
+    'gradient': 'gradient grade slope incline inclination permille steigung neigung pente déclivité rampe 坡度',
+    'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe frein freinage 制动 制动级位',
+    'mass': 'mass load weight payload masse gewicht charge 质量 载重 重量',
+    'acceleration': 'acceleration accel acc beschleunigung accélération 加速度',
+    'time': 'time timestamp stamp utc t zeit uhrzeit zeitstempel temps heure horodatage date datum 时间 时刻',
 }
 _KNOWN: Final = {quantity: frozenset(words.split()) for quantity, words in _WORDS.items()}
+_LETTERS: Final = {'s': 'position', 'x': 'position', 'f': 'force', 'i': 'gradient', 'm': 'mass', 'a': 'acceleration'}
+"""Symbols that are the whole name of a column."""
 # Words of other measurements.
 _OTHER: Final = frozenset(
     {'temperature', 'temp', 'voltage', 'volt', 'current', 'ampere', 'pressure', 'humidity', 'battery', 'fuel'}
     | {'angular', 'orientation', 'latitude', 'longitude', 'altitude', 'heading', 'yaw', 'roll', 'rpm', 'torque'}
+    | {'lat', 'lon', 'long', 'height', 'bearing', 'sats', 'engine', 'throttle'}
 )
-_UNITS: Final = {
-    'kmh': 'km/h', 'kph': 'km/h', 'mph': 'mph', 'mps': 'm/s', 'ms': 'm/s', 'km': 'km', 'm': 'm', 'ft': 'ft', 'mi': 'mi',
-    'kn': 'kN', 'n': 'N', 'newton': 'N', 'lbf': 'lbf', 'permille': 'per_mille', 'percent': 'percent', 'pct': 'percent',
-    'deg': 'deg', 'rad': 'rad', 'kg': 'kg', 't': 't', 'ton': 't', 'tons': 't', 'tonnes': 't', 'lb': 'lb',
-}  # fmt: skip
+# Words of a speed that is demanded or allowed, or of statistics.
+_DEMANDS: Final = frozenset(
+    {'target', 'limit', 'permitted', 'setpoint', 'soll', 'sollgeschwindigkeit', 'consigne', 'average', 'mean', 'max'}
+    | {'目标速度', '目标', '限速', '限制速度'}
+)
+# Words that are parts of longer ones, the longest first.
+_PARTS: Final = re.compile(
+    '|'.join(sorted((word for word in _DEMANDS.union(*_KNOWN.values()) if len(word) > 5 or ord(word[0]) > 0x2E80),
+                    key=len, reverse=True))
+)  # fmt: skip
 _NUMBERS: Final = re.compile(r'\d+|(?<![a-z])(?:front|rear|left|right|leading|trailing|[a-f])(?![a-z])')
 
 
@@ -153,16 +170,20 @@ def words_of(name: str) -> tuple[str, ...]:
     """Return the words of a name in lower case: ``/car1/tractionForce_kN`` has car, 1, traction, force and kn."""
     text = re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', name.replace('kN', 'kn').replace('km/h', 'kmh')).lower()
     text = re.sub(r'km_?(?:per_?)?h(?![a-z])', 'kmh', text).replace('per_mille', 'permille')
-    return tuple(re.findall(r'[a-z]+|\d+', text))
+    words = re.findall(r'[^\W\d_]+|\d+', text)
+    return tuple(dict.fromkeys((*(word for word in words if ord(word[0]) < 0x2E80), *_PARTS.findall(text))))
 
 
 def score(quantity: str, topic: str, field: str) -> float:
     """Return how much a name says for a quantity [1]: up to 1 for the topic and for the field, less for other words."""
     known, topic_words, field_words = _KNOWN[quantity], words_of(topic), words_of(field)
     points = float(not known.isdisjoint(topic_words)) + float(not known.isdisjoint(field_words))
+    if not topic and _LETTERS.get(bare(field).rstrip('0123456789').lower()) == quantity:
+        points += 1.0
     words = {*topic_words, *field_words}
-    is_across = not words.isdisjoint({'y', 'z', 'w', 'lateral', 'vertical'})  # a component across the train
-    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * is_across
+    is_across = not words.isdisjoint({'y', 'z', 'w', 'lateral', 'vertical', 'vert'})  # a component across the train
+    is_demand = quantity != 'brake_command' and not words.isdisjoint(_DEMANDS)
+    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * is_across - 0.5 * is_demand
 
 
 def is_nameless(series: NumberSeries) -> bool:
@@ -170,9 +191,10 @@ def is_nameless(series: NumberSeries) -> bool:
     return all(score(quantity, series.topic, series.field) == 0.0 for quantity in _KNOWN)
 
 
-def unit_in(name: str, units: Collection[str]) -> str:
-    """Return the unit that a name states, one of those given; '' if it states none."""
-    return next((unit for word in reversed(words_of(name)) if (unit := _UNITS.get(word, '')) in units), '')
+def unit_in(series: NumberSeries, quantity: str) -> str:
+    """Return the unit of a quantity that the file or the name states; '' if they state none."""
+    texts = (series.type, *reversed(words_of(series.name)))
+    return next((unit for text in texts if (unit := written_unit(text, quantity))), '')
 
 
 def family(topic: str) -> str:
@@ -180,14 +202,17 @@ def family(topic: str) -> str:
     return _NUMBERS.sub('#', topic.lower())
 
 
-def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None) -> Suggestion:
-    """Return a mapping for the numbers of a bag with a name.
+def suggest(
+    numbers: BagNumbers, name: str, train_file: TrainFile | None = None, table: Sequence[Choice] = ()
+) -> Suggestion:
+    """Return a mapping for the numbers of a bag with a name, or of a table with choices for its time and form.
 
     The mass of the train file, if it is known, shows the unit of the force, and its line may have the gradients.
     """
     head = (
-        f'Suggested by trainid info --suggest-map for {name}: {numbers.duration_s / 60.0:.0f} min were read.',
-        'Check each line before it is used; what is left out comes from our own topic.',
+        f'Suggested by trainid {"import" if table else "info"} --suggest-map for {name}: '
+        f'{numbers.duration_s / 60.0:.0f} min were read.',
+        f'Check each line before it is used; what is left out {"is missing" if table else "comes from our own topic"}.',
     )
     own = frozenset(topic.lstrip('/') for topic in numbers.own)
     choices = tuple(choice for choice in _choices(numbers, train_file) if QUANTITIES[choice.quantity].topic not in own)
@@ -196,12 +221,12 @@ def suggest(numbers: BagNumbers, name: str, train_file: TrainFile | None = None)
     notes = [_ADVICE[name] for name in missing]
     if numbers.own:
         notes.append(f'from our own topics: {listed(sorted(own), 6)}')
-    used = {part.series.topic for choice in choices for part in choice.parts}
-    if rest := sorted({item.topic for item in numbers.series} - used - numbers.own):
+    used = {part.series.source for choice in choices for part in choice.parts}
+    if rest := sorted({item.source for item in numbers.series} - used - numbers.own):
         notes.append(f'not used: {listed(rest, 6)}')
     if numbers.left_out:
         notes.append(f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out], 6)}')
-    return Suggestion(head, choices, missing, tuple(notes))
+    return Suggestion(head, (*table, *choices), missing, tuple(notes))
 
 
 _ADVICE: Final = {
@@ -384,7 +409,7 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
 def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
     """Return the units of speed and position ('' if none fits both), the reason, and what to decide."""
     speed, position = best.speed, best.position
-    named = unit_in(speed.name, unit_factors('speed'))
+    named = unit_in(speed, 'speed')
     pairs = [
         (unit, length)
         for length, meters in (unit_factors('length').items() if position is not None else ())
@@ -392,7 +417,7 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
         if abs(best.travel.ratio * meters / meters_per_s - 1.0) < 0.04
     ]
     if position is not None and pairs:
-        also = unit_in(position.name, unit_factors('length'))
+        also = unit_in(position, 'length')
         unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
         reason = (
             f'unit {unit}: {position.name} changes by {best.travel.ratio:.4g} for each unit and '
@@ -428,7 +453,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choic
         if score('force', item.topic, item.field) <= 0.0 or item.is_whole:
             continue
         if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _MIN_CORRELATION:
-            groups.setdefault((family(item.topic), item.field, item.type), []).append(item)
+            groups.setdefault((family(item.source), item.topic and item.field, item.type), []).append(item)
     if not groups:
         return _as_force([[item] for item in _by_numbers(series, motion)], motion)
     totals = {key: _sum_at(items, motion) for key, items in groups.items()}
@@ -487,7 +512,7 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion) -> list[Choice]
 
 def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, train_file: TrainFile | None) -> str:
     """Return the unit of a force, and note the reason; ``slope`` is the acceleration for each unit [m/s^2]."""
-    named = unit_in(series.name, unit_factors('force'))
+    named = unit_in(series, 'force')
     if train_file is None:
         choice.reasons.append('unit by its name' if named else f'up to {top:.3g}')
         choice.decisions.append('the unit; with --train the mass shows it')
@@ -543,7 +568,7 @@ def _choose_gradient(
 
 def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, Choice]:
     """Return how much more of the acceleration a gradient explains [1], and the choice."""
-    named = unit_in(series.name, unit_factors('gradient'))
+    named = unit_in(series, 'gradient')
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
     unit, sign = named or _unit_by_range('gradient', top), 1.0
     permille, gain = _slowing(series, motion, total)
@@ -581,7 +606,7 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
         value = float(np.median(item.value))
         if score('mass', item.topic, item.field) <= 0.0 or value <= 0.0:
             continue
-        named = unit_in(item.name, unit_factors('mass'))
+        named = unit_in(item, 'mass')
         choice = Choice('mass', reasons=[f'median {value:.4g}'])
         if train_file is None:
             unit = named or _unit_by_range('mass', value)
@@ -691,8 +716,9 @@ def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_
     braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MIN_BRAKING)
     ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
     sign = 1.0 if ratio > 0.0 else -1.0
-    named = unit_in(item.name, ('percent',))
-    if not named and top <= 3.0 and 0.5 < abs(ratio) < 2.0:  # m/s^2, more than a brake gives
+    if (
+        unit_in(item, 'gradient') != 'percent' and top <= 3.0 and 0.5 < abs(ratio) < 2.0
+    ):  # m/s^2, more than a brake gives
         choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
         choice.parts = (Part(item, 'm/s^2', sign),)
         return

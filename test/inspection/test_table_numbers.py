@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suggested mappings of tables: which column is the time, and names and units of several languages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from trainid_ros.inputs.mapped_inputs import MappedInputs
+from trainid_ros.inputs.mapping import load_table_mapping
+from trainid_ros.inputs.tables import TableRecords
+from trainid_ros.inspection.suggest import Suggestion, suggest
+from trainid_ros.inspection.table_numbers import read_table
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S, SpeedRecord
+from trainid_ros.train.train_file import TrainFile
+
+START = datetime(2023, 11, 14, 23, 13, 20, tzinfo=UTC)
+START_NS = 1_700_003_600 * NS_PER_S
+HZ = 5
+COUNT = 80 * HZ
+Row = tuple[float, float, float, float, float, float]
+
+
+def driven() -> list[Row]:
+    """Return rows of 300 t on a line with a slope: time, speed, position, force, gradient, brake, in SI units."""
+    rows, speed, position = [], 0.0, 100.0
+    for k in range(COUNT):
+        t = k / HZ
+        gradient = 12.0 if 300.0 < position < 500.0 else 0.0
+        brake = 0.0 if t < 45.0 else 0.3 if t < 55.0 else 0.8 if t < 62.0 else 0.0
+        force = 250e3 if t < 25.0 else 20e3 if t < 45.0 else -324e3 * brake
+        rows.append((t, speed, position, force, gradient, brake))
+        slope = force / 324e3 - 0.0091 * gradient - 0.02 - 0.00003 * speed**2
+        position += speed / HZ
+        speed = max(0.0, speed + slope / HZ)
+    return rows
+
+
+@pytest.fixture(scope='module')
+def rows() -> list[Row]:
+    return driven()
+
+
+def write(path: Path, head: str, rows: list[Row], line: Callable[..., str], encoding: str = 'utf-8') -> Path:
+    path.write_bytes('\n'.join((head, *(line(*row) for row in rows))).encode(encoding))
+    return path
+
+
+def text_of(path: Path, train_file: TrainFile | None = None) -> Suggestion:
+    numbers, choices = read_table(path)
+    return suggest(numbers, path.name, train_file, choices)
+
+
+def lines_of(suggestion: Suggestion) -> list[str]:
+    """Return the lines of a mapping without comments."""
+    return [line for line in suggestion.text().splitlines() if line and not line.startswith('#')]
+
+
+def clock(t: float, form: str) -> str:
+    return (START + timedelta(seconds=t)).strftime(form)
+
+
+def english(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
+    return f'{t:.1f},{2.23694 * v:.3f},{x / 1609.344:.5f},{f / 1e3:.1f},{i / 10.0:.2f},{b:.2f}'
+
+
+def german(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
+    numbers = f'{3.6 * v + 1.0:.2f};{3.6 * v:.2f};{x:.1f};{f / 1e3:.1f};{i:.2f};{b / 0.01:.1f}'.replace('.', ',')
+    return f'{clock(t, "%d.%m.%y %H:%M:%S.%f")};{numbers}'
+
+
+def french(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
+    return f'{clock(t, "%d/%m/%Y %H:%M:%S.%f")};{3.6 * v:.2f};{x / 1e3:.5f};{f / 2e3:.1f};{f / 2e3:.1f};{i:.2f};{b:.2f}'
+
+
+def chinese(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
+    notch = 0 if b == 0.0 else 1 if b < 0.5 else 2
+    return f'{clock(t, "%Y/%m/%d %H:%M:%S.%f")},{3.6 * v:.2f},80,{0.1 * v:.2f},{x:.1f},{f / 1e3:.1f},{i:.2f},{notch}'
+
+
+@pytest.mark.parametrize(
+    ('head', 'line', 'encoding', 'expected'),
+    [
+        (
+            'Time (s),Speed (mph),Distance (mi),Tractive effort (kN),Grade (%),Brake demand (m/s²)',
+            english,
+            'utf-8',
+            [
+                'time: {field: "Time (s)", unit: s}',
+                'speed: {field: "Speed (mph)", unit: mph}',
+                'position: {field: "Distance (mi)", unit: mi}',
+                'force: {field: "Tractive effort (kN)", unit: kN}',
+                'gradient: {field: "Grade (%)", unit: percent}',
+                'brake_command: {field: "Brake demand (m/s²)", unit: "m/s^2", sign: -1}',
+            ],
+        ),
+        (
+            'Zeit;Sollgeschwindigkeit;Istgeschwindigkeit;Weg;Zugkraft;Längsneigung;Bremse\n;km/h;km/h;m;kN;‰;%',
+            german,
+            'cp1252',
+            [
+                'time: {field: Zeit}',
+                'speed: {field: Istgeschwindigkeit, unit: km/h}',
+                'position: {field: Weg, unit: m}',
+                'force: {field: Zugkraft, unit: kN}',
+                'gradient: {field: "Längsneigung", unit: per_mille}',
+                'brake_command: {field: Bremse, unit: "percent_of 1 m/s^2", sign: -1}',
+            ],
+        ),
+        (
+            'Horodatage;Vitesse;PK;Effort 1;Effort 2;Déclivité;Freinage',
+            french,
+            'utf-8-sig',
+            [
+                'time: {field: Horodatage}',
+                'speed: {field: Vitesse, unit: km/h}',
+                'position: {field: PK, unit: km}',
+                'force:',
+                '    - {field: "Effort 1", unit: kN}',
+                '    - {field: "Effort 2", unit: kN}',
+                'gradient: {field: "Déclivité", unit: per_mille}',
+                'brake_command: {field: Freinage, unit: "m/s^2", sign: -1}',
+            ],
+        ),
+        (
+            '时间,速度,限速,加速度,里程(米),牵引力(千牛),坡度(‰),制动级位',
+            chinese,
+            'gb18030',
+            [
+                'time: {field: "时间"}',
+                'speed: {field: "速度", unit: km/h}',
+                'position: {field: "里程(米)", unit: m}',
+                'force: {field: "牵引力(千牛)", unit: kN}',
+                'gradient: {field: "坡度(‰)", unit: per_mille}',
+                'brake_command: {field: "制动级位", table: {0: 0, 1: -0.3, 2: -0.8}}',
+            ],
+        ),
+    ],
+)
+def test_a_table_is_mapped_by_names_units_and_numbers(
+    tmp_path: Path, rows: list[Row], metro: TrainFile, head: str, line: Callable[..., str], encoding: str,
+    expected: list[str],
+) -> None:  # fmt: skip
+    path = write(tmp_path / 'log.csv', head, rows, line, encoding)
+    train = TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance)
+    suggestion = text_of(path, train)
+    assert set(expected) <= set(lines_of(suggestion))
+    assert not suggestion.missing
+    (tmp_path / 'map.yaml').write_text(suggestion.text(), encoding='utf-8')
+    records = TableRecords(path, MappedInputs(load_table_mapping(tmp_path / 'map.yaml'), train))
+    speeds = [record for _, some in records.blocks() for _, record in some if isinstance(record, SpeedRecord)]
+    assert [record.speed for record in speeds] == pytest.approx([row[1] for row in rows], abs=0.01)
+
+
+TIMES = [
+    ('t', lambda t: f'{1e3 * t:.0f}', 'unit: ms', 'only by its steps of 200'),
+    ('stamp', lambda t: f'{1_700_000_000_000 + 1e3 * t:.0f}', 'unit: ms', 'since 1970'),
+    ('t [us]', lambda t: f'{1e6 * t:.0f}', 'unit: us', 'stated'),
+    ('utc', lambda t: clock(t, '%H%M%S.%f'), 'format: HHMMSS', 'start: 2024'),
+    ('Datum', lambda t: f'{45_244 + t / 86_400.0:.9f}', 'format: excel', 'zone: Europe'),
+    ('Date', lambda t: clock(t, '04/03/2023 %I:%M:%S.%f %p'), "format: '%d/%m/%Y'", 'several orders'),
+    ('clock', lambda t: clock(t, '%H:%M:%S.%f'), '', 'start: 2024'),
+    ('x', lambda t: clock(t, '%Y-%m-%dT%H:%M:%S.%fZ'), '', ''),
+]
+
+
+@pytest.mark.parametrize(('name', 'cell', 'form', 'said'), TIMES, ids=[entry[0] for entry in TIMES])
+def test_the_time_is_found_with_its_form(
+    tmp_path: Path, rows: list[Row], name: str, cell: Callable[[float], str], form: str, said: str
+) -> None:
+    path = write(tmp_path / 'log.csv', f'No,{name},v,note', rows, lambda t, v, *_: f'{HZ * t:.0f},{cell(t)},{v:.3f},ok')
+    numbers, (time, *_) = read_table(path)
+    field = f'"{name}"' if ' ' in name else name
+    assert time.text == f'{{field: {field}{form and ", "}{form}}}'
+    assert said in ' '.join((*time.reasons, *time.decisions))
+    assert numbers.duration_s == pytest.approx((COUNT - 1) / HZ)
+    assert numbers.left_out == (('note', 'no numbers or times'),)
+
+
+def test_a_file_without_a_time_is_refused(tmp_path: Path, rows: list[Row]) -> None:
+    path = write(tmp_path / 'log.csv', 'v;F', rows, lambda _t, v, _x, f, *_: f'{v:.3f};{f:.1f}')
+    with pytest.raises(InputError, match=r'log\.csv: no column is a time \(columns: v, F\)'):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ('cell', 'said'),
+    [('1.{:03d}', 'v: all numbers are like 1.250'), ('1,{:03d}', 'a comma before three digits')],
+)
+def test_numbers_that_may_be_others_are_a_doubt(tmp_path: Path, rows: list[Row], cell: str, said: str) -> None:
+    path = write(tmp_path / 'log.csv', 't;v', rows, lambda t, *_: f'{HZ * t:.0f};{cell.format(round(HZ * t))}')
+    _, (_, csv) = read_table(path)
+    assert said in csv.decisions[0]
+    assert csv.text == ('{decimal: ","}' if ',' in cell else '')
+
+
+@pytest.mark.parametrize('suffix', ['npz', 'parquet'])
+def test_other_files_are_read_too(tmp_path: Path, rows: list[Row], suffix: str) -> None:
+    t, v, x, f, *_ = np.array(rows).T
+    columns = {'t': t, 'speed': v, 'x': x, 'F': f / 1e3}
+    path = tmp_path / f'log.{suffix}'
+    if suffix == 'npz':
+        np.savez(path, note=np.zeros((2, 2)), **columns)
+    else:
+        parquet.write_table(pa.table({**columns, 'note': ['ok'] * len(t)}), path)
+    expected = ['time: {field: t, unit: s}', 'speed: {field: speed, unit: m/s}', 'position: {field: x, unit: m}']
+    found = lines_of(text_of(path))
+    assert found == [*expected, 'force: {field: F, unit: kN}']

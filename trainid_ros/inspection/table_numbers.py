@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers of a table over time, and which of its columns is the time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.inputs.mapping import CsvFormat, Mapping, TimeColumn
+from trainid_ros.inputs.table_files import VBOX_SUFFIX, Column, CsvTable, joined, open_table
+from trainid_ros.inputs.tables import Clock
+from trainid_ros.inputs.times import CLOCK, EXCEL, UnclearError
+from trainid_ros.inputs.units import find_unit
+from trainid_ros.inspection.number_series import BagNumbers, NumberSeries
+from trainid_ros.inspection.suggest import Choice, quoted, score, unit_in
+from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.text import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+_BLOCKS: Final = 10  # of rows that are read
+_MAX_NOTCHES: Final = 16  # whole numbers of more values are measurements
+
+
+def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
+    """Return the numbers in the first rows of a table, and what a mapping says of its time and form.
+
+    InputError if it cannot be read, or no column is a time.
+    """
+    reader = _Reader(path)
+    names = open_table(path, reader.mapping).names()
+    columns = reader.columns(names)
+    rows = max((len(column) for column in columns.values()), default=0)
+    columns = {name: column for name, column in columns.items() if len(column) == rows}
+    series = {name: _series(name, column, reader.units.get(name, '')) for name, column in columns.items()}
+    points = {name: _points(column, series[name]) for name, column in columns.items()}
+    name = max(points, key=lambda name: points[name], default='')
+    if not name or points[name] <= 0.0:
+        raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
+    choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
+    time = (stamps - stamps[known][0]) / NS_PER_S
+    found = tuple(
+        replace(item, time=time[rows_of], value=np.asarray(column[rows_of], dtype=np.float64))
+        for item, column in ((series[other], column) for other, column in columns.items() if column.dtype.kind in 'if')
+        if np.any(column[rows_of := known & np.isfinite(column)] != 0)
+    )
+    numbers = BagNumbers(found, frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
+    return numbers, (choice, *reader.form())
+
+
+def _series(name: str, column: Column, unit: str) -> NumberSeries:
+    is_whole = column.dtype.kind == 'i' and len(np.unique(column[:1000])) <= _MAX_NOTCHES
+    return NumberSeries('', unit, name, np.empty(0), np.empty(0), has_stamps=True, is_whole=is_whole)
+
+
+class _Reader:
+    def __init__(self, path: Path) -> None:
+        self.mapping = Mapping()
+        self.units: dict[str, str] = {}  # that the file states, by column
+        self.zoned: set[str] = set()  # columns of times with a zone
+        self.forms: dict[str, UnclearError] = {}  # columns of dates that may be read in several ways
+        self.left_out: list[tuple[str, str]] = []
+        self.is_vbox = path.suffix.lower() == VBOX_SUFFIX
+        self._path = path
+        self._decimal: UnclearError | None = None
+
+    def columns(self, names: Sequence[str], form: str = '') -> dict[str, Column]:
+        """Return the columns that can be read; ``form`` is that of a single one with times."""
+        time = TimeColumn(tuple(names), find_unit('s', 'time'), format=form) if form else None
+        table = open_table(self._path, replace(self.mapping, time=time))
+        try:
+            found = joined(islice(table.blocks(names), _BLOCKS), names)
+        except InputError as error:
+            if isinstance(error, UnclearError) and error.choice == ',':
+                self.mapping, self._decimal = Mapping(csv=CsvFormat(decimal=',')), error
+                return self.columns(names)
+            if len(names) > 1:
+                half = len(names) // 2
+                return self.columns(names[:half]) | self.columns(names[half:])
+            if isinstance(error, UnclearError):
+                self.forms[names[0]] = error
+                return self.columns(names, error.choice)
+            self.left_out.append((names[0], 'no numbers or times'))
+            return {}
+        self.units |= table.units
+        self.zoned |= {name for name, times in table.times.items() if times.has_zone}
+        return found
+
+    def form(self) -> list[Choice]:
+        """Return what a mapping says of the form of the file."""
+        table = open_table(self._path, self.mapping)
+        if self._decimal is not None:
+            problem = str(self._decimal).removeprefix(f'{self._path}: ')
+            return [Choice('csv', text='{decimal: ","}', head='csv: as written', decisions=[problem])]
+        read = [name for name in table.names() if name not in dict(self.left_out)]
+        grouped = table.grouped(read) if isinstance(table, CsvTable) else []
+        problem = f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
+        return [Choice('csv', head='csv: as found', decisions=[problem])] if grouped else []
+
+
+def _points(column: Column, series: NumberSeries) -> float:
+    """Return how much speaks for a column as the time: its name and unit, and that it rises, evenly."""
+    numbers = column.astype('datetime64[ns]').astype(np.int64) if column.dtype.kind in 'mM' else column
+    steps = np.diff(numbers[np.isfinite(column)].astype(np.float64))
+    if steps.size < 2 or np.mean(steps > 0.0) < 0.5 or np.mean(steps >= 0.0) < 0.9:
+        return 0.0
+    named = 2.0 * score('time', '', series.field) + float(bool(series.type and unit_in(series, 'time')))
+    even = float(np.mean(np.abs(steps - np.median(steps)) < 0.1 * np.median(steps)))
+    return named + {'M': 2.0, 'm': 1.0}.get(column.dtype.kind, 0.0) + (even if even > 0.9 else 0.1 * bool(named))
+
+
+def _time(
+    series: NumberSeries, column: Column, reader: _Reader, points: dict[str, float]
+) -> tuple[Choice, tuple[Column, Column]]:
+    """Return the choice of the time, and its stamps with which are known."""
+    name, choice = series.field, Choice('time', head=f'time: {series.field}')
+    unit, form, words = 's', '', [f'field: {quoted(series.field)}']
+    if column.dtype.kind in 'if':
+        unit, form = _unit_of_time(series, column[np.isfinite(column)].astype(np.float64), choice, reader)
+        words.append(f'format: {form}' if form else f'unit: {unit}')
+    elif name in reader.forms:
+        form = reader.forms[name].choice
+        words.append(f"format: '{form}'")
+        choice.decisions.append(str(reader.forms[name]).partition(' = ')[2])
+    if (column.dtype.kind == 'M' or form == EXCEL) and name not in reader.zoned:
+        choice.decisions.append('the zone of its clock, such as zone: Europe/Berlin; it is taken for UTC')
+    elif form == CLOCK or column.dtype.kind == 'm':
+        choice.decisions.append('the day, such as start: 2024-03-08T00:00:00Z; it is taken for 2000-01-01')
+    choice.text = f'{{{", ".join(words)}}}'
+    others = [other for other, value in points.items() if value > 0.9 and other != name]
+    choice.decisions += [f'also like a time: {listed(others, 3)}'] if others else []
+    clock = Clock(TimeColumn((name,), find_unit(unit, 'time'), format=form))
+    return choice, clock.stamps({name: column}, name, 0, has_zone=True)
+
+
+# Since 1970 the least number in each unit [ns to s], from 1973 on, and the largest step from row to row in it.
+_SINCE_1970: Final = {'ns': 1e17, 'us': 1e14, 'ms': 1e11, 's': 1e8}
+_STEPS: Final = {'s': 2.0, 'ms': 2e3, 'us': 2e6, 'ns': np.inf}
+
+
+def _unit_of_time(series: NumberSeries, numbers: Column, choice: Choice, reader: _Reader) -> tuple[str, str]:
+    """Return the unit and the form of a time in numbers."""
+    if stated := unit_in(series, 'time'):
+        choice.reasons.append(f'unit {stated}: stated by the file')
+        return stated, ''
+    top, steps = float(np.median(numbers)), np.diff(numbers)
+    step = float(np.median(steps[steps > 0.0]))
+    parts = numbers // 10_000 / 24.0, numbers // 100 % 100 / 60.0, numbers % 100 / 60.0
+    is_clock = all(np.all((part >= 0.0) & (part < 1.0)) for part in parts)
+    # At each full minute such numbers jump by 40 more.
+    if is_clock and (reader.is_vbox or np.any((steps > 40.0) & (steps < 41.0 + step))):
+        choice.reasons.append(f'hours, minutes and seconds, such as {numbers[0]:.10g}')
+        return 's', CLOCK
+    if 20_000.0 < top < 60_000.0 and step < 1e-3:
+        choice.reasons.append(f'days of a spreadsheet, such as {numbers[0]:.10g}')
+        return 's', EXCEL
+    for unit, least in _SINCE_1970.items():
+        if top > least:
+            choice.reasons.append(f'unit {unit}: since 1970 by its size')
+            return unit, ''
+    unit = next(unit for unit, most in _STEPS.items() if step <= most)
+    choice.decisions.append(f'unit {unit} is only by its steps of {step:.3g}')
+    return unit, ''
