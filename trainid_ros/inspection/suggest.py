@@ -139,7 +139,8 @@ _WORDS: Final = {
     ' 位置 公里标 距离',
     'force': 'force effort traction tractive wrench thrust kn te zugkraft bremskraft kraft 牵引力 制动力',
     'gradient': 'gradient grade slope incline inclination permille steigung neigung pente déclivité rampe 坡度',
-    'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe frein freinage 制动 制动级位',
+    'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe bremsvorgabe'
+    ' bremsanforderung bremsstellung frein freinage 制动 制动级位',
     'mass': 'mass load weight payload masse gewicht charge 质量 载重 重量',
     'acceleration': 'acceleration accel acc beschleunigung accélération 加速度',
     'time': 'time timestamp stamp utc t zeit uhrzeit zeitstempel temps heure horodatage date datum 时间 时刻',

@@ -45,12 +45,16 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
         raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
     choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
     time = (stamps - stamps[known][0]) / NS_PER_S
-    found = tuple(
-        replace(item, time=time[rows_of], value=np.asarray(column[rows_of], dtype=np.float64))
-        for item, column in ((series[other], column) for other, column in columns.items() if column.dtype.kind in 'if')
-        if np.any(column[rows_of := known & np.isfinite(column)] != 0)
-    )
-    numbers = BagNumbers(found, frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
+    found = []
+    for other, column in columns.items():
+        if column.dtype.kind not in 'if' or not np.any(rows_of := known & np.isfinite(column)):
+            continue
+        if np.any(column[rows_of] != 0):
+            values = np.asarray(column[rows_of], dtype=np.float64)
+            found.append(replace(series[other], time=time[rows_of], value=values))
+        else:
+            reader.left_out.append((other, 'always 0'))
+    numbers = BagNumbers(tuple(found), frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
     return numbers, (choice, *reader.form())
 
 
