@@ -103,6 +103,13 @@ def test_a_train_that_has_stopped_stands_until_it_is_driven() -> None:
     assert again[1].value > 10.0
 
 
+def test_noise_does_not_move_a_train_that_is_held() -> None:
+    model = TrainModel(None, METRO)
+    stds = [value.std for value in model.predict((8.5, 9.5, 40.0), speed=8.0, command=-1.0)]
+    assert stds[0] > stds[1] > stds[2]
+    assert stds[2] < 1e-3
+
+
 def test_a_command_given_before_now_acts_sooner() -> None:
     model = TrainModel(None, METRO)
     now, before, long_ago = (

@@ -11,13 +11,15 @@ correlated over a length. Over the time t, with the time T in which the train ru
 
     k std(i) T sqrt(2 (t / T - 1 + exp(-t / T))).
 
-The train stands still where it is slowed down to zero; it does not roll back.
+The train stands still where it is slowed down to zero; it does not roll back, and noise moves it only beyond the
+impulse by which forces have held it since then.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 
 _STEP_S: Final = 0.5
 """Longest step of the integration [s]; the brake's lag is exact within it."""
+_NORMAL: Final = NormalDist()
 _LONG_AGO_S: Final = 1e4  # no brake has a longer dead time [s]
 
 
@@ -63,23 +66,36 @@ def predicted_speeds(
     dt = float(times[1])
     force = np.diff(_integral(plan.force, times, 0.0)) / dt
     brake = _brake(plan, times, theta)
-    v, run = np.full(len(scales), speed), np.zeros(len(scales))
-    speeds, runs = [v], [0.0]
+    v, run, held = np.full(len(scales), speed), np.zeros(len(scales)), 0.0
+    speeds, runs, margins = [v], [0.0], [0.0]
     for k in range(count):
         drive = scales * force[k] if force[k] > 0.0 else force[k]
         middle = np.maximum(0.0, v + 0.5 * dt * (drive - _deceleration(shape, theta, v, brake[k], run)))
         middle_run = run + 0.25 * dt * (v + middle)
-        after = np.maximum(0.0, v + dt * (drive - _deceleration(shape, theta, middle, brake[k], middle_run)))
+        unbounded = v + dt * (drive - _deceleration(shape, theta, middle, brake[k], middle_run))
+        after = np.maximum(0.0, unbounded)
+        held = max(0.0, held - float(unbounded[0])) if after[0] == 0.0 else 0.0
         run = run + 0.5 * dt * (v + after)
         v = after
         speeds.append(v)
         runs.append(float(run[0]))
+        margins.append(held)
     members = np.array([[np.interp(t, times, column) for column in np.transpose(speeds)] for t in horizons])
     size = (len(scales) - 1) // 2
     shares = 0.5 * (members[:, 1 : 1 + size] - members[:, 1 + size :])
-    noise = [_noise(t, float(np.interp(t, times, runs)), shape.k, known, config) for t in horizons]
+    passed, margin = (np.interp(horizons, times, x).tolist() for x in (runs, margins))
+    moved = (_noise(t, run, shape.k, known, config) for t, run in zip(horizons, passed, strict=True))
+    noise = [_beyond(held, std) for held, std in zip(margin, moved, strict=True)]
     stds = np.sqrt(np.sum(shares * shares, axis=1) + np.square(noise))
     return list(zip(members[:, 0].tolist(), stds.tolist(), strict=True))
+
+
+def _beyond(margin: float, std: float) -> float:
+    """Return the rms of a speed by which noise exceeds the margin [m/s] that holds a train at rest; 0: it runs."""
+    if margin == 0.0 or std == 0.0:
+        return std
+    z = margin / std
+    return std * math.sqrt(max(0.0, (1.0 + z * z) * _NORMAL.cdf(-z) - z * _NORMAL.pdf(z)))
 
 
 def _members(known: StopPosterior, scale: tuple[float, float]) -> tuple[Array, Array]:
