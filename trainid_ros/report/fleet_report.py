@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from trainid_ros.fleet.changes import Level
 from trainid_ros.fleet.mixed_model import MIN_TRAINS
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.report import page
-from trainid_ros.report.words import DASH, plus_minus
+from trainid_ros.report.words import DASH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
