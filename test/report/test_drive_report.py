@@ -27,7 +27,7 @@ from trainid_ros.report.drive_report import (
     score_resistance,
     write_report,
 )
-from trainid_ros.report.page import styled_figure, to_svg
+from trainid_ros.report.page import keep_room, styled_figure, to_svg
 from trainid_ros.report.recording import CONTRADICTED, GAP, Recorder, Span
 from trainid_ros.report.verdict import Level, Verdict
 from trainid_ros.sim.truth import Truth
@@ -148,6 +148,17 @@ def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -
     text = render_report(bad, (chapter, chapter))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;&amp;') >= 10
+
+
+def test_an_axis_does_not_magnify_what_is_no_difference() -> None:
+    with styled_figure(1.0) as figure:
+        axes = figure.subplots()
+        for low, high, least, expected in ((3.757443, 3.757444, 0.1, 0.2), (3.0, 4.0, 0.1, 1.0)):
+            axes.set_ylim(low, high)
+            keep_room(axes, least)
+            bottom, top = axes.get_ylim()
+            assert top - bottom == pytest.approx(expected)
+            assert bottom <= low < high <= top
 
 
 def test_the_label_of_a_figure_is_no_markup() -> None:

@@ -28,9 +28,9 @@ def result(estimate: Any, status: Status, **options: Any) -> Result[Any]:
 
 def drive(*statuses: Status, contradiction: Contradiction | None = None, **options: Any) -> Replay:
     estimates = (RESISTANCE, MODEL, BRAKE)
-    results = [result(e, status, **options) for e, status in zip(estimates, statuses, strict=True)]
+    first, second, third = (result(e, status, **options) for e, status in zip(estimates, statuses, strict=True))
     adhesion = Output(1, ADHESION, Status.VALID, 1, 0, None)
-    return Replay(1000, 40.0, *results, adhesion, contradiction or Contradiction())
+    return Replay(1000, 40.0, first, second, third, adhesion, contradiction or Contradiction())
 
 
 def verdict(outcome: Replay) -> Verdict:

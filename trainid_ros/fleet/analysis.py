@@ -18,14 +18,25 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.fleet.changes import Cause, Change, Departure, Series, causes_of, departures, find_changes, usual_days
+from trainid_ros.fleet.changes import (
+    MIN_AFTER,
+    Cause,
+    Change,
+    Departure,
+    Series,
+    causes_of,
+    departures,
+    find_changes,
+    usual_days,
+)
 from trainid_ros.fleet.mixed_model import CHANNELS, ROUNDS, cells_of, fit, has_estimate, labels_of, robust_std
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError, TrainIdError
+from trainid_ros.interface.text import listed, pluralise
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.fleet.mixed_model import Array, Cells, Channel, Flags, Labels, MixedFit
@@ -100,6 +111,7 @@ class FleetView:
     trains: tuple[TrainView, ...]  # Its trains by evidence, the strongest first
     # Trains with runs that were left out as their inputs contradict each other, with how many
     contradicted: tuple[tuple[str, int], ...] = ()
+    hidden: tuple[str, ...] = ()  # What cannot be seen yet, and why, as sentences
 
     @property
     def found(self) -> tuple[TrainView, ...]:
@@ -125,7 +137,37 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
     contradicted = Counter(row['train'] for row in rows if has_estimate(row) and row['contradiction'])
     ranked = tuple(sorted(trains, key=lambda train: (-train.evidence, train.name)))
-    return FleetView(labels, views, ranked, tuple(contradicted.most_common()))
+    hidden = (*_hidden_trains(rows, labels, ranked), *_hidden_channels(views))
+    return FleetView(labels, views, ranked, tuple(contradicted.most_common()), hidden)
+
+
+def _hidden_trains(rows: Sequence[Row], labels: Labels, trains: Sequence[TrainView]) -> Iterator[str]:
+    """Yield which changes and trains cannot be seen yet, with the reason."""
+    days, needed = labels.days, MIN_AFTER + 1
+    last: dict[str, list[str]] = defaultdict(list)
+    few: dict[str, int] = {}
+    for train in sorted(trains, key=lambda train: train.name):
+        seen = np.flatnonzero(np.isfinite([series.value for series in train.series]).any(axis=0))
+        if seen.size < needed:
+            few[train.name] = int(seen.size)
+        else:
+            last[days[seen[-1]]].append(train.name)
+    for day, names in sorted(last.items(), reverse=True)[:3]:
+        who = '' if len(names) == len(trains) else f' of {listed(names, 5)}'
+        yield f'What began{who} on {day} or later: a change needs {MIN_AFTER} days of data.'
+    if few:
+        who = listed([f'{name} ({pluralise(count, "day")})' for name, count in few.items()], 5)
+        yield f'Changes of {who}: there must be {needed} days of data.'
+    unused = {row['train']: row for row in rows if row['train'] and row['train'] not in labels.trains}
+    for name, row in sorted(unused.items())[:5]:
+        why = row['contradiction'] or row['error'] or 'its day is not known'
+        yield f'Train {name}: no run can be used ({why}).'
+
+
+def _hidden_channels(views: Sequence[ChannelView]) -> Iterator[str]:
+    missing = [channel.title for channel in CHANNELS if channel not in [view.channel for view in views]]
+    if missing:
+        yield f'Changes of {" and ".join(missing)}: fewer than {_MIN_CELLS} days of trains have a value.'
 
 
 def _fit_and_test(

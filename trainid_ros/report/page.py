@@ -209,6 +209,13 @@ def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
     axes.set_ylim(low - room, high + room)
 
 
+def keep_room(axes: Axes, least: float) -> None:
+    """Widen the value axis until it shows at least so much on either side of its middle."""
+    low, high = axes.get_ylim()
+    middle = 0.5 * (low + high)
+    axes.set_ylim(min(low, middle - least), max(high, middle + least))
+
+
 def time_axis(axes: Axes, duration_s: float) -> None:
     """Label a time axis in minutes."""
     axes.set_xlim(0.0, max(duration_s / 60.0, 1e-3))
