@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -49,6 +51,12 @@ def test_a_fault_of_a_ratio_multiplies_that_of_the_train() -> None:
     pads = parse_fault('T01:brake_scale:ratio=0.8:2', 2, 5).effects
     rates = [drive(fleet(), train, day, faults, runs=1).truth.brake_rate[0][1] for faults in ((), pads)]
     assert rates[1] == pytest.approx(0.8 * rates[0])
+
+
+def test_the_faults_of_the_page_are_some() -> None:
+    text = (Path(__file__).parents[2] / 'docs' / 'simulator.md').read_text(encoding='utf-8')
+    found = [parse_fault(name, 8, 8) for name in re.findall(r'(?m)^\| .*\| `(T.*)` \|$', text)]
+    assert len(found) == 6
 
 
 @pytest.mark.parametrize(
