@@ -46,4 +46,4 @@ def drive(
 ) -> Simulation:
     """Simulate one drive of a train; a fault acts if it is given."""
     effects = () if fault is None else (fault.effect,)
-    return fleet.drive(fleet.Fleet(WORLDS['metro'], stated_train(), seed), train, day, effects, runs, run)
+    return fleet.drive(fleet.Fleet(WORLDS['metro'], world_train(WORLDS['metro']), seed), train, day, effects, runs, run)

@@ -87,7 +87,7 @@ def test_what_cannot_be_seen_yet_is_said_with_the_reason() -> None:
     assert hidden == (
         'What began of T00, T04, T05 on 2026-03-06 or later: a change needs 2 days of data.',
         'What began of T02 on 2026-03-04 or later: a change needs 2 days of data.',
-        'Changes of T01 (2 days): there must be 3 days of data.',
+        'Changes of T01: there must be 3 days of data.',
         'Train T03: no run can be used (no speed).',
         'Changes of wheel ratio: fewer than 4 days of trains have a value.',
     )

@@ -11,13 +11,13 @@ import pytest
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord
-from trainid_ros.sim.fleet import DAY_S, Fleet, draw_day, draw_train, drive, fleet_train, parse_fault
+from trainid_ros.sim.fleet import DAY_S, Fleet, draw_day, draw_train, drive, parse_fault
 from trainid_ros.sim.scenario import Simulation
 from trainid_ros.sim.worlds import WORLDS, world_train
 
 
 def fleet() -> Fleet:
-    return Fleet(WORLDS['metro'], fleet_train(world_train(WORLDS['metro'])), 3)
+    return Fleet(WORLDS['metro'], world_train(WORLDS['metro']), 3)
 
 
 def wheel_ratio(simulation: Simulation) -> float:
@@ -37,7 +37,7 @@ def test_a_train_is_the_same_each_day_and_a_fault_comes_on_top() -> None:
         for day, effects in ((0, ()), (1, ()), (fault.day, fault.effects))
     ]
     first, second, broken = map(wheel_ratio, drives)
-    assert first == pytest.approx(train.wheel_ratio, abs=2e-3)
+    assert first == pytest.approx(train.unknowns.wheel_ratio, abs=2e-3)
     assert second == pytest.approx(first, abs=2e-3)
     assert broken / second == pytest.approx(1.03, abs=2e-3)
     days = [simulation.records[0].stamp_ns // (DAY_S * NS_PER_S) for simulation in drives]

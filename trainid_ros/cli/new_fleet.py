@@ -42,15 +42,14 @@ def run(args: argparse.Namespace) -> int:
     days = args.days or 10
     faults = [parse_fault(text, args.fleet, days) for text in args.fault]
     world = find_world(args.world or 'metro')
-    stated = fleet_train(load_train_file(args.train) if args.train else world_train(world))
-    fleet = Fleet(world, stated, args.seed)
+    fleet = Fleet(world, load_train_file(args.train) if args.train else world_train(world), args.seed)
     if args.out.exists():
         raise InputError(f'{args.out}: exists already and is not overwritten')
     args.out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f'.{args.out.name}.', dir=args.out.parent) as name:
         folder = Path(name) / args.out.name
         folder.mkdir()
-        (folder / new_bag.TRAIN_FILE).write_text(dump_train_file(stated), encoding='utf-8')
+        (folder / new_bag.TRAIN_FILE).write_text(dump_train_file(fleet_train(fleet.file)), encoding='utf-8')
         work, numbers = partial(_simulate, fleet, faults, args.runs, days, folder), range(1, args.fleet + 1)
         with progress('simulating', total=args.fleet * days, unit='bags') as advance:
             deque(each_bag(work, numbers, processors(), lambda share: advance(share * days), _killed), maxlen=0)

@@ -5,61 +5,55 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.sim.plant import GustModel
-from trainid_ros.sim.scenario import Scenario, SensorModel, Simulation, simulate
-from trainid_ros.sim.worlds import World
+from trainid_ros.sim.scenario import SensorModel, Simulation, simulate
+from trainid_ros.sim.worlds import Unknowns, World, case_of, stated_train
 from trainid_ros.train.effects import parse_effects
-from trainid_ros.train.train_file import Davis, Effect, TrainFile
+from trainid_ros.train.train_file import Effect, TrainFile
 
 DAY_S: Final = 86_400
 FIRST_DAY_S: Final = 1_767_225_600
 """Time of the first day [s], 2026-01-01."""
-_MAP_STD, _GUST_STD = 0.3, 0.2  # of the gradients in the map [per mille], and of gusts [N/kN]
+# What the train files of all trains state, and what is the same on all trains.
+_USUAL: Final = Unknowns(
+    mass_std=0.03, force_std=0.02, map_std=0.3, gust_std=0.2, speed_quantum=0.2 / 3.6, brake_timing_std=0.2
+)
 
 
-@dataclass(frozen=True, slots=True)
-class Fleet:
+class Fleet(NamedTuple):
     """What all trains of a fleet have in common."""
 
     world: World  # Type of railway
-    stated: TrainFile  # Train file of all trains
+    file: TrainFile  # Train file of all trains
     seed: int  # Of the random numbers
 
 
-@dataclass(frozen=True, slots=True)
-class FleetTrain:
-    """What is true of one train of the fleet, and not in the train file; ratios are true over stated [1]."""
+class FleetTrain(NamedTuple):
+    """What is true of one train of the fleet on all days."""
 
     number: int  # Its number
-    mass_ratio: float  # Of the mass
-    force_ratio: float  # Of the force
-    force_delay: float  # Delay of the stamps of the force [s]
-    wheel_ratio: float  # Measured over true speed [1]
-    brake_delay: float  # True minus stated dead time of the brake [s]
-    brake_ratio: float  # Of the brake rate
-    davis_ratios: tuple[float, float]  # Of a and c
+    unknowns: Unknowns  # Errors of its train file
+    brake_ratio: float  # True over stated brake rate [1]
 
 
 @dataclass(frozen=True, slots=True)
 class FleetDay:
-    """What all trains meet on one day."""
+    """What all trains meet on one day: factors on a, c and the brake rate [1], and a headwind [m/s]."""
 
-    number: int  # Its number, from 0
-    a_ratio: float = 1.0  # Factor on a [1]
-    c_ratio: float = 1.0  # Factor on c [1]
-    brake_ratio: float = 1.0  # Factor on the brake rate [1]
-    headwind: float = 0.0  # Wind against rising position [m/s]
-    is_wet: bool = False  # Whether it rains
+    number: int
+    a_ratio: float = 1.0
+    c_ratio: float = 1.0
+    brake_ratio: float = 1.0
+    headwind: float = 0.0
+    is_wet: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """What is wrong with a train from a day on."""
 
     train: str  # Name of the train
@@ -90,12 +84,7 @@ def parse_fault(text: str, trains: int, days: int) -> Fault:
 
 def fleet_train(file: TrainFile) -> TrainFile:
     """Return the train file of a fleet, with the standard deviations of what differs from train to train."""
-    return replace(
-        file,
-        train=replace(file.train, mass_std=0.03, force_std=0.02),
-        brake=replace(file.brake, timing_std=0.2),
-        line=replace(file.line, gradient_std=_MAP_STD),
-    )
+    return stated_train(file, _USUAL)
 
 
 def draw_train(seed: int, number: int) -> FleetTrain:
@@ -104,7 +93,11 @@ def draw_train(seed: int, number: int) -> FleetTrain:
     mass, force, rate = (1.0 + std * float(np.clip(rng.standard_normal(), -2, 2)) for std in (0.02, 0.01, 0.03))
     delay, wheel, dead = rng.uniform(0.0, 0.2), rng.uniform(-0.005, 0.005), rng.uniform(-0.2, 0.2)
     a, c = 1.0 + rng.uniform(-0.1, 0.1, 2)
-    return FleetTrain(number, mass, force, float(delay), 1.0 + float(wheel), float(dead), rate, (float(a), float(c)))
+    own = replace(
+        _USUAL, mass_ratio=mass, force_ratio=force, force_delay=float(delay), wheel_ratio=1.0 + float(wheel),
+        brake_delay_error=float(dead), davis_ratios=(float(a), 1.0, float(c)),
+    )  # fmt: skip
+    return FleetTrain(number, own, rate)
 
 
 def draw_day(seed: int, number: int, *, wet_share: float = 0.2) -> FleetDay:
@@ -123,49 +116,33 @@ def drive(
 ) -> Simulation:
     """Simulate a drive of a train, the given number of that day, with a number of runs from stop to stop."""
     rng = np.random.default_rng((fleet.seed, 3, train.number, day.number, number))
-    scenario = Scenario(
-        train_file=_true_train(fleet, train, day, faults),
-        runs=runs,
-        passengers=fleet.world.passengers,
-        sensors=SensorModel(
-            speed_quantum=0.2 / 3.6, wheel_ratio=train.wheel_ratio, force_delay=train.force_delay
-        ),
-        driver=fleet.world.driver,
-        gust=GustModel(_GUST_STD),
-        start_ns=(FIRST_DAY_S + day.number * DAY_S + 6 * 3600 + 1800 * number) * NS_PER_S,
-        stated=fleet.stated,
-    )  # fmt: skip
-    return simulate(scenario, rng)
-
-
-def _true_train(fleet: Fleet, train: FleetTrain, day: FleetDay, faults: Iterable[Effect]) -> TrainFile:
-    file = fleet.stated
-    own = (
+    a, b, c = train.unknowns.davis_ratios
+    unknowns = replace(train.unknowns, davis_ratios=(a * day.a_ratio, b, c * day.c_ratio))
+    scenario = case_of(fleet.world, fleet.file, unknowns, runs).scenario
+    weather = (
         Effect('headwind', (('speed', day.headwind),)),
-        Effect('mass_error', (('ratio', train.mass_ratio),)),
-        Effect('traction_scale', (('ratio', train.force_ratio),)),
         Effect('brake_scale', (('ratio', train.brake_ratio * day.brake_ratio),)),
     )
-    davis, (a, c) = file.resistance, train.davis_ratios
-    return replace(
-        file,
-        resistance=Davis(davis.a * a * day.a_ratio, davis.b, davis.c * c * day.c_ratio),
-        brake=replace(file.brake, delay=max(0.0, file.brake.delay + train.brake_delay)),
-        line=replace(file.line, gradient=_true_gradient(fleet.seed, file)),
-        effects=_together((*file.effects, *own, *faults)),
+    true = scenario.train_file
+    # The map is wrong by the same on each day; what it is read wrong by is drawn anew.
+    line = replace(true.line, gradient=_true_gradient(fleet.seed, true))
+    scenario = replace(
+        scenario,
+        train_file=replace(true, line=line, effects=_together((*true.effects, *weather, *faults))),
+        sensors=replace(scenario.sensors, map_error=SensorModel().map_error),
+        start_ns=(FIRST_DAY_S + day.number * DAY_S + 6 * 3600 + 1800 * number) * NS_PER_S,
     )
+    return simulate(scenario, rng)
 
 
 def _together(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Return effects with those that are a ratio alone multiplied by name."""
     found: dict[object, Effect] = {}
     for effect in effects:
-        is_ratio = [name for name, _ in effect.parameters] == ['ratio']
-        key = effect.name if is_ratio else (effect.name, len(found))
-        if key in found:
-            ratio = effect.parameters[0][1] * found[key].parameters[0][1]
-            effect = replace(effect, parameters=(('ratio', ratio),))  # noqa: PLW2901
-        found[key] = effect
+        (name, value), *more = effect.parameters
+        key = (effect.name, len(found)) if more or name != 'ratio' else effect.name
+        ratio = value * found[key].parameters[0][1] if key in found else value
+        found[key] = replace(effect, parameters=((name, ratio), *more))
     return tuple(found.values())
 
 
@@ -173,4 +150,4 @@ def _true_gradient(seed: int, file: TrainFile) -> tuple[tuple[float, float], ...
     """Return the gradients of the line: those of the map and its errors, the same on each day."""
     errors = np.random.default_rng((seed, 4)).standard_normal(len(file.line.gradient))
     pairs = zip(file.line.gradient, errors.tolist(), strict=True)
-    return tuple((at, permille + _MAP_STD * error) for (at, permille), error in pairs)
+    return tuple((at, permille + _USUAL.map_std * error) for (at, permille), error in pairs)
