@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.days import REPOSITORY, write_bag
-from benchmarks.fleet_bags import FAULTS, Fault, draw_day, draw_train, drive, stated_train
+from benchmarks.fleet_bags import FAULTS, Fault, drive, stated_train
 from benchmarks.processes import TRAINID, Cost, cluster, measure_command
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
@@ -42,6 +42,7 @@ from trainid_ros.fleet.mixed_model import CHANNELS
 from trainid_ros.fleet.run_fleet import Odometer
 from trainid_ros.fleet.table_file import Row, empty_row, read_table
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.sim.fleet import draw_day, draw_train
 from trainid_ros.train.train_file import dump_train_file
 
 Array = NDArray[np.float64]

@@ -225,11 +225,20 @@ def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFi
     assert '1 of 8 trains stands out: T03.' in text
     assert 'Changed on 2026-03-07' in text
     assert 'worn or glazed brake pads' in text
+    check = 'worn or glazed brake pads: check thickness and surface of the pads'
+    assert f'In the depot: {check}' in text
+    assert 'Not visible yet:\n  What began on 2026-03-12 or later: a change needs 2 days of data.' in text
     page = report.read_text(encoding='utf-8')
     assert page.count('<section>') == 8
+    assert page.count('<h3>In the depot</h3>') == page.count(check) == 1
+    # At the end of its line in each of the four channels.
+    assert page.count('>T03</text>') == 4
     assert '<a href="#train-3">T03</a>' in page
     assert 'http' not in page.replace('http://www.w3.org', '')
-    (found,) = json.loads(reported(capsys, table, '--json'))['found']
+    answer = json.loads(reported(capsys, table, '--json'))
+    (found,) = answer['found']
+    assert found['check'][0].startswith('check thickness')
+    assert len(answer['not_visible']) == 1
     assert (found['train'], found['changes'][0]['day']) == ('T03', '2026-03-07')
     assert found['changes'][0]['steps']['brake_rate']['after'] < found['changes'][0]['steps']['brake_rate']['before']
 

@@ -31,6 +31,7 @@ NOT_RUN = {
     r'cd |colcon |git ': 'needs a workspace or a repository; see tools/colcon_smoke.py',
     r'\.venv/bin/trainid view bags/tiny$': 'opens a window',
     r'\.venv/bin/trainid fleet report .* --explain': 'needs the bags of weeks',
+    r'\.venv/bin/trainid (simulate|fleet|fleet report) out/fleet\b': 'takes minutes; test/sim makes a few drives',
 }
 # Pages whose commands, taken together, or single commands that take longer than the inner loop should.
 SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md', 'docs/tables.md')

@@ -78,6 +78,21 @@ def test_runs_whose_inputs_contradict_each_other_are_named_and_left_out() -> Non
     assert [train.name for train in used.found] == ['T03']
 
 
+def test_what_cannot_be_seen_yet_is_said_with_the_reason() -> None:
+    rows = [row for row in fleet_rows(5, 6, 6) if row['train'] != 'T01' or row['day'] < '2026-03-03']
+    rows = [row for row in rows if row['train'] != 'T02' or row['day'] < '2026-03-05']
+    rows = [row | {'wheel_ratio': None} for row in rows]
+    rows = [row | ({'status': None, 'error': 'no speed'} if row['train'] == 'T03' else {}) for row in rows]
+    hidden = analyse(rows, LIMIT).hidden
+    assert hidden == (
+        'What began of T00, T04, T05 on 2026-03-06 or later: a change needs 2 days of data.',
+        'What began of T02 on 2026-03-04 or later: a change needs 2 days of data.',
+        'Changes of T01: there must be 3 days of data.',
+        'Train T03: no run can be used (no speed).',
+        'Changes of wheel ratio: fewer than 4 days of trains have a value.',
+    )
+
+
 def test_too_few_rows_are_no_answer() -> None:
     rows = fleet_rows(5, 3, 1)
     with pytest.raises(NoAnswerError, match=r'too few days of trains to compare: 3 rows, 3 with train, .*; 4 days'):

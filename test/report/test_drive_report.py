@@ -15,7 +15,10 @@ import pytest
 
 from test.report.conftest import TRUTH
 from test.report.pages import check_page, colours_of_figures, words
+from test.report.test_verdict import ADHESION
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.report.drive_report import (
     render_report,
     resistance_at,
@@ -24,8 +27,9 @@ from trainid_ros.report.drive_report import (
     score_resistance,
     write_report,
 )
-from trainid_ros.report.page import styled_figure, to_svg
-from trainid_ros.report.recording import Recorder
+from trainid_ros.report.page import keep_room, styled_figure, to_svg
+from trainid_ros.report.recording import CONTRADICTED, GAP, Recorder, Span
+from trainid_ros.report.verdict import Level, Verdict
 from trainid_ros.sim.truth import Truth
 
 FIGURES = (
@@ -59,10 +63,34 @@ def test_numbers_of_the_table(text: str) -> None:
     cells = re.findall(r'<td[^>]*>(.*?)</td>', text)
     at = cells.index('w at 10 m/s (36 km/h)')
     # a + 10 b + 100 c = 1.9, std sqrt(0.0501); train file 1.7, truth 2.0
-    assert cells[at + 1 : at + 8] == ['N/kN', '1.9', '0.22', '1.7', '2', '-0.1', '-0.4']
+    assert cells[at + 1 : at + 8] == ['N/kN', '1.90', '0.22', '1.7', '2', '-0.1', '-0.4']
     braking = cells.index('braking')
     assert cells[braking + 1 : braking + 3] == ['60', '–']
     assert 'a note' in text
+
+
+@pytest.mark.slow
+def test_the_verdict_comes_first_and_what_is_wrong_is_shaded(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(60)
+    recording = chapter.recording
+    faults = (Span(10.0, 30.0, CONTRADICTED), Span(30.0, 30.1, CONTRADICTED), Span(40.0, 50.0, GAP))
+    resistance = replace(recording.resistance, faults=faults)
+    slips = (ADHESION, replace(ADHESION, slipping=True), ADHESION)
+    adhesion = replace(resistance, time_ns=np.array([0, 1, 2]) * NS_PER_S, estimates=slips, usable=np.ones(3, bool))
+    chapter = replace(
+        chapter,
+        recording=replace(recording, resistance=resistance, adhesion=adhesion),
+        adhesion=Output(1, ADHESION, Status.VALID, 1, 0, None),
+        verdict=Verdict(Level.NOT, 'Not usable: <why>.'),
+        certainty=('the uncertainty is right',),
+    )
+    text = render_report('r', (chapter,))
+    assert text.index('<p class="verdict NOT">Not usable: &lt;why&gt;.</p>') < text.index('<dl>')
+    # Resistance over time, and the drive.
+    assert [text.count(f'>{name}</text>') for name in (CONTRADICTED, GAP, 'slip')] == [2, 2, 1]
+    assert 'aria-label="Adhesion over time"' in text
+    assert '<td class="text">1, at least 0.050</td>' in text
+    assert 'the uncertainty is right' in text
 
 
 @pytest.mark.slow
@@ -120,6 +148,17 @@ def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -
     text = render_report(bad, (chapter, chapter))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;&amp;') >= 10
+
+
+def test_an_axis_does_not_magnify_what_is_no_difference() -> None:
+    with styled_figure(1.0) as figure:
+        axes = figure.subplots()
+        for low, high, least, expected in ((3.757443, 3.757444, 0.1, 0.2), (3.0, 4.0, 0.1, 1.0)):
+            axes.set_ylim(low, high)
+            keep_room(axes, least)
+            bottom, top = axes.get_ylim()
+            assert top - bottom == pytest.approx(expected)
+            assert bottom <= low < high <= top
 
 
 def test_the_label_of_a_figure_is_no_markup() -> None:

@@ -1,23 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports in a real browser: nothing is logged, nothing is fetched, and every plot has ink."""
+"""Reports in a real browser: nothing is logged or fetched, every plot has ink, and pages look as approved.
+
+To approve the pictures of pages that are meant to look otherwise, run this file with TRAINID_APPROVE=1, look at the
+pages, and commit ``approved``.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from matplotlib.image import imread, imsave
+from numpy.typing import NDArray
 
-from test.chromium import Chromium, find_chromium, ink
+from test.chromium import HEIGHT, Chromium, find_chromium, ink
 from test.fleet.surrogate import fleet_rows
+from test.report.test_verdict import ADHESION
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.fleet.table_file import write_table
 from trainid_ros.report.drive_report import Chapter, write_report
 from trainid_ros.report.explained import render_explained
 from trainid_ros.report.page import write_page
+from trainid_ros.report.recording import CONTRADICTED, GAP, Span
+from trainid_ros.report.verdict import Level, Verdict
 from trainid_ros.train.train_file import TrainFile
 
 pytestmark = pytest.mark.slow  # a browser starts, and drawing takes seconds
@@ -25,6 +36,13 @@ pytestmark = pytest.mark.slow  # a browser starts, and drawing takes seconds
 PLOTS = 'figure svg, figure img'
 # A line of text alone covers less of a plot.
 MIN_INK = 0.02
+APPROVED = Path(__file__).parent / 'approved'
+# Rows and columns of a tile. Mean difference of grey that other letters make: .006 of the screen, .0014 of a plot; a
+# card, a table or a verdict less makes .012 to .021 of the screen.
+GRID = (24, 48)
+SCREEN_OFF, PLOT_OFF = 0.009, 0.004
+
+Picture = NDArray[np.float64]
 
 
 @pytest.fixture(scope='module')
@@ -38,7 +56,13 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 def replayed(make_chapter: Callable[..., Chapter], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the report of a replay; that of the demo is the same with more chapters."""
     path = tmp_path_factory.mktemp('pages') / 'replay.html'
-    write_report('One', (make_chapter(240),), path)
+    chapter = make_chapter(240)
+    faults = (Span(60.0, 90.0, GAP), Span(150.0, 240.0, CONTRADICTED))
+    resistance = replace(chapter.recording.resistance, faults=faults)
+    slips = [replace(ADHESION, slipping=20 < i < 40) for i in range(len(resistance.estimates))]
+    recording = replace(chapter.recording, resistance=resistance, adhesion=replace(resistance, estimates=tuple(slips)))
+    verdict = Verdict(Level.NOT, 'Not usable: inputs contradict each other since 150 s. Next: correct what publishes.')
+    write_report('One', (replace(chapter, recording=recording, verdict=verdict),), path)
     return path
 
 
@@ -59,27 +83,102 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / 'fleet.html'
 
 
-@pytest.mark.parametrize(('name', 'plots'), [('replayed', 7), ('explained', 5), ('fleet', 6)])
-def test_a_report_is_whole(browser: Chromium, name: str, plots: int, request: pytest.FixtureRequest) -> None:
-    page: Path = request.getfixturevalue(name)
-    browser.open(page.as_uri())
-    assert browser.errors() == []
-    assert [url for url in browser.requests() if not url.startswith('data:')] == [page.as_uri()]
-    picture, boxes = browser.picture(whole=True), browser.boxes(PLOTS)
-    assert len(boxes) == plots
-    for left, top, right, bottom in boxes:
+class Shown(NamedTuple):
+    """A page as a browser shows it."""
+
+    name: str
+    uri: str
+    errors: list[str]
+    requests: list[str]
+    picture: Picture
+    plots: list[tuple[int, int, int, int]]
+
+
+@pytest.fixture(scope='module', params=['replayed', 'explained', 'fleet'])
+def shown(request: pytest.FixtureRequest, browser: Chromium) -> Shown:
+    uri = request.getfixturevalue(request.param).as_uri()
+    browser.open(uri)
+    seen = browser.picture(whole=True), browser.boxes(PLOTS)
+    return Shown(request.param, uri, browser.errors(), browser.requests(), *seen)
+
+
+def test_a_report_is_whole(shown: Shown) -> None:
+    assert shown.errors == []
+    assert [url for url in shown.requests if not url.startswith('data:')] == [shown.uri]
+    assert len(shown.plots) == {'replayed': 8, 'explained': 5, 'fleet': 6}[shown.name]
+    for left, top, right, bottom in shown.plots:
         assert right - left > 200
         assert bottom - top > 50
-        assert ink(picture[top:bottom, left:right]) > MIN_INK, (left, top)
+        assert ink(shown.picture[top:bottom, left:right]) > MIN_INK, (left, top)
+
+
+def tiles(picture: Picture, plots: list[tuple[int, int, int, int]]) -> Picture:
+    """Return the first screen and each plot in coarse grey, one below the other, shape (tiles, rows, columns).
+
+    Plots have the same shape whatever the fonts; in cells as large as words, letters do not count.
+    """
+    parts = [picture[:HEIGHT], *(picture[top:bottom, left:right] for left, top, right, bottom in plots)]
+    return np.array([shrunk(part.mean(axis=2)) for part in parts])
+
+
+def shrunk(grey: Picture) -> Picture:
+    """Return the means of the cells of a grid."""
+    for axis, count in enumerate(GRID):
+        edges = np.linspace(0, grey.shape[axis], count + 1).astype(np.intp)
+        sizes = np.expand_dims(np.diff(edges), 1 - axis)
+        grey = np.add.reduceat(grey, edges[:-1], axis=axis) / sizes
+    return grey
+
+
+def looks_as(one: Picture, other: Picture) -> bool:
+    """Return whether each tile has the same grey, but for letters in other places."""
+    if one.shape != other.shape:
+        return False
+    screen, *plots = np.abs(one - other).mean(axis=(1, 2))
+    return bool(screen < SCREEN_OFF and max(plots) < PLOT_OFF)
+
+
+def approved(name: str) -> Picture:
+    grey: Picture = np.asarray(imread(APPROVED / f'{name}.png'), dtype=np.float64)[:, :, 0]
+    return grey.reshape(-1, *GRID)
+
+
+def test_a_page_looks_as_approved(shown: Shown) -> None:
+    found = tiles(shown.picture, shown.plots)
+    if os.environ.get('TRAINID_APPROVE'):
+        imsave(APPROVED / f'{shown.name}.png', found.reshape(-1, GRID[1]), cmap='gray', vmin=0.0, vmax=1.0)
+    assert looks_as(found, approved(shown.name))
+
+
+@pytest.mark.parametrize(
+    ('change', 'alike'),
+    [
+        ('document.body.style.font = "15.2px/1.5 serif"', True),
+        ('document.querySelector(".cards").remove()', False),
+        ('document.querySelectorAll("figure svg")[2].querySelectorAll("path").forEach(e => e.remove())', False),
+        ('document.querySelectorAll("figure svg")[4].remove()', False),
+    ],
+    ids=['other letters', 'no cards', 'no lines', 'a plot less'],
+)
+def test_what_looks_otherwise_is_found(browser: Chromium, replayed: Path, change: str, *, alike: bool) -> None:
+    browser.open(replayed.as_uri())
+    browser.evaluate(change)
+    assert looks_as(tiles(browser.picture(whole=True), browser.boxes(PLOTS)), approved('replayed')) == alike
 
 
 @pytest.mark.parametrize('name', ['replayed', 'explained', 'fleet'])
 def test_a_report_fits_on_a_phone(browser: Chromium, name: str, request: pytest.FixtureRequest) -> None:
-    browser.call('Emulation.setDeviceMetricsOverride', width=400, height=800, deviceScaleFactor=1, mobile=True)
+    browser.call('Emulation.setDeviceMetricsOverride', width=390, height=844, deviceScaleFactor=1, mobile=True)
     browser.open(request.getfixturevalue(name).as_uri())
     width = browser.evaluate('document.documentElement.scrollWidth')
+    # What scrolls in a box of its own may be wider.
+    cut = browser.evaluate(
+        '[...document.querySelectorAll("body *")].filter(e => !e.closest(".wide") && e.scrollWidth > e.clientWidth + 1'
+        ' && getComputedStyle(e).display != "inline").map(e => e.outerHTML.slice(0, 80))'
+    )
     browser.call('Emulation.clearDeviceMetricsOverride')
-    assert width == 400
+    assert width == 390
+    assert cut == []
 
 
 def test_faults_of_a_page_are_found(browser: Chromium, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
-from trainid_ros.interface.results import Output, Status
-from trainid_ros.report.recording import CAPACITY, Recorder
+from trainid_ros.interface.results import Output, Reason, Rejection, Status
+from trainid_ros.report.recording import CAPACITY, CONTRADICTED, GAP, REJECTED, Recorder
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
@@ -52,6 +52,19 @@ def test_long_track_is_thinned_evenly_and_ends_with_the_newest() -> None:
     assert track.theta[-1, 0] == count - 1
     steps = np.diff(track.time_s[:-1])
     np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+
+
+def test_contradictions_gaps_and_rejections_are_spans_of_time() -> None:
+    reasons = [Reason.NONE, Reason.BRAKING, Reason.CONTRADICTION, Reason.CONTRADICTION, Reason.NONE, Reason.GAP]
+    recorder = Recorder()
+    for i, reason in enumerate((*reasons, Reason.OUTLIER, Reason.STANDSTILL)):
+        stamp_ns = START_NS + i * NS_PER_S
+        rejection = Rejection(stamp_ns, reason, math.nan, math.nan)
+        recorder.on_output(Output(stamp_ns, ESTIMATE, Status.VALID, i, 0, rejection))
+    old = Rejection(START_NS, Reason.OUTLIER, math.nan, math.nan)
+    recorder.on_output(Output(START_NS + 9 * NS_PER_S, ESTIMATE, Status.VALID, 9, 0, old))
+    spans = recorder.finish().resistance.faults
+    assert spans == ((2.0, 4.0, CONTRADICTED), (4.0, 5.0, GAP), (6.0, 7.0, REJECTED))
 
 
 def test_of_the_test_ratios_the_greatest_is_kept_and_repeated_ones_are_not() -> None:

@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
-
-import pytest
 
 from trainid_ros.explain.result import Explanation, Gap, Verdict
 from trainid_ros.report import words
@@ -24,22 +21,6 @@ from trainid_ros.train.effects import Twin
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Make = Callable[..., Explanation]
-
-
-@pytest.mark.parametrize(
-    ('value', 'std', 'text'),
-    [
-        (1.8234, 0.0812, '1.823 ± 0.081'),
-        (4519.437, 12.46, '4519 ± 12'),
-        (0.010423, 0.000381, '0.01042 ± 0.00038'),
-        (-2.0, 0.0, '-2'),
-        (1.5, math.nan, '1.5'),
-        (math.nan, 1.0, '–'),
-        (1.0, 3e-9, '1 ± 3e-09'),
-    ],
-)
-def test_values_are_rounded_by_their_std(value: float, std: float, text: str) -> None:
-    assert words.plus_minus(value, std) == text
 
 
 def test_enumerations() -> None:

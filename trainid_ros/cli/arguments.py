@@ -117,8 +117,8 @@ VERBS: Final = (
         'bag --map --max-chunk --rate --start --duration --loop --wait --namespace --ros-args', 'live.play',
     ),
     Verb(
-        'simulate', 'create a bag with the simulator',
-        'out --train --world --realism --unknown --effect --runs --seed --json', 'new_bag.simulate',
+        'simulate', 'create a bag with the simulator, or those of a fleet',
+        'out --train --world --realism --unknown --effect --fleet --days --fault --runs --seed --json', 'new_fleet.run',
     ),
     Verb(
         'fit', 'fit Davis parameters, or the brake, in one batch',
@@ -155,6 +155,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'file': _path('FILE', 'table: .csv, .vbo, .parquet or .npz'),
     'out': _path('OUT', 'bag to create'),
     'import out': _path('OUT', 'bag to create', nargs='?'),
+    'simulate out': _path('OUT', 'bag to create, or folder for the bags of a fleet'),
     '--map': _path('MAPPING.yaml', 'mapping file: inputs from other topics, types and units'),
     'run --map': _path(
         'MAPPING.yaml', 'mapping file (parameter mapping_file): inputs from other topics, types and units'
@@ -222,6 +223,12 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     ),
     '--unknown': _repeated('quantity that is wrong in the train file or missing from it; repeatable: '),
     '--effect': _repeated('add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable', 'NAME:key=value'),
+    '--fleet': _value(whole, 0, 'N', 'instead of one bag, the bags of a fleet of N trains, one a day and train'),
+    '--days': _value(whole, None, 'D', 'number of days of a fleet (default: 10)'),
+    '--fault': _repeated(
+        'fault of a train of the fleet from a day on, as an effect, e.g. T03:wheel_diameter:ratio=1.02:6; repeatable',
+        'TRAIN:EFFECT:key=value:DAY',
+    ),
     '--runs': _value(int, 4, 'N', 'runs from stop to stop (default: 4)'),
     'demo --seed': _value(whole, 1, 'S', 'first of three seeds that draw the hidden effects (default: 1)'),
     '--seed': _value(whole, 1, 'S', 'seed of the random numbers, >= 0 (default: 1)'),

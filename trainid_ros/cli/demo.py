@@ -32,6 +32,7 @@ from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, sta
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import drive_report
 from trainid_ros.report.recording import Recorder
+from trainid_ros.report.verdict import SPEEDS
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
 from trainid_ros.sim.truth import Truth, load_truth
 from trainid_ros.train.forces import davis
@@ -382,7 +383,7 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     """Return a, b, c of an algorithm, and w at three speeds with its error if the truth is known, as two lines."""
     e = output.estimate
     values = []
-    for v in drive_report.SPEEDS:
+    for v in SPEEDS:
         w = float(drive_report.resistance_at(np.array([e.a, e.b, e.c]), v))
         std = float(drive_report.resistance_std(np.reshape(e.covariance, (3, 3)), v))
         error = '' if true is None else f' (error {w - davis(true, v):+.3f})'

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
@@ -106,6 +107,9 @@ def _report(args: argparse.Namespace, table: list[files.Row], known: int) -> int
         counts = ', '.join(pluralise(summary[f'{word}s'], word) for word in ('bag', 'train', 'day'))
         more = ((known, 'replayed before'), (len(errors), 'without an estimate'))
         show('; '.join((f'{args.out}: {counts}', *(f'{count} {what}' for count, what in more if count))))
+        if summary['days'] > 1:
+            page = args.out.with_suffix('.html')
+            show(f'next: {shlex.join(("trainid", "fleet", "report", str(args.out), "--out", str(page)))}')
     if len(errors) < len(table):
         return 0
     return output.EXIT_BAD_INPUT if all(row['status'] is None for row in table) else output.EXIT_NO_ANSWER
@@ -170,12 +174,15 @@ def _named_text(train: TrainView, cause: CauseByBags) -> str:
 
 def describe(view: FleetView, named: Mapping[str, CauseByBags]) -> str:
     """Return the findings as text."""
-    from trainid_ros.report.fleet_report import findings, summary  # noqa: PLC0415
+    from trainid_ros.report.fleet_report import checks, findings, summary  # noqa: PLC0415
 
     blocks = [summary(view)]
     for train in view.found:
         lines = [*findings(view, train), *([_named_text(train, named[train.name])] if train.name in named else [])]
+        lines += [f'In the depot: {check}' for check in checks(train)]
         blocks.append('\n'.join((f'{train.name} (evidence {train.evidence:.0f})', *(f'  {line}' for line in lines))))
+    if view.hidden:
+        blocks.append('\n'.join(('Not visible yet:', *(f'  {line}' for line in view.hidden))))
     return '\n\n'.join(blocks)
 
 
@@ -189,6 +196,7 @@ def to_json(view: FleetView, limit: float, named: Mapping[str, CauseByBags]) -> 
             v.channel.name: {'mean': v.fit.mean, 'std': v.fit.stds, 'degrees': v.fit.degrees} for v in view.channels
         },
         'contradicted': dict(view.contradicted),
+        'not_visible': list(view.hidden),
         'found': [_train(view, train, named.get(train.name)) for train in view.found],
     }
 
@@ -212,6 +220,7 @@ def _train(view: FleetView, train: TrainView, cause: CauseByBags | None) -> dict
         ],
         'outliers': {o.channel.name: {'size': o.size, 'std': o.std, 'sigmas': o.sigmas} for o in train.outliers},
         'causes': {found.title: found.probability for found in train.causes},
+        'check': [found.check for found in train.causes],
         **explained,
     }
 

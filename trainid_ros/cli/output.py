@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.text import in_ascii, printable
+from trainid_ros.interface.text import in_ascii, in_step, printable
 from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
@@ -227,4 +227,4 @@ def davis_rows(values: Sequence[float], stds: Sequence[float]) -> list[tuple[str
     from trainid_ros.interface.results import ResistanceEstimate, quantities  # noqa: PLC0415
 
     known = quantities(ResistanceEstimate)
-    return [(k, f'{value:.5g}', f'{std:.2g}', known[k].unit) for k, value, std in zip('abc', values, stds, strict=True)]
+    return [(k, *in_step(value, std), known[k].unit) for k, value, std in zip('abc', values, stds, strict=True)]

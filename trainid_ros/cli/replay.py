@@ -31,9 +31,10 @@ from trainid_ros.interface.results import (
     parameters,
     quantities,
 )
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import in_step, pluralise
 from trainid_ros.report import HTML_START
-from trainid_ros.resistance.davis_posterior import observe, resistance_std
+from trainid_ros.report.verdict import estimate_rows, judge, results_of
+from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.resistance.suggested_drive import suggested_braking, suggested_drive
 from trainid_ros.setup.params_file import mapping_in, node_setups
 from trainid_ros.setup.pipelines import force_findings
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.report.recording import Recorder
+    from trainid_ros.report.verdict import Verdict
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.setup.params_file import Setup
 
@@ -141,6 +143,13 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):
             warnings.append(reader.mapping.named(wrong))
     first = outcome.resistance
+    drives: Drives = (None, None)
+    if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
+        drives = (
+            suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
+            suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
+        )
+    verdict = judge(outcome, drives, str(bag), str(args.train), reader.mapping.named)
     if report is not None and recorder is not None:
         from trainid_ros.report.drive_report import Chapter, write_report  # noqa: PLC0415
 
@@ -154,22 +163,21 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
             resistance=first.output,
             speed_model=outcome.speed_model.output,
             brake_rate=outcome.brake_rate.output,
-            rejections={name: dict(result.rejections) for name, result in _results(outcome).items()},
+            rejections={name: dict(result.rejections) for name, result in results_of(outcome).items()},
             truth=known,
+            notes=tuple(reader.mapping.named(line) for line in (*_findings(outcome), *_to_drive(drives))),
+            adhesion=outcome.adhesion,
+            verdict=verdict,
+            certainty=_uncertainty(outcome, setups),
         )
         write_report(f'trainid replay: {bag.name}', (chapter,), report)
-    drives: Drives = (None, None)
-    if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
-        drives = (
-            suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
-            suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
-        )
     shown: Any
     if args.json:
         shown = to_json(outcome, setups, wall_s, drives)
+        shown['verdict'] = {'level': verdict.level.value, 'text': verdict.text}
         shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
     else:
-        shown = reader.mapping.named(describe(outcome, setups, wall_s, drives))
+        shown = reader.mapping.named(describe(outcome, setups, wall_s, drives, verdict))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
     reason = outcome.why_no_resistance()
     return output.BagResult(shown, (*warnings, *reader.warnings), f'{bag}: {reason}' if reason else '')
@@ -247,54 +255,47 @@ def _with_std(estimate: Any, name: str) -> dict[str, float]:
     return {'value': getattr(estimate, name), 'std': getattr(estimate, f'{name}_std')}
 
 
-def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives) -> str:
+def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives, verdict: Verdict) -> str:
     """Return the outcome as text for people."""
     head = (
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    contradiction = (outcome.contradiction.text,) if outcome.contradiction.finding else ()
-    to_drive = (f'to learn more: {drive.text}' for drive in drives if drive is not None)
-    parts = (head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups), *to_drive)
-    return '\n\n'.join(parts)
+    certainty = '\n'.join(_uncertainty(outcome, setups))
+    return '\n\n'.join((verdict.text, head, _estimates(outcome), _usage(outcome), certainty, *_to_drive(drives)))
 
 
 def _estimates(outcome: Replay) -> str:
-    resistance, rate, model = outcome.resistance.output, outcome.brake_rate.output, outcome.speed_model.output
-    w, f, status = resistance.estimate, rate.estimate, resistance.status.name
+    model = outcome.speed_model.output
     rows: list[tuple[str, ...]] = [('value', 'estimate', 'std', 'unit', 'status')]
-    rows += [(*row, status) for row in output.davis_rows((w.a, w.b, w.c), deviations(w.covariance))]
-    for v in (10.0, 15.0, 20.0):
-        name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
-        std = resistance_std(w.covariance, v)
-        rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
-    if not math.isnan(w.force_scale):
-        rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))
-        rows.append(('force delay', f'{w.force_delay:.3f}', f'{w.force_delay_std:.2g}', 's', status))
-    rows.append(('brake rate', f'{f.brake_rate:.4g}', f'{f.brake_rate_std:.2g}', '1 = nominal', rate.status.name))
-    m, state = outcome.adhesion.estimate, outcome.adhesion.status.name
-    rows.append(('adhesion', f'{m.adhesion:.3f}', f'{m.adhesion_std:.2g}', f'1, at least {m.at_least:.3f}', state))
+    rows += [
+        (row.name, *in_step(row.value, row.std), row.unit, row.status)
+        for row in estimate_rows(outcome.resistance.output, outcome.brake_rate.output, outcome.adhesion)
+    ]
     known = quantities(SpeedModelEstimate)
     for name, value in _parameters(model.estimate).items():
         rows.append((name, f'{value:.6g}', '', known[name].unit, model.status.name))
-    shown = output.table(rows, numbers=(1, 2))
+    shown, w = output.table(rows, numbers=(1, 2)), outcome.resistance.output.estimate
     seen = [f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'] if '*' in shown else []
+    return '\n'.join((shown, *seen, *_findings(outcome)))
+
+
+def _findings(outcome: Replay) -> tuple[str, ...]:
+    """Return why estimates are CONVERGING, and errors found in force and brake."""
     converging = (
         f'{name} CONVERGING: {result.why_converging}'
-        for name, result in _results(outcome).items()
+        for name, result in results_of(outcome).items()
         if result.why_converging
     )
-    return '\n'.join((shown, *seen, *converging, *force_findings(w), *outcome.brake_findings))
+    return (*converging, *force_findings(outcome.resistance.output.estimate), *outcome.brake_findings)
 
 
-def _results(outcome: Replay) -> dict[str, Result[Any]]:
-    """Return the results by the names of the estimators for people."""
-    names = ('resistance', 'speed model', 'brake rate')
-    return dict(zip(names, (outcome.resistance, outcome.speed_model, outcome.brake_rate), strict=True))
+def _to_drive(drives: Drives) -> list[str]:
+    return [f'to learn more: {drive.text}' for drive in drives if drive is not None]
 
 
 def _usage(outcome: Replay) -> str:
-    results = _results(outcome)
+    results = results_of(outcome)
     counts: list[dict[Reason, int]] = [dict(result.rejections) for result in results.values()]
     reasons = sorted({reason for count in counts for reason in count})
     rows = [
@@ -305,16 +306,16 @@ def _usage(outcome: Replay) -> str:
     return output.table(rows, numbers=(1, 2, 3))
 
 
-def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
+def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> tuple[str, ...]:
     """Return the algorithms, the consistency of their uncertainty, and the observability of the resistance."""
     lines = [
         f'{name} by {setup.algorithm}: uncertainty {result.consistency}'
-        for (name, result), setup in zip(_results(outcome).items(), setups, strict=True)
+        for (name, result), setup in zip(results_of(outcome).items(), setups, strict=True)
     ]
     w, prior = outcome.resistance.output.estimate, outcome.resistance.prior
     seen = observe(w.covariance, prior.covariance, w.speed_min, w.speed_max)
     shares = ', '.join(f'{name} {100.0 * share:.0f} %' for name, share in zip('abc', seen.shares, strict=True))
-    return '\n'.join((*lines, f'{seen.text}; prior variance removed: {shares}'))
+    return (*lines, f'{seen.text}; prior variance removed: {shares}')
 
 
 def _pace(outcome: Replay, wall_s: float) -> str:

@@ -78,12 +78,17 @@ class Consistency:
             return f'{self.verdict.value} (no innovation with a stated variance)'
         band = f'99 % band {self.low:.2f} to {self.high:.2f}, {self.updates} updates'
         text = f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
+        return f'{text}: {self.advice}' if self.advice else text
+
+    @property
+    def advice(self) -> str:
+        """What a wrong uncertainty means for its use; empty if it is right or unknown."""
         missed = f'predictions miss by {math.sqrt(self.ratio):.2f} times the stated std'
         if self.verdict is ConsistencyVerdict.OPTIMISTIC:
-            return f'{text}: {missed}, so allow for errors as much larger'
+            return f'{missed}, so allow for errors as much larger'
         if self.verdict is ConsistencyVerdict.PESSIMISTIC:
-            return f'{text}: {missed}, so the stated one is safe, but wider than it need be'
-        return text
+            return f'{missed}, so the stated one is safe, but wider than it need be'
+        return ''
 
 
 class ConsistencyMonitor:

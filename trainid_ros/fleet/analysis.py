@@ -18,14 +18,25 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.fleet.changes import Cause, Change, Departure, Series, causes_of, departures, find_changes, usual_days
+from trainid_ros.fleet.changes import (
+    MIN_AFTER,
+    Cause,
+    Change,
+    Departure,
+    Series,
+    causes_of,
+    departures,
+    find_changes,
+    usual_days,
+)
 from trainid_ros.fleet.mixed_model import CHANNELS, ROUNDS, cells_of, fit, has_estimate, labels_of, robust_std
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError, TrainIdError
+from trainid_ros.interface.text import listed
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.fleet.mixed_model import Array, Cells, Channel, Flags, Labels, MixedFit
@@ -100,6 +111,7 @@ class FleetView:
     trains: tuple[TrainView, ...]  # Its trains by evidence, the strongest first
     # Trains with runs that were left out as their inputs contradict each other, with how many
     contradicted: tuple[tuple[str, int], ...] = ()
+    hidden: tuple[str, ...] = ()  # What cannot be seen yet, and why, as sentences
 
     @property
     def found(self) -> tuple[TrainView, ...]:
@@ -125,7 +137,33 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
     contradicted = Counter(row['train'] for row in rows if has_estimate(row) and row['contradiction'])
     ranked = tuple(sorted(trains, key=lambda train: (-train.evidence, train.name)))
-    return FleetView(labels, views, ranked, tuple(contradicted.most_common()))
+    return FleetView(
+        labels, views, ranked, tuple(contradicted.most_common()), tuple(_hidden(rows, labels, ranked, views))
+    )
+
+
+def _hidden(
+    rows: Sequence[Row], labels: Labels, trains: Sequence[TrainView], views: Sequence[ChannelView]
+) -> Iterator[str]:
+    """Yield which changes and trains cannot be seen yet, with the reason."""
+    days: dict[str, list[str]] = {}
+    for train in sorted(trains, key=lambda train: train.name):
+        seen = np.any([np.isfinite(series.value) for series in train.series], axis=0)
+        days[train.name] = [labels.days[k] for k in np.flatnonzero(seen)]
+    few = [name for name, own in days.items() if len(own) <= MIN_AFTER]
+    for last in sorted({own[-1] for name, own in days.items() if name not in few}, reverse=True)[:3]:
+        names = [name for name, own in days.items() if name not in few and own[-1] == last]
+        who = '' if len(names) == len(trains) else f' of {listed(names, 5)}'
+        yield f'What began{who} on {last} or later: a change needs {MIN_AFTER} days of data.'
+    if few:
+        yield f'Changes of {listed(few, 5)}: there must be {MIN_AFTER + 1} days of data.'
+    unused = {row['train']: row for row in rows if row['train'] and row['train'] not in labels.trains}
+    for name, row in sorted(unused.items())[:5]:
+        why = row['contradiction'] or row['error'] or 'its day is not known'
+        yield f'Train {name}: no run can be used ({why}).'
+    compared = {view.channel for view in views}
+    if missing := [channel.title for channel in CHANNELS if channel not in compared]:
+        yield f'Changes of {" and ".join(missing)}: fewer than {_MIN_CELLS} days of trains have a value.'
 
 
 def _fit_and_test(

@@ -36,9 +36,10 @@ from trainid_ros.fleet.mixed_model import Array, log_t
 
 OTHER: Final = 'other'
 """Name of an unknown cause."""
+MIN_AFTER: Final = 2
+"""Minimum number of days with data after a step."""
 _SHOWING: Final = 0.5  # Probability that a step shows in a channel, q [1]
 _WINDOW: Final = 60  # Number of newest days in which a step is searched
-_MIN_AFTER: Final = 2  # Minimum number of days with data after a step
 _TINY: Final = 1e-300  # Lower limit of a density, so that its logarithm is finite
 _BACK: Final = 0.4  # Share of a departure below which the train is back [1]
 
@@ -117,7 +118,7 @@ class _Segment:
         density = (self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)
         after = np.log(np.maximum(density, _TINY)) + top[:, 0]
         found: Array = self._log_before[ks] + after - self._log_before[n]
-        return np.where(self.known[n] - self.known[ks] >= _MIN_AFTER, found, 0.0)
+        return np.where(self.known[n] - self.known[ks] >= MIN_AFTER, found, 0.0)
 
     def step(self, k: int, n: int, evidence: float) -> Step | None:
         """Return the step on day k, seen after n days."""
@@ -148,7 +149,7 @@ def _next_change(channels: Sequence[Series], first: int, limit: float) -> Change
         level_std = math.hypot(series.level_std, series.step_std) if first else series.level_std
         parts.append(_Segment(rest, level_std) if np.isfinite(rest.value).any() else None)
     count = channels[0].value.size - first
-    for n in range(_MIN_AFTER + 1, count + 1):
+    for n in range(MIN_AFTER + 1, count + 1):
         if _log_r(parts, n)[0] >= math.log(limit):
             return _change(parts, first, n, count)
     return None
@@ -170,7 +171,7 @@ def _change(parts: Sequence[_Segment | None], first: int, alarm: int, count: int
 
     Later data move its day only among those before the alarm: a change after that is another one.
     """
-    last = alarm - _MIN_AFTER
+    last = alarm - MIN_AFTER
     end, evidence, k, each = alarm, -math.inf, 0, tuple[float | None, ...]()
     for n in range(alarm, count + 1):
         begin = max(1, n - _WINDOW)
@@ -204,11 +205,12 @@ def _posterior(prior: Array, log_likelihood: Array) -> tuple[Array, Array]:
 
 
 class Cause(NamedTuple):
-    """A cause with its probability: name of the effect of the library, what it is in a depot."""
+    """A cause with its probability: name of the effect of the library, what it is in a depot, and what to do there."""
 
     effect: str
     title: str
     probability: float
+    check: str = ''  # What to check in the depot
 
 
 class _Kind(NamedTuple):
@@ -219,21 +221,42 @@ class _Kind(NamedTuple):
     direction: Mapping[str, float]  # By channel
     size: float  # Standard deviation of theta [1]
     sign: int  # Of theta, 0 for both
+    check: str  # What to check in the depot
 
 
 _KINDS: Final = (
-    _Kind('dragging_brake', 'dragging brake or another added resistance', {'w15': 1.0}, 0.3, 1),
-    _Kind('resistance_step', 'less resistance than before, as after a repair', {'w15': 1.0}, 0.3, -1),
-    _Kind('brake_scale', 'worn or glazed brake pads', {'brake_rate': 1.0}, 0.1, -1),
-    _Kind('brake_scale', 'brake stronger than before, as with new pads', {'brake_rate': 1.0}, 0.1, 1),
+    _Kind(
+        'dragging_brake', 'dragging brake or another added resistance', {'w15': 1.0}, 0.3, 1,
+        'check cylinder pressure and gap of the pads with brakes released, then heat of discs and axles after a run',
+    ),
+    _Kind(
+        'resistance_step', 'less resistance than before, as after a repair', {'w15': 1.0}, 0.3, -1,
+        'ask what was repaired or changed that day, such as bearings, brakes or fairings',
+    ),
+    _Kind(
+        'brake_scale', 'worn or glazed brake pads', {'brake_rate': 1.0}, 0.1, -1,
+        'check thickness and surface of the pads, cylinder pressure of each car, isolated brake units',
+    ),
+    _Kind(
+        'brake_scale', 'brake stronger than before, as with new pads', {'brake_rate': 1.0}, 0.1, 1,
+        'ask whether pads were replaced, then fit the brake section anew',
+    ),
     # A wheel that reads r times the true speed makes each force seem r times as strong, and each distance as long.
     _Kind(
-        'wheel_diameter', 'wrong wheel diameter', {'wheel_ratio': 1.0, 'force_scale': 1.0, 'brake_rate': 1.0}, 0.02, 0
+        'wheel_diameter', 'wrong wheel diameter', {'wheel_ratio': 1.0, 'force_scale': 1.0, 'brake_rate': 1.0}, 0.02, 0,
+        'measure the wheels (re-profiled or changed?) and compare the diameter that the odometer is set to',
     ),
     # A train heavier than weighed reaches less acceleration with each force.
-    _Kind('mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0),
-    _Kind('traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0),
-)
+    _Kind(
+        'mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0,
+        'weigh the empty train, then check pressure sensors of the air springs and scale of the weighing',
+    ),
+    _Kind(
+        'traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0,
+        'compare reported force and motor currents; check for isolated motors and new software of the drive',
+    ),
+)  # fmt: skip
+_OTHER_CHECK: Final = 'look at its bags first: trainid fleet report --explain 1 names a cause from them'
 # Standard deviation of a change by 'other' in each channel, as a share of the mean [1].
 _OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
 # Standard deviation of a change beside the direction of a cause, as a share of the mean [1].
@@ -254,8 +277,11 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     log_p = np.array([*found, _log_normal(step, other)])
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
-    titles = [*((kind.effect, kind.title) for kind in _KINDS), (OTHER, 'no single known cause')]
-    causes = (Cause(*title, float(share)) for title, share in zip(titles, p, strict=True))
+    named = [
+        *((kind.effect, kind.title, kind.check) for kind in _KINDS),
+        (OTHER, 'no single known cause', _OTHER_CHECK),
+    ]
+    causes = (Cause(name, title, float(x), check) for (name, title, check), x in zip(named, p, strict=True))
     return tuple(sorted((c for c in causes if c.probability >= 0.05), key=lambda cause: -cause.probability))
 
 

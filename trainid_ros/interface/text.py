@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -30,3 +31,18 @@ def printable(text: str) -> str:
     return ''.join(
         char if char.isprintable() or char == '\n' else char.encode('unicode_escape').decode() for char in text
     )
+
+
+def in_step(value: float, std: float) -> tuple[str, str]:
+    """Return a value and its standard deviation as text, both to two significant digits of the latter."""
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        known = [f'{item:.4g}' if math.isfinite(item) else '–' for item in (value, std)]
+        return known[0], known[1]
+    places = max(0, 1 - math.floor(math.log10(std)))
+    return (f'{value:.{places}f}', f'{std:.{places}f}') if places < 7 else (f'{value:.4g}', f'{std:.2g}')
+
+
+def plus_minus(value: float, std: float) -> str:
+    """Return a value with its standard deviation, if that is known, with digits in step."""
+    value_text, std_text = in_step(value, std)
+    return f'{value_text} ± {std_text}' if std > 0.0 and math.isfinite(value + std) else value_text

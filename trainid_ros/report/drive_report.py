@@ -13,9 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
+from trainid_ros.interface.text import in_step, plus_minus
 from trainid_ros.report import page
 from trainid_ros.report.page import Table, render, write_page
-from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, input_panels
+from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, Span, input_panels
+from trainid_ros.report.verdict import USABLE, Verdict, estimate_rows, middle_speed, speed_text
 from trainid_ros.report.words import DASH, DAVIS_UNITS, number
 from trainid_ros.train.forces import davis
 
@@ -27,8 +29,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from trainid_ros.interface.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
+    from trainid_ros.interface.results import (
+        AdhesionEstimate,
+        BrakeRateEstimate,
+        Output,
+        Reason,
+        ResistanceEstimate,
+        SpeedModelEstimate,
+    )
     from trainid_ros.report.recording import Array, Recording, Series, Track
+    from trainid_ros.report.verdict import EstimateRow
     from trainid_ros.sim.truth import Truth, TruthPoint
     from trainid_ros.train.train_file import Davis, TrainFile
 
@@ -50,6 +60,9 @@ class Chapter:
     truth: Truth | None = None  # True parameters, None if unknown
     notes: tuple[str, ...] = ()  # Further sentences, such as the outcome of a comparison
     others: tuple[tuple[str, Track], ...] = ()  # Resistance by other algorithms, by name
+    adhesion: Output[AdhesionEstimate] | None = None  # Last output of the adhesion
+    verdict: Verdict | None = None  # Whether the drive can be used, None if that was not judged
+    certainty: tuple[str, ...] = ()  # Whether the stated uncertainty is right, and what was seen, as sentences
 
     def final_truth(self) -> tuple[Davis | None, float | None]:
         """Return the true resistance and brake rate [1] at the end, None where unknown."""
@@ -143,8 +156,6 @@ STATUSES: Final = {
     'STALE': page.BRAKE,
     'FAULT': page.BAD,
 }
-SPEEDS: Final = (10.0, 15.0, 20.0)
-"""Speeds of the table [m/s]."""
 
 
 def write_report(title: str, chapters: Sequence[Chapter], path: str | Path) -> None:
@@ -169,7 +180,9 @@ def _content(chapter: Chapter) -> dict[str, object]:
             ('Duration', f'{recording.duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
             ('Run', chapter.how),
         ),
+        'verdict': chapter.verdict,
         'notes': chapter.notes,
+        'certainty': chapter.certainty,
         'cards': _cards(chapter),
         'estimates': _estimates_table(chapter),
         'scores': _scores_table(chapter),
@@ -178,6 +191,7 @@ def _content(chapter: Chapter) -> dict[str, object]:
         'resistance_over_time': resistance_over_time(chapter),
         'resistance_curve': resistance_curve(chapter),
         'brake_rate': brake_rate_over_time(chapter),
+        'adhesion': adhesion_over_time(chapter),
         'drive': speed_profile(chapter),
         'status': status_timeline(chapter),
         'innovations': innovation_ratios(chapter),
@@ -190,20 +204,19 @@ def _cards(chapter: Chapter) -> list[dict[str, object]]:
     w, f, m = chapter.resistance.estimate, chapter.brake_rate.estimate, chapter.speed_model.estimate
     true, true_rate = chapter.final_truth()
     low, high = chapter.recording.resistance.speed_range
-    # The speed of the table nearest to the middle of the range learned from.
-    speed = min(SPEEDS, key=lambda speed: abs(speed - 0.5 * (low + high)))
+    speed = middle_speed(w)
     value = resistance_at(_theta(w), speed)
     std = resistance_std(np.array(w.covariance).reshape(3, 3), speed)
     learned = f'{KM_H * low:.0f} to {KM_H * high:.0f} km/h' if high > low else 'nothing yet'
     error = math.nan if true is None else float(value) - davis(true, speed)
     cards = (
         (
-            f'Running resistance at {_speed_text(speed)}', f'{value:.2f} ± {std:.2f}', 'N/kN', chapter.resistance,
-            f'learned from {learned}',
+            f'Running resistance at {speed_text(speed)}', plus_minus(float(value), float(std)), 'N/kN',
+            chapter.resistance, f'learned from {learned}',
             '' if true is None else f'truth {davis(true, speed):.2f}, error {error:+.2f} N/kN',
         ),
         (
-            'Brake rate', f'{f.brake_rate:.3f} ± {f.brake_rate_std:.3f}', '', chapter.brake_rate, '1 = nominal',
+            'Brake rate', plus_minus(f.brake_rate, f.brake_rate_std), '', chapter.brake_rate, '1 = nominal',
             '' if true_rate is None else f'truth {true_rate:.3f}, error {f.brake_rate - true_rate:+.3f}',
         ),
         (
@@ -213,34 +226,25 @@ def _cards(chapter: Chapter) -> list[dict[str, object]]:
         ),
     )  # fmt: skip
     names = ('name', 'value', 'unit', 'output', 'remark', 'more')
-    return [dict(zip(names, card, strict=True)) for card in cards]
-
-
-def _speed_text(speed: float) -> str:
-    return f'{speed:g} m/s ({KM_H * speed:.0f} km/h)'
+    return [dict(zip(names, card, strict=True)) | {'usable': card[3].status in USABLE} for card in cards]
 
 
 def _estimates_table(chapter: Chapter) -> Table:
     """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
-    estimate, rate = chapter.resistance.estimate, chapter.brake_rate.estimate
-    theta, P = _theta(estimate), np.array(estimate.covariance).reshape(3, 3)
     true, true_braking = chapter.final_truth()
-    low, high = chapter.recording.resistance.speed_range
-    combinations = [*zip('abc', DAVIS_UNITS, np.eye(3), strict=True)]
-    for speed in SPEEDS:
-        name = f'w at {_speed_text(speed)}' + ('' if low <= speed <= high else ' *')
-        combinations.append((name, 'N/kN', _phi(speed)))
+    priors = {'brake rate': chapter.train_file.brake.rate, 'force scale': 1.0, 'force delay': 0.0}
     rows = []
-    for name, unit, phi in combinations:
-        std = math.sqrt(max(0.0, float(phi @ P @ phi)))
-        known = None if true is None else float(phi @ _theta(true))
-        rows.append((name, unit, float(phi @ theta), std, float(phi @ _theta(chapter.train_file.resistance)), known))
-    prior = chapter.train_file.brake.rate
-    rows.append(('brake rate', '1 = nominal', rate.brake_rate, rate.brake_rate_std, prior, true_braking))
+    for row in estimate_rows(chapter.resistance, chapter.brake_rate, chapter.adhesion):
+        prior, known = priors.get(row.name, math.nan), true_braking if row.name == 'brake rate' else None
+        if row.factors is not None:
+            phi = np.array(row.factors)
+            prior = float(phi @ _theta(chapter.train_file.resistance))
+            known = None if true is None else float(phi @ _theta(true))
+        rows.append(_row(row, prior, known))
     head = ('', 'unit', 'estimate', 'std', 'train file', 'truth', 'error', 'error / std')
     width = len(head) if chapter.truth is not None else 5
     caption = 'Estimates at the end. * outside the speed range learned from.'
-    return Table(caption, head[:width], [_row(*row)[:width] for row in rows], 2)
+    return Table(caption, head[:width], [row[:width] for row in rows], 2)
 
 
 def _phi(speed: float) -> Array:
@@ -252,12 +256,12 @@ def _theta(davis: Davis | ResistanceEstimate) -> Array:
     return np.array([davis.a, davis.b, davis.c])
 
 
-def _row(name: str, unit: str, value: float, std: float, prior: float, true: float | None) -> list[str]:
-    cells = [name, unit, number(value), number(std, 2), number(prior)]
+def _row(row: EstimateRow, prior: float, true: float | None) -> list[str]:
+    cells = [row.name, row.unit.replace('^2', '²'), *in_step(row.value, row.std), number(prior)]
     if true is None:
         return [*cells, DASH, DASH, DASH]
-    error = value - true
-    return [*cells, number(true), f'{error:+.2g}', f'{error / std:+.1f}' if std > 0.0 else DASH]
+    error = row.value - true
+    return [*cells, number(true), f'{error:+.2g}', f'{error / row.std:+.1f}' if row.std > 0.0 else DASH]
 
 
 def _scores_table(chapter: Chapter) -> Table:
@@ -305,13 +309,14 @@ def resistance_over_time(chapter: Chapter) -> str:
         return ''
     with page.styled_figure(6.6) as figure:
         panels = figure.subplots(3, 2, sharex=True)
+        _, *_, shades = (_shade(axes, chapter, chapter.recording.resistance) for axes in panels.flat)
         for axes, speed in zip(panels[:, 0], shown_speeds(chapter), strict=True):
-            page.draw_panel(axes, _linear_panel(chapter, _phi(speed), f'w at {_speed_text(speed)}', 'w [N/kN]'))
+            page.draw_panel(axes, _linear_panel(chapter, _phi(speed), f'w at {speed_text(speed)}', 'w [N/kN]'))
         for axes, phi, name, unit in zip(panels[:, 1], np.eye(3), 'abc', DAVIS_UNITS, strict=True):
             page.draw_panel(axes, _linear_panel(chapter, phi, f'Davis {name}', f'{name} [{unit}]'))
         for axes in panels[-1]:
             page.time_axis(axes, chapter.recording.duration_s)
-        page.legend_above(figure, _handles(has_truth=chapter.truth is not None))
+        page.legend_above(figure, [*_handles(has_truth=chapter.truth is not None), *shades])
         return page.to_svg(figure, 'Running resistance and Davis parameters over time')
 
 
@@ -399,12 +404,41 @@ def brake_rate_over_time(chapter: Chapter) -> str:
     )
     with page.styled_figure(3.4) as figure:
         axes = figure.subplots()
-        page.draw_spans(axes, recording.observable, {'observable': page.BRAKE}, alpha=0.22)
+        page.draw_spans(axes, recording.observable, {'observable': page.SECOND}, alpha=0.2)
+        shades = _shade(axes, chapter, recording.brake_rate)
         page.draw_panel(axes, panel)
         page.time_axis(axes, recording.duration_s)
-        shade = Patch(color=page.BRAKE, alpha=0.22, linewidth=0, label='braking, observable')
-        page.legend_above(figure, [*_handles(has_truth=true is not None), shade])
+        shade = Patch(color=page.SECOND, alpha=0.2, linewidth=0, label='braking, observable')
+        page.legend_above(figure, [*_handles(has_truth=true is not None), shade, *shades])
         return page.to_svg(figure, 'Brake rate over time')
+
+
+def _shade(axes: Axes, chapter: Chapter, track: Track) -> list[Patch]:
+    return page.draw_faults(axes, track.faults, chapter.recording.duration_s)
+
+
+def adhesion_over_time(chapter: Chapter) -> str:
+    """Plot adhesion and used force over time if the measured axle slipped or slid, shaded where it did; else ''."""
+    recording = chapter.recording
+    whole = recording.adhesion
+    slipping = whole.column('slipping') > 0.0
+    if not slipping.any():
+        return ''
+    track = _picked(whole)
+    edges = np.flatnonzero(np.diff(slipping, prepend=False, append=False)).reshape(-1, 2)
+    time_s = np.append(whole.time_s, recording.duration_s)
+    slips = [Span(float(time_s[begin]), float(time_s[end]), 'slip') for begin, end in edges]
+    with page.styled_figure(3.0) as figure:
+        axes = figure.subplots()
+        shades = page.draw_faults(axes, slips, recording.duration_s)
+        panel = Panel('Adhesion', 'share of the weight', track.time_ns, track.column('adhesion'))
+        page.draw_panel(axes, panel._replace(std=track.column('adhesion_std'), usable=track.usable))
+        axes.plot(track.time_s / 60.0, np.abs(track.column('used')), color=page.MUTED, linewidth=0.8)
+        axes.set_ylim(bottom=0.0)
+        page.time_axis(axes, recording.duration_s)
+        used = Line2D([], [], color=page.MUTED, label='used')
+        page.legend_above(figure, [page.ESTIMATE_LINE, page.BAND_68, page.BAND_95, used, *shades])
+        return page.to_svg(figure, 'Adhesion over time')
 
 
 def speed_profile(chapter: Chapter) -> str:
@@ -417,12 +451,14 @@ def speed_profile(chapter: Chapter) -> str:
     with page.styled_figure(3.8) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         page.draw_spans(above, recording.modes, MODES, alpha=0.45)
+        shades = _shade(below, chapter, recording.resistance)
         driven = Panel('Speed and driving modes', panels['speed'].label, time_ns[kept], KM_H * speed[kept])
         page.draw_panel(above, driven, page.INK, 0.9)
         above.set_ylim(bottom=0.0)
         page.draw_panel(below, Panel('', panels['gradient'].label, time_ns[kept], gradient[kept]), page.MUTED, 0.9)
         page.time_axis(below, recording.duration_s)
-        page.legend_above(figure, [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()])
+        modes = [Patch(color=colour, alpha=0.45, label=name) for name, colour in MODES.items()]
+        page.legend_above(figure, [*modes, *shades])
         return page.to_svg(figure, 'Speed profile with driving modes')
 
 
@@ -464,7 +500,7 @@ def speed_model_over_time(chapter: Chapter) -> str:
     if not track.estimates:
         return ''
     w = Panel(
-        f'Speed model: w at {_speed_text(speed)}',
+        f'Speed model: w at {speed_text(speed)}',
         'w [N/kN]',
         track.time_ns,
         resistance_at(track.theta, speed),

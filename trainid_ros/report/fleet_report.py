@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import math
+from itertools import cycle, pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,19 +12,22 @@ from markupsafe import Markup
 
 from trainid_ros.fleet.changes import Level
 from trainid_ros.fleet.mixed_model import MIN_TRAINS
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.report import page
-from trainid_ros.report.words import DASH, plus_minus
+from trainid_ros.report.words import DASH
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from matplotlib.axes import Axes
 
     from trainid_ros.fleet.analysis import ChannelView, FleetView, TrainView
     from trainid_ros.fleet.changes import Departure
+    from trainid_ros.fleet.mixed_model import Array
 
 _NAMED: Final = (page.BAD, page.BRAKE, page.SECOND, page.TRACTION, page.ESTIMATE)
+_LABELLED: Final = 10  # Trains drawn in colour, with their names
+_LINE: Final = 0.09  # Height of a line of text [of axes of 2.1 inch]
 _SIGMAS: Final = 2.0
 
 
@@ -45,7 +49,9 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
             ('False alarms', f'at most one in {limit:.0f} train-days, if the model holds'),
         ),
         summary=summary(view),
-        tables=(_ranking(view), _spread_table(view)),
+        ranking=_ranking(view),
+        hidden=view.hidden,
+        spread=_spread_table(view),
         all_trains=fleet_over_days(view),
         common=common_over_days(view),
         trains=[
@@ -53,6 +59,7 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
                 'number': train.number,
                 'name': train.name,
                 'lines': (*findings(view, train), *notes.get(train.name, ())) or ('Nothing stands out.',),
+                'checks': checks(train),
                 'figure': train_over_days(view, train),
             }
             for train in shown
@@ -89,14 +96,19 @@ def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def checks(train: TrainView) -> tuple[str, ...]:
+    """Return what to check of a train in the depot, the likeliest cause first."""
+    return tuple(dict.fromkeys(f'{cause.title}: {cause.check}.' for cause in train.causes))
+
+
 def _departure_text(view: FleetView, departure: Departure) -> str:
     days = view.labels.days
-    steps = [
-        f'{v.channel.title} {v.fit.mean + s.before.mean:.4g} to {plus_minus(v.fit.mean + s.after.mean, s.after.std)} '
-        f'{v.channel.unit}'
-        for v, s in zip(view.channels, departure.steps, strict=True)
-        if s is not None and s.evidence > 3.0  # ln of the Bayes factor
-    ]
+    steps = []
+    for v, s in zip(view.channels, departure.steps, strict=True):
+        if s is not None and s.evidence > 3.0:  # ln of the Bayes factor
+            before, _ = in_step(v.fit.mean + s.before.mean, s.after.std)
+            after = plus_minus(v.fit.mean + s.after.mean, s.after.std)
+            steps.append(f'{v.channel.title} {before} to {after} {v.channel.unit}')
     what = '; '.join(step.rstrip() for step in steps) or 'in several channels a little'
     until = '' if departure.end is None else f' until {days[departure.end - 1]}'
     first = (
@@ -131,17 +143,36 @@ def _spread_table(view: FleetView) -> page.Table:
 
 def fleet_over_days(view: FleetView) -> str:
     """Plot each channel of all trains, less what they have in common; those that stand out in colour."""
+    named = view.found[:_LABELLED]
 
     def draw(axes: Axes, k: int, channel: ChannelView) -> None:
         _fleet_band(axes, channel, len(view.labels.days))
-        for train in view.trains[len(view.found) : 200]:
+        for train in view.trains[len(named) : 200]:
             axes.plot(channel.fit.mean + train.series[k].value, color=page.MUTED, linewidth=0.5, alpha=0.5)
-        for train, colour in zip(view.found, _NAMED, strict=False):
-            axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.', label=train.name)
-        if k == 0 and view.found:
-            axes.legend(loc='upper left', ncols=len(_NAMED))
+        for train, colour in zip(named, cycle(_NAMED)):
+            axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.')
+        _keep_room(axes, channel)
+        _name_ends(axes, [(t.name, channel.fit.mean + t.series[k].value) for t in named])
 
     return _over_days(view, 2.1, 'Values of all trains over the days', draw)
+
+
+def _keep_room(axes: Axes, channel: ChannelView) -> None:
+    """Show at least one stated standard deviation on either side: what is finer is no difference."""
+    page.keep_room(axes, float(np.median(channel.cells.std)))
+
+
+def _name_ends(axes: Axes, lines: Sequence[tuple[str, Array]]) -> None:
+    """Write the name of each line at its end, none over another."""
+    low, high = axes.get_ylim()
+    ends = []
+    for number, (name, value) in enumerate(lines):
+        if (known := value[np.isfinite(value)]).size:
+            ends.append(((float(known[-1]) - low) / (high - low), name, _NAMED[number % len(_NAMED)]))
+    place = -math.inf
+    for at, name, colour in sorted(ends):
+        place = max(at, place + _LINE)
+        axes.text(1.005, place, name, transform=axes.transAxes, color=colour, va='center', fontsize=8.5)
 
 
 def common_over_days(view: FleetView) -> str:
@@ -153,6 +184,7 @@ def common_over_days(view: FleetView) -> str:
         with np.errstate(invalid='ignore', divide='ignore'):
             mean = np.bincount(cells.day, channel.fit.common, days) / count
         axes.plot(mean, color=page.ESTIMATE, marker='.')
+        _keep_room(axes, channel)
 
     return _over_days(view, 1.6, 'What trains have in common on each day', draw)
 
@@ -166,6 +198,7 @@ def train_over_days(view: FleetView, train: TrainView) -> str:
         at, value = np.arange(series.value.size), channel.fit.mean + series.value
         axes.errorbar(at, value, series.std, fmt='.', color=page.INK, elinewidth=0.8, markersize=4)
         _levels(axes, channel, k, train)
+        _keep_room(axes, channel)
 
     return _over_days(view, 1.8, f'Train {train.name} over the days', draw)
 

@@ -178,6 +178,27 @@ def draw_spans(
             axes.broken_barh(bars, lane or (0.0, 1.0), facecolors=colour, alpha=alpha, linewidth=0, **place)
 
 
+FAULTS: Final = {'contradiction': (BAD, 0.18), 'gap': (MUTED, 0.3), 'rejected': (WAIT, 0.3), 'slip': (BAD, 0.3)}
+"""Colour and opacity of what is wrong with the inputs, by the labels of its spans."""
+
+
+def draw_faults(axes: Axes, spans: Sequence[Span], duration_s: float) -> list[Patch]:
+    """Shade what is wrong with the inputs, each at least as wide as a line; return the entries for the legend."""
+    patches, least_s = [], duration_s / 700.0
+    for label, (colour, alpha) in FAULTS.items():
+        joined: list[Span] = []
+        for span in (span for span in spans if span.label == label):
+            end_s = max(span.end_s, span.start_s + least_s)
+            if joined and span.start_s - joined[-1].end_s < least_s:
+                joined[-1] = joined[-1]._replace(end_s=end_s)
+            else:
+                joined.append(span._replace(end_s=end_s))
+        if joined:
+            draw_spans(axes, joined, {label: colour}, alpha=alpha)
+            patches.append(Patch(color=colour, alpha=alpha, linewidth=0, label=label))
+    return patches
+
+
 def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
     """Fit the value axis to these values, so that a wide band at the start does not compress the rest."""
     known = np.concatenate([value[np.isfinite(value)] for value in values])
@@ -186,6 +207,13 @@ def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
     low, high = float(known.min()), float(known.max())
     room = margins * (high - low) or 0.1 * abs(high) or 1.0
     axes.set_ylim(low - room, high + room)
+
+
+def keep_room(axes: Axes, least: float) -> None:
+    """Widen the value axis until it shows at least so much on either side of its middle."""
+    low, high = axes.get_ylim()
+    middle = 0.5 * (low + high)
+    axes.set_ylim(min(low, middle - least), max(high, middle + least))
 
 
 def time_axis(axes: Axes, duration_s: float) -> None:

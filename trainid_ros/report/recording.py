@@ -25,6 +25,7 @@ from trainid_ros.interface.records import KM_H, NS_PER_S, BrakeRecord, ForceReco
 from trainid_ros.interface.results import (
     AdhesionEstimate,
     BrakeRateEstimate,
+    Reason,
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
@@ -47,6 +48,13 @@ STANDSTILL: Final = 'standstill'
 PULLING: Final = 'traction'
 COASTING: Final = 'coast'
 BRAKING: Final = 'brake'
+CONTRADICTED: Final = 'contradiction'
+GAP: Final = 'gap'
+REJECTED: Final = 'rejected'
+# Why samples are left out of a healthy drive.
+_USUAL: Final = frozenset(
+    (Reason.NONE, Reason.STANDSTILL, Reason.BRAKING, Reason.NOT_BRAKING, Reason.THINNED, Reason.BRAKE_UNCERTAIN)
+)
 # A larger step of the stamps needs a sample on its other side.
 _MAX_STEP_NS: Final = 600 * NS_PER_S
 
@@ -80,6 +88,7 @@ class Track:
     usable: NDArray[np.bool_]  # True where the status was VALID or HOLDING, shape (n,)
     ratios: Series  # Test ratios [1] of the innovations; of samples merged into one the greatest
     statuses: tuple[Span, ...]  # Status over time
+    faults: tuple[Span, ...]  # Contradictions of the inputs, gaps, and samples rejected for what is wrong with them
 
     @property
     def time_s(self) -> Array:
@@ -237,12 +246,14 @@ class _Outputs:
         self._tested: _Thinned[tuple[float, ...]] = _Thinned(
             capacity, lambda first, later: max(later, first, key=itemgetter(1))
         )  # Stamps and ratios
-        self.statuses = Labels()
+        self.statuses, self._faults = Labels(), Labels()
+        self._newest_ns = 0
         self._innovation: float | None = None
 
     def add(self, output: AnyOutput) -> None:
         self._kept.add(output)
         self.statuses.add(output.stamp_ns, output.status.name)
+        self._add_fault(output)
         estimate = output.estimate
         if isinstance(estimate, SpeedModelEstimate | AdhesionEstimate) or not estimate.innovation_variance > 0.0:
             return
@@ -250,6 +261,18 @@ class _Outputs:
         if estimate.innovation != self._innovation:
             self._tested.add((output.stamp_ns, float(estimate.test_ratio)))
         self._innovation = estimate.innovation
+
+    def _add_fault(self, output: AnyOutput) -> None:
+        stamp_ns, rejection = output.stamp_ns, output.last_rejection
+        reason = rejection.reason if rejection is not None and rejection.stamp_ns == stamp_ns else Reason.NONE
+        if reason is Reason.GAP:
+            self._faults.add(self._newest_ns or stamp_ns, GAP)
+            self._faults.add(stamp_ns, None)
+        elif reason is Reason.CONTRADICTION:
+            self._faults.add(stamp_ns, CONTRADICTED)
+        else:
+            self._faults.add(stamp_ns, None if reason in _USUAL else REJECTED)
+        self._newest_ns = stamp_ns
 
     def track(self, start_ns: int, end_ns: int) -> Track:
         kept = self._kept.items()
@@ -259,6 +282,7 @@ class _Outputs:
             np.array([output.status in (Status.VALID, Status.HOLDING) for output in kept], dtype=np.bool_),
             _series(self._tested.items(), 1, start_ns),
             self.statuses.spans(start_ns, end_ns),
+            self._faults.spans(start_ns, end_ns),
         )
 
 

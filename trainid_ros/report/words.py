@@ -12,7 +12,7 @@ import numpy as np
 
 from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Verdict, place_text
 from trainid_ros.interface.results import ResistanceEstimate, quantities
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import TrainFile
 
@@ -77,14 +77,6 @@ def _twins(explanation: Explanation) -> list[str]:
 def join(words: Sequence[str]) -> str:
     """Return words as an enumeration with commas and 'and'."""
     return ' and '.join(filter(None, (', '.join(words[:-1]), *words[-1:])))
-
-
-def plus_minus(value: float, std: float) -> str:
-    """Return a value with its standard deviation, both rounded to two significant digits of the latter."""
-    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
-        return number(value)
-    places = max(0, 1 - math.floor(math.log10(std)))
-    return f'{value:.{places}f} ± {std:.{places}f}' if places < 7 else f'{value:.4g} ± {std:.2g}'
 
 
 def unit_of(effect: str, parameter: str) -> str:

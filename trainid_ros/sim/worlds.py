@@ -146,7 +146,11 @@ def make_case(
     Raises:
         InputError: The scenario cannot be driven, or an effect already exists; the message names it.
     """
-    unknowns = draw_unknowns(names, rng)
+    return case_of(world, file, draw_unknowns(names, rng), runs, extra)
+
+
+def case_of(world: World, file: TrainFile, unknowns: Unknowns, runs: int, extra: tuple[Effect, ...] = ()) -> Case:
+    """Return the case of known differences from the train file; arguments and errors as of :func:`make_case`."""
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
     known = {effect.name for effect in true.effects}
     for name in (effect.name for effect in extra if effect.name in known):
