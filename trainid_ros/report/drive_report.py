@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
-from trainid_ros.interface.text import in_step, plus_minus
+from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.report import page
 from trainid_ros.report.page import Table, render, write_page
 from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, Span, input_panels
@@ -176,7 +176,7 @@ def _content(chapter: Chapter) -> dict[str, object]:
         'facts': (
             ('Bag', chapter.bag),
             ('Train file', chapter.train_file_name),
-            ('Train', f'{train.mass / 1000.0:.0f} t, {train.length:.0f} m, {train.cars} cars'),
+            ('Train', f'{number(train.mass / 1000.0, 3)} t, {train.length:.0f} m, {pluralise(train.cars, "car")}'),
             ('Duration', f'{recording.duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
             ('Run', chapter.how),
         ),
