@@ -23,7 +23,7 @@ from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.worlds import REALISMS, WORLDS, Case, find_world, make_case, world_train
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, acceleration, davis
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis
 
 HORIZONS: Final = (5.0, 60.0)
@@ -174,7 +174,7 @@ class _Questions:
     ) -> float:  # fmt: skip
         """Return the speed by the parameters of the speed model after a time without brake [m/s]."""
         curve = effect_value(self._case.stated.effects, 'curve_resistance', 'coefficient', 0.0)
-        profile = LineProfile(self._case.stated.line, self._case.stated.train.length)
+        profile = profile_of(self._case.stated)
         times, forces = zip(*force, strict=True)
         for k in range(round(horizon / TICK_S)):
             F = float(np.interp((k + 0.5) * TICK_S, times, forces))

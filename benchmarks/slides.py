@@ -25,7 +25,7 @@ from trainid_ros.sim.plant import TICK_S, Decision, Driver, Plant
 from trainid_ros.sim.scenario import Scenario, TrainDriver, simulate
 from trainid_ros.sim.worlds import WORLDS, world_train
 from trainid_ros.train.forces import G
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import TrainFile
 
 _AXLE: Final = 4.0
@@ -117,7 +117,7 @@ def drive_with_slides(scenario: Scenario, patches: Sequence[Patch], rng: np.rand
 
     def make(plant: Plant, drive: np.random.Generator) -> TrainDriver:
         file = scenario.train_file
-        driver = Driver(scenario.driver, scenario.stated or file, LineProfile(file.line, file.train.length), drive)
+        driver = Driver(scenario.driver, scenario.stated or file, profile_of(file), drive)
         made.append(SlidingDriver(driver, plant, patches, slides))
         return made[0]
 
@@ -304,7 +304,7 @@ def run(trial: Trial) -> Outcome:
 def _bound(client: TrainModel, train_file: TrainFile, train: Plant, speed: float) -> float:
     """Return the bound of a client on the true gradient halfway to the stop [m], infinite if it refuses."""
     ahead = train.position + train.direction * 0.5 * speed * speed / 1.6
-    gradient = LineProfile(train_file.line, train_file.train.length).gradient(ahead, train.direction)
+    gradient = profile_of(train_file).gradient(ahead, train.direction)
     try:
         return client.stopping_distance(speed, gradient, _COMMAND, applied=min(train.brake, 0.0)).value
     except NoAnswerError:

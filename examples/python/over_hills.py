@@ -21,7 +21,7 @@ from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientReco
 from trainid_ros.sim.plant import Plant
 from trainid_ros.sim.scenario import DEFAULT_START_NS, TICK_NS
 from trainid_ros.sim.worlds import find_world, world_train
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -59,7 +59,7 @@ def choose(model: TrainModel, train: Plant, position: float | None, choices: lis
 
 def drive(true: TrainFile, stated: TrainFile, seconds: float, *, uses_map: bool) -> np.ndarray:
     """Return the speeds [m/s] of a drive, one each tick, shape (n,)."""
-    train = Plant(true, LineProfile(true.line, true.train.length), DEFAULT_START_NS, 0.8)
+    train = Plant(true, profile_of(true), DEFAULT_START_NS, 0.8)
     model, rng, speeds = TrainModel.offline(stated), np.random.default_rng(1), list[float]()
     forces = [share * stated.train.max_traction_force for share in _SHARES]
     choices = [*(Choice(force, 0.0) for force in forces), Choice(0.0, _BRAKE)]

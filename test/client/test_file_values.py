@@ -256,3 +256,14 @@ def test_an_effect_of_a_user_on_the_brake_may_depend_on_speed(tmp_path: Path, mo
     for speed in (0.0, 3.0, 0.5 * top, top, 1.5 * top):  # constant above the highest one
         assert weaker.brake_rate(speed).value == pytest.approx(1.0 - 0.01 * min(speed, top))
     assert weaker.brake_rate() == replace(weaker.brake_rate(0.5 * top), std=weaker.brake_rate().std)
+
+
+@pytest.mark.parametrize('direction', [1, -1])
+def test_between_its_places_the_gradient_under_unequal_cars_is_linear(direction: int) -> None:
+    line = Line(gradient=((0.0, 0.0), (300.0, 12.0), (350.0, -4.0), (900.0, 3.0)))
+    train = replace(FILE.train, length=100.0, consist=((60e3, 20.0), (20e3, 40.0), (70e3, 40.0)))
+    effects = StatedEffects(replace(FILE, train=train, line=line))
+    places, z, _ = effects.along(direction)
+    for position in np.linspace(-200.0, 1200.0, 141).tolist():
+        wanted = effects.profile.gradient(position, direction)
+        assert np.interp(direction * position, places, z) == pytest.approx(wanted, abs=1e-4)

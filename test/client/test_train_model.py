@@ -29,7 +29,7 @@ from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings
-from trainid_ros.train.forces import acceleration
+from trainid_ros.train.forces import G, acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
@@ -115,6 +115,15 @@ def test_without_estimates_the_train_file_answers_with_its_std() -> None:
     assert 0.5 < w.std < 2.0
     assert (w.live, w.reason) == (False, 'train file: no estimate yet')
     assert model.brake_rate() == Value(1.0, 0.2, False, 'train file: no estimate yet')
+
+
+def test_the_air_drag_is_the_same_force_for_any_load() -> None:
+    train = replace(FILE.train, c_by_weight=1.0)
+    model, plain = TrainModel(None, replace(FILE, train=train)), TrainModel(None, FILE)
+    v, M, c = 12.0, 1.3 * train.mass, FILE.resistance.c
+    less = plain.feed_forward(v, 5.0, 0.0, M).value - model.feed_forward(v, 5.0, 0.0, M).value
+    assert less == pytest.approx(0.001 * G * c * v * v * (M - train.mass))
+    assert model.feed_forward(v, 5.0, 0.0).value == plain.feed_forward(v, 5.0, 0.0).value
 
 
 @pytest.mark.parametrize('mass', [None, 230e3])

@@ -83,8 +83,8 @@ def variable(text: str) -> tuple[str, str] | None:
 def check(text: str) -> None:
     """Check program, verb and options of one command without running it."""
     words = shlex.split(text.partition(' > ')[0])
-    if words[:3] == [TRAINID, 'fleet', 'report']:
-        check_verb('fleet report', words[3:])
+    if words[0] == TRAINID and ' '.join(words[1:3]) in {verb.name for verb in VERBS}:
+        check_verb(' '.join(words[1:3]), words[3:])
     elif words[0] == TRAINID:
         check_verb(words[1], words[2:])
     elif words[0] == 'make':

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from test.explain.made_runs import TRAIN, Maker, disturbed
 from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, assemble, find_outliers, numbered
+from trainid_ros.explain.model import Model
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, specific_force, specific_inertia
@@ -91,6 +92,20 @@ def test_mass_is_measured_or_from_the_train_file() -> None:
         (run,) = collect(samples([10.0] * 101, fields))
         assert run.weighed is weighed
         assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (mass * 9.80665))
+
+
+def test_the_drag_of_the_load_is_known_resistance() -> None:
+    file = replace(FILE, train=replace(FILE.train, c_by_weight=1.0))
+    collector = RunCollector(file)
+    for one in samples([10.0] * 101, {k: {'mass': 250e3} for k in range(101)}):
+        collector.add(one)
+    collector.end_run()
+    drag = -0.003 * 100.0 * 0.2  # c v^2 (200 / 250 - 1)
+    assert collector.runs[0].load_drag == pytest.approx(np.full(101, drag))
+    model, plain = (Model.of(collector.runs, train_file) for train_file in (file, FILE))
+    inertia = specific_inertia(1.0, FILE.train.rotary_mass)
+    faster = plain.dataset.gap[-1] - model.dataset.gap[-1]  # by the predicted speed after 20 s
+    assert faster == pytest.approx(-drag * 20.0 / inertia, rel=0.02)
 
 
 def test_mass_of_a_run_is_weighed_although_the_train_may_stand_at_its_end() -> None:

@@ -77,6 +77,16 @@ def test_coasting_against_c_follows_the_closed_form() -> None:
     assert train.position == pytest.approx(math.log(1.0 + k * 20.0 * 100.0) / k, rel=1e-7)
 
 
+def test_the_air_drag_of_a_loaded_train_is_that_of_its_body() -> None:
+    # As above, with the same force C v^2 on 1.3 times the mass.
+    file = replace(FILE, resistance=Davis(0.0, 0.0, 0.02), train=replace(FILE.train, c_by_weight=1.0))
+    train = plant(file, speed=20.0)
+    train.mass *= 1.3
+    run(train, 100.0)
+    k = 0.02 / 1.3 * G / 1080.0
+    assert train.speed == pytest.approx(20.0 / (1.0 + k * 20.0 * 100.0), rel=1e-7)
+
+
 def test_delay_and_lag_of_the_brake_are_exact() -> None:
     train = braked(replace(FILE, resistance=NO_RESISTANCE), 20.0, -1.0)
     run(train, 0.6)

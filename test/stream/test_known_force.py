@@ -141,3 +141,13 @@ def test_wind_and_gradient_errors_follow_the_direction(train_file: TrainFile, sa
     place = KnownForce(replace(train_file, effects=(error,)))
     assert place.extra(sample(1)) == pytest.approx(2.0)
     assert place.extra(sample(1, direction=-1)) == 0.0
+
+
+def test_air_drag_per_weight_falls_with_the_load(train_file: TrainFile, sample: Make) -> None:
+    known = KnownForce(replace(train_file, train=replace(train_file.train, c_by_weight=0.5)))
+    # Half of c v^2 = 0.004 * 225 N/kN is by 1/weight: 0.45 * (200 / 250 - 1).
+    loaded = sample(1, mass=250e3, gradient_mean=3.0)
+    assert known.extra(loaded) == pytest.approx(-0.09, rel=1e-9)
+    assert known.track(loaded) == pytest.approx(2.91, rel=1e-9)
+    assert known.extra(sample(1)) == 0.0  # not weighed
+    assert KnownForce(train_file).extra(loaded) == 0.0

@@ -97,6 +97,38 @@ def test_next_stop(profile: LineProfile) -> None:
     assert profile.next_stop(0.0, -1) is None
 
 
+HEAVY_HEAD = ((60e3, 20.0), (20e3, 40.0), (20e3, 40.0))
+
+
+def test_gradient_and_curvature_are_weighted_by_the_masses_of_the_cars() -> None:
+    profile = LineProfile(LINE, 100.0, HEAVY_HEAD)
+    # Rising positions: the first car leads. Front at 660: it lies at 640 to 660, beyond the change at 620.
+    assert profile.gradient(660.0, 1) == pytest.approx((0.6 + 0.4 * 20.0 / 80.0) * -12.5)
+    # Falling positions: the last car leads, the first one lies at the end with the higher position, at 740 to 760.
+    assert profile.gradient(660.0, -1) == pytest.approx(-(0.6 * 20.0 + 0.4 * (0.5 * -12.5 + 0.5 * 20.0)))
+    assert profile.curve_radius(310.0, 1) == pytest.approx(400.0 / 0.3)
+    assert profile.curve_radius(450.0, -1) == pytest.approx(400.0 / (0.4 * 50.0 / 80.0))
+    # Air drag in a tunnel is by length.
+    assert [profile.tunnel(x, 1) for x in (740.0, 760.0)] == [False, True]
+
+
+def test_a_train_of_two_cars_feels_the_sum_of_two_short_ones() -> None:
+    train = LineProfile(LINE, 100.0, ((90e3, 30.0), (30e3, 70.0)))
+    first, last = LineProfile(LINE, 30.0), LineProfile(LINE, 70.0)
+    for x in (610.0, 655.5, 700.0, 741.0, 790.0):
+        assert train.gradient(x, 1) == pytest.approx(0.75 * first.gradient(x, 1) + 0.25 * last.gradient(x - 30.0, 1))
+        ahead = 0.25 * last.gradient(x, -1) + 0.75 * first.gradient(x + 70.0, -1)
+        assert train.gradient(x, -1) == pytest.approx(ahead)
+
+
+def test_cars_of_equal_mass_per_metre_change_nothing(profile: LineProfile) -> None:
+    even = LineProfile(LINE, 100.0, ((30e3, 30.0), (20e3, 20.0), (50e3, 50.0)))
+    for x in (610.3, 655.7, 700.1, 741.9):
+        for way in (1, -1):
+            assert even.gradient(x, way) == profile.gradient(x, way)
+            assert even.curve_radius(x - 300.0, way) == profile.curve_radius(x - 300.0, way)
+
+
 @pytest.mark.parametrize('length', [0.0, -1.0, math.nan])
 def test_a_train_length_that_is_not_positive_is_rejected(length: float) -> None:
     with pytest.raises(InputError, match='train length'):

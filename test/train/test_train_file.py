@@ -148,6 +148,21 @@ INVALID = [
             "T.yaml: line 1, column 18 is not valid YAML: key 'mass' is given twice",
         ),
         ('train: {mass: 1, cars: 0}\nresistance: {}', 'T.yaml: train.cars = 0 must be >= 1'),
+        ('train: {cars: []}\nresistance: {}', 'T.yaml: train.cars has 0 cars; it must have 1 to 1000'),
+        ('train: {cars: [4]}\nresistance: {}', 'T.yaml: train.cars[0] = 4 must be a mapping of fields'),
+        ('train: {cars: [{mass: 1}]}\nresistance: {}', 'T.yaml: train.cars[0].length is missing'),
+        (
+            'train: {cars: [{mass: 1, length: 2, width: 3}]}\nresistance: {}',
+            'T.yaml: train.cars[0].width is not a known field; known: length, mass',
+        ),
+        (
+            'train: {mass: 7e4, cars: [{mass: 4e4, length: 20}, {mass: 3.1e4, length: 20}]}\nresistance: {}',
+            'T.yaml: train.mass = 70000 kg contradicts cars, which add up to 71000 kg',
+        ),
+        (
+            'train: {length: 30, cars: [{mass: 4e4, length: 20}]}\nresistance: {}',
+            'T.yaml: train.length = 30 m contradicts cars, which add up to 20 m',
+        ),
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
         (MINIMAL + '3: 4', 'T.yaml has the key 3, which is not a field name'),
         *((MINIMAL + text, f'T.yaml: {message}') for text, message in INVALID),
@@ -168,6 +183,17 @@ def test_invalid_yaml_is_reported_in_one_line_with_the_file(text: str) -> None:
     assert '\n' not in str(caught.value)
 
 
+def test_cars_give_mass_and_length_and_are_read_back() -> None:
+    cars = 'cars: [{mass: 60e3, length: 20.5}, {mass: 35e3, length: 25}]'
+    resistance = 'resistance: {a: 1, b: 0, c: 0}'
+    train = parse_train_file(f'train: {{{cars}}}\n{resistance}', 'T.yaml').train
+    assert (train.mass, train.length, train.cars) == (95e3, 45.5, 2)
+    assert train.consist == ((60e3, 20.5), (35e3, 25.0))
+    rounded = parse_train_file(f'train: {{mass: 95.05e3, length: 45.5, {cars}}}\n{resistance}', 'T.yaml')
+    assert rounded.train.mass == 95.05e3
+    assert parse_train_file(dump_train_file(rounded), 'T.yaml') == rounded
+
+
 # Field, lowest and highest value.
 RANGES = {
     'train.mass': (1.0, 1e9),
@@ -178,6 +204,7 @@ RANGES = {
     'train.max_speed': (0.1, 1000.0),
     'train.mass_std': (0.0, 0.5),
     'train.force_std': (0.0, 0.5),
+    'train.c_by_weight': (0.0, 1.0),
     'resistance.a': (0.0, 100.0),
     'resistance.b': (-10.0, 10.0),
     'resistance.c': (0.0, 1.0),

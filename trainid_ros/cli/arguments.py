@@ -144,6 +144,11 @@ VERBS: Final = (
         'fleet report', 'find the trains that stand out in a table', 'tables --out --explain --false-alarm-days --json',
         'fleet.report',
     ),
+    Verb(
+        'train import', 'make a train file of railML or OSRD files', 'files --formation --track --out --json',
+        'train.import_files',
+    ),
+    Verb('train show', 'show a train file: resistance, brake and line', 'train --out --json', 'train.show_file'),
 )  # fmt: skip
 
 OPTIONS: Final[dict[str, dict[str, Any]]] = {
@@ -153,6 +158,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'fleet bags': _path('BAG', 'bags, folders that hold bags, or patterns', nargs='+'),
     'tables': _path('TABLE', 'tables of trainid fleet', nargs='+'),
     'file': _path('FILE', 'table: .csv, .vbo, .parquet or .npz'),
+    'files': _path('FILE', 'railML (.xml, .railml), OSRD (.json), or a train file to start from (.yaml)', nargs='+'),
+    'train': _path('T.yaml', 'train file'),
+    '--formation': _value(str, '', 'ID', 'formation, or vehicle, of a railML file with several'),
+    '--track': _value(str, '', 'ID', 'track of a file with several: the line'),
     'out': _path('OUT', 'bag to create'),
     'import out': _path('OUT', 'bag to create', nargs='?'),
     'simulate out': _path('OUT', 'bag to create, or folder for the bags of a fleet'),
@@ -192,6 +201,8 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--watch': _flag('explain again whenever a bag is added to the folders, and print only what is new'),
     'fleet --out': _path('TABLE.parquet', 'table to write; .csv needs no pyarrow', required=True),
     'fleet report --out': _path('REPORT.html', 'write a report with plots'),
+    'train import --out': _path('T.yaml', 'write the train file there instead of on standard output'),
+    'train show --out': _path('PAGE.html', 'write a page with plots'),
     '--report': _path('FILE.html', 'write a report with plots; of several bags, one each in this folder'),
     '--truth': _path('FILE', 'truth for the report (default: truth.yaml in the bag, if any)'),
     'demo --rate': _value(positive, DEMO_RATE, 'R', f'playback rate, x real time (default: {DEMO_RATE:g})'),

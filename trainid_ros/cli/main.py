@@ -70,8 +70,8 @@ def _end(number: int, _: object) -> NoReturn:
 
 def _dispatch(arguments: list[str]) -> int:
     """Run a verb; InputError if it needs an optional package that is not installed."""
-    if arguments[:2] == ['fleet', 'report']:
-        arguments = ['fleet report', *arguments[2:]]
+    if (pair := ' '.join(arguments[:2])) in (verb.name for verb in VERBS):
+        arguments = [pair, *arguments[2:]]
     wanted = next((text for text in arguments if not text.startswith('-')), None)
     parser = _Parser(prog='trainid', description='Identify train resistance and brake rate on board.')
     parser.add_argument('--version', action='version', version=f'trainid {__version__}')

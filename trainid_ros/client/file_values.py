@@ -22,7 +22,7 @@ from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.forces import G
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import MAX_RATE, MIN_RATE
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class StatedEffects:
         self._terms, self._davis = resistance_terms(effects), train_file.resistance
         self._names = ', '.join(effect.name for effect in effects)
         self._length = train_file.train.length
-        self.profile = LineProfile(train_file.line, self._length)
+        self.profile = profile_of(train_file)
         # Where line or effects change for a point of the train [m], and by how much gradients are read too early [m].
         line = train_file.line
         self._edges = {x for x, _ in (*line.gradient, *line.curve)}
@@ -82,7 +82,8 @@ class StatedEffects:
         (m/s)^2] are linear, exactly so for the effects built in but for a tunnel, which begins within half a metre.
         """
         profile, reach = self.profile, direction * self._length
-        shifts = (0.0, reach, direction * self._shift, reach + direction * self._shift)
+        joints = [joint if direction > 0 else joint - self._length for joint in profile.joints]
+        shifts = [joint + shift for joint in joints for shift in (0.0, direction * self._shift)]
         fronts = {x + shift for x in self._edges for shift in shifts}
         tunnels = (x for pair in profile.line.tunnel for x in pair)
         fronts |= {x + 0.5 * reach + side for x in tunnels for side in (-0.25, 0.25)}

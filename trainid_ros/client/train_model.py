@@ -27,7 +27,7 @@ from trainid_ros.interface.errors import InputError, NoAnswerError, SettingInfo,
 from trainid_ros.interface.records import ADHESION_TOPIC, BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, Record, output_topic
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.train.fields import shown
-from trainid_ros.train.forces import G
+from trainid_ros.train.forces import G, load_drag
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
@@ -395,7 +395,8 @@ class TrainModel:
             self._go_on()
             w = self._resistance_at(v, direction)
             scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
-        force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + i))
+        load = load_drag(train.c_by_weight * self._file.train_file.resistance.c, train.mass, M, v)
+        force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + load + i))
         if force > 0.0:
             # As the estimators do: they subtract what effects take from the reported force, which they scale.
             s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
@@ -460,13 +461,14 @@ class TrainModel:
         v, i, train = SPEED.checked(speed), GRADIENT.checked(gradient), self._file.train_file.train
         times = [HORIZON.checked(time) for time in _rows(horizon, HORIZON)]
         M, u0 = train.mass if mass is None else MASS.checked(mass), -APPLIED.checked(applied)
+        load = load_drag(train.c_by_weight * self._file.train_file.resistance.c, train.mass, M, v)  # as at the start
         forces = [(t, F / ((1.0 + train.rotary_mass) * M)) for t, F in _steps(force, FORCE)]
         plan = Plan(forces, [(t, -u) for t, u in _steps(command, _PLANNED)], u0)
         place = None if position is None else _POSITION.checked(position)
         shape = self._file.motion_shape(checked_direction(direction), place)
         with self._lock:
             self._go_on()
-            posterior, of_rate = self._posterior(i), self._brake_rate.state()
+            posterior, of_rate = self._posterior(i + load), self._brake_rate.state()
             live, reason = self._resistance.state()
             scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
         if u0 or any(u for _, u in plan.command):

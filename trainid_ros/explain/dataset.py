@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-from trainid_ros.train.forces import STANDING, BrakeActuator, davis, specific_force, specific_inertia
+from trainid_ros.train.forces import STANDING, BrakeActuator, davis, load_drag, specific_force, specific_inertia
 from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
@@ -68,6 +68,7 @@ class Run:
     stops: tuple[float, float]  # Measured positions at the standstills before and after [m], NaN if there is none
     travelled: float  # Integral of measured speed between those standstills [m]
     number: int = 0  # Number of departures since the start of the record; 0 if not known
+    load_drag: Array | float = 0.0  # What the weighed load adds to the resistance of the train file [N/kN]
 
 
 def numbered(runs: Iterable[Run]) -> list[Run]:
@@ -151,6 +152,7 @@ class RunCollector:
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
             braking, self._heat, self._since_release, self._distance, pull, nominal,
+            load_drag(train.c_by_weight * self._train_file.resistance.c, train.mass, mass, sample.speed),
         )  # fmt: skip
         self._rows.append(row)
         if row[0] - self._rows[0][0] > MAX_RUN_S:
@@ -169,12 +171,12 @@ class RunCollector:
         columns = np.array(rows).T.copy()
         time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns[:12]
         dt[0] = 0.0
-        traction = _beside_brake(traction, *columns[12:])
+        traction = _beside_brake(traction, *columns[12:14])
         position, positioned = _bridged(position, distance)
         run = Run(
             self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
             traction, brake, heat, release, distance, positioned, weighed, (start, stop_position),
-            self._travelled, self._number,
+            self._travelled, self._number, columns[14],
         )  # fmt: skip
         self.runs.append(run)
 

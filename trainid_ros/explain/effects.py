@@ -209,8 +209,9 @@ class EffectEvaluator:
         )
 
     def total(self, effects: Sequence[Effect]) -> Array:
-        """Return the total resistance of effects, except those on the records, on each stage [N/kN], shape (n,)."""
-        total = np.zeros(len(self._points))
+        """Return the total of load and effects but those on the records, on each stage [N/kN], shape (n,)."""
+        runs = self.dataset.runs
+        total = np.concatenate([np.broadcast_to(run.load_drag, run.time.shape) for run in runs])
         for effect in effects:
             if not EFFECTS[effect.name].on_records:
                 total += self.resistance(effect.name, dict(effect.parameters), runs=effect.runs)

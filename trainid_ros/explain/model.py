@@ -232,7 +232,7 @@ class Model:
     def of(cls, runs: Sequence[Run], train_file: TrainFile) -> Model:
         """Return the model of runs without further effects; those of the train file are in the predicted speed."""
         evaluator = EffectEvaluator(assemble(runs, train_file), train_file)
-        if train_file.effects:
+        if train_file.effects or train_file.train.c_by_weight:
             evaluator = EffectEvaluator(assemble(runs, train_file, evaluator.total(train_file.effects)), train_file)
         return cls(evaluator, train_file)
 

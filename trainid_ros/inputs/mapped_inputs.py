@@ -35,7 +35,7 @@ from trainid_ros.interface.records import (
     stamp_of,
 )
 from trainid_ros.interface.text import pluralise
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import LineProfile, profile_of
 from trainid_ros.train.train_file import Line, TrainFile
 
 # Over a longer time without a speed the distance is unknown, and numbers farther apart are not interpolated [ns].
@@ -48,9 +48,9 @@ class MappedInputs:
     def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
         """Take mapping and train; InputError if the gradient is to come from the line, but there is none."""
         self.mapping = mapping
-        line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
-        self.key = (mapping, line, length)  # inputs of equal keys give equal records
-        self._line = LineProfile(line, length)
+        self._line = LineProfile(Line(), 1.0) if train_file is None else profile_of(train_file)
+        line = self._line.line
+        self.key = (mapping, line, train_file and train_file.train)  # inputs of equal keys give equal records
         if isinstance(mapping.gradient, LineLookup) and not line.gradient:
             missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
             raise InputError(f'mapping: gradient is to come from the line, but no {missing}')

@@ -55,7 +55,7 @@ from trainid_ros.stream.sample_stream import Contradiction, SampleStream, Stream
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.topic_track import ONE_LOST
 from trainid_ros.train.forces import G
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:
@@ -458,7 +458,7 @@ class _Check:
         self._known = KnownForce(train_file or _ANY_TRAIN)
         config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)
         self._stream = SampleStream(config)
-        self._line = None if train_file is None else LineProfile(train_file.line, train_file.train.length)
+        self._line = None if train_file is None else profile_of(train_file)
         self._off_line = 0
         self.contradiction = Contradiction()
         self.gradient = _GradientCheck()

@@ -238,6 +238,7 @@ _PARTS: Final[Any] = _TEMPLATES.get_template('parts.html.j2').module
 # For pages made by others: lists of text, figures as (heading, caption, SVG), tables.
 bullets: Final = _PARTS.bullets
 captioned: Final = _PARTS.figures
+facts: Final = _PARTS.facts
 html_table: Final = _PARTS.table
 
 

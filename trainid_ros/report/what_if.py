@@ -20,7 +20,7 @@ from trainid_ros.report.words import DASH, number
 from trainid_ros.resistance.suggested_drive import KM_H, top_speed
 from trainid_ros.sim.plant import Driver, DriverModel, Plant
 from trainid_ros.sim.scenario import DEFAULT_START_NS, MAX_RUN_S, TICK_NS
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -67,7 +67,7 @@ def drive(train_file: TrainFile, direction: int) -> tuple[float, float]:
         InputError: An effect cannot be evaluated.
         NoAnswerError: The line has no two stops, or the train does not reach one.
     """
-    stops, profile = train_file.line.stops[::direction], LineProfile(train_file.line, train_file.train.length)
+    stops, profile = train_file.line.stops[::direction], profile_of(train_file)
     if len(stops) < 2:
         raise NoAnswerError(f'line.stops has {len(stops)} stops; a drive needs at least 2')
     train = Plant(train_file, profile, DEFAULT_START_NS, _DRIVER.jerk)

@@ -22,7 +22,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import SEEN_SHARE, resistance_std
 from trainid_ros.train.forces import lag_response, specific_force, specific_inertia
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import LineProfile, profile_of
 from trainid_ros.train.train_file import Davis, TrainFile
 
 KM_H: Final = 1.0 / 3.6
@@ -125,7 +125,7 @@ def _fits(run: Run, train_file: TrainFile) -> bool:
     line, length = train_file.line, run.length_m
     if not line.stops:
         return length <= 10e3
-    profile = LineProfile(line, train_file.train.length)
+    profile = profile_of(train_file)
     # A limit ends when the rear of the train has passed it.
     ends = [position + train_file.train.length for position, _ in line.speed_limit]
     return any(

@@ -34,6 +34,7 @@ from trainid_ros.train.forces import (
     CommandHistory,
     G,
     davis,
+    load_drag,
     required_force,
     specific_force,
     specific_inertia,
@@ -133,6 +134,7 @@ class Plant:
         v = self.speed if speed is None else speed
         position = self.position + self.direction * ahead_s * v
         w = davis(self.resistance, v) + self.gust + self.profile.gradient(position, self.direction)
+        w += load_drag(self._train.c_by_weight * self.resistance.c, self._train.mass, self.mass, v)
         if self._terms:
             point = self._track_point(position, v, ahead_s)
             for term in self._terms:

@@ -30,7 +30,7 @@ from trainid_ros.sim.plant import STEP_NS, TICK_S, Decision, Driver, DriverModel
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.effects import check_effects, effect_value
 from trainid_ros.train.forces import G, specific_force
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis, TrainFile
 
 MAP_STEP_M: Final = 10.0
@@ -276,7 +276,7 @@ class _Day:
         drive, gust, sense, self._load = rng.spawn(4)
         file = scenario.train_file
         self._scenario, self._effects, length = scenario, file.effects, file.train.length
-        self._profile = LineProfile(file.line, length)
+        self._profile = profile_of(file)
         self._plant = Plant(file, self._profile, scenario.start_ns, scenario.driver.jerk)
         self._driver: TrainDriver
         if make_driver is None:

@@ -18,7 +18,7 @@ from trainid_ros.stream.fault_table import WHEEL
 from trainid_ros.stream.known_force import CAPPED_MEAN, KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.forces import BrakeActuator
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 
 _BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
 _GAP_S: Final = 1.6  # s: samples further apart are no neighbours
@@ -109,7 +109,7 @@ class InputBlocks:
     def __init__(self, known: KnownForce) -> None:
         line = known.train_file.line
         self._known = known
-        self._line = LineProfile(line, known.train_file.train.length) if line.gradient else None
+        self._line = profile_of(known.train_file) if line.gradient else None
         self.gradient_var = (_GRADIENT_STD + line.gradient_std) * (_GRADIENT_STD + line.gradient_std)
         self._blocks = [Block() for _ in range(KEPT)]
         self._filling = Block()

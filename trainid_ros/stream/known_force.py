@@ -24,8 +24,8 @@ from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, stored
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
-from trainid_ros.train.forces import STANDING, G, specific_inertia
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.forces import STANDING, G, load_drag, specific_inertia
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import TrainFile
 
 # Weight of a new square in the learned variance: a memory of 100 samples [1].
@@ -146,8 +146,10 @@ class KnownForce:
         """Time after the release of the brake until it is certainly off [s]."""
         self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)
+        self._by_weight = train_file.train.c_by_weight * train_file.resistance.c
+        self._has_extra = bool(self._terms) or self._by_weight > 0.0
         known_line = self._terms and train_file.line.gradient
-        self._line = LineProfile(train_file.line, train_file.train.length) if known_line else None
+        self._line = profile_of(train_file) if known_line else None
         self._point = TrackPoint(
             time_s=0.0,
             position=math.nan,
@@ -185,11 +187,11 @@ class KnownForce:
 
     def track(self, sample: Sample) -> float:
         """Return the sum of gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
-        return sample.gradient_mean + (self.extra(sample) if self._terms else 0.0)
+        return sample.gradient_mean + (self.extra(sample) if self._has_extra else 0.0)
 
     def extra(self, sample: Sample) -> float:
-        """Return the resistance of the train file's effects, evaluated without brake force [N/kN]."""
-        if not self._terms:
+        """Return the resistance of the train file's effects, evaluated without brake force, and of the load [N/kN]."""
+        if not self._has_extra:
             return 0.0
         if not math.isnan(sample.extra):
             return sample.extra
@@ -198,7 +200,8 @@ class KnownForce:
         if not is_finite(force) or (force < 0.0 and sample.motion.brake < BRAKE_APPLIED):
             force = 0.0
         self._go_to(sample)
-        return self._sum(self.traction(force, sample), 0.0)
+        load = load_drag(self._by_weight, self._mass, sample.mass, sample.speed)
+        return self._sum(self.traction(force, sample), 0.0) + load
 
     def brake_share(self, sample: Sample) -> float:
         """Return the share of the brake force left by the train file's effects [1]: 0.9 for a fade of 10 %."""

@@ -39,6 +39,14 @@ def davis(resistance: Davis, v: Any) -> Any:
     return resistance.a + v * (resistance.b + resistance.c * v)
 
 
+def load_drag(c: float, mass: float, weighed: float, v: float) -> float:
+    """Return by how much the drag c v^2 [N/kN] of a mass [kg] differs at the mass as weighed [kg], negative if more.
+
+    ``c`` is its part that goes by 1/weight [N/kN per (m/s)^2], ``v`` the speed [m/s]. Without a weighed mass it is 0.
+    """
+    return c * v * v * (mass / weighed - 1.0) if is_finite(weighed) else 0.0
+
+
 def specific_force(force: float, mass: float) -> float:
     """Return ``1000 F / (M g0)`` [N/kN] of a force [N] on a mass [kg]."""
     return force * (1000.0 / (mass * G))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Line profile under a train of finite length.
 
+Gradient and curvature are means over the train, by the mass of its cars if they are stated, else by their length.
 Positions are those of the train's front. Its rear is one length behind: at ``position - length`` while
 positions increase (direction +1), at ``position + length`` while they decrease (-1). Values of the train file
 apply from their position on; the first one also applies before it.
@@ -13,7 +14,7 @@ from bisect import bisect_left, bisect_right
 from itertools import pairwise, takewhile
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.train_file import Line, Pairs
+from trainid_ros.train.train_file import Line, Pairs, TrainFile
 
 SAME_STOP_M = 5.0
 """A stop closer than this [m] is the one the train is standing at, not the next one."""
@@ -25,14 +26,17 @@ class LineProfile:
     Attributes:
         line: Line of the train file.
         length: Length of the train [m]; InputError unless it is positive.
+        joints: Where its mass per metre changes [m from the end that leads while positions increase], with both ends.
         first: Where the line begins [m]: the lower one of first stop and first gradient, less the length of the train.
         last: Where it ends [m]. A line without stops has no ends.
     """
 
-    def __init__(self, line: Line, train_length: float) -> None:
+    def __init__(self, line: Line, train_length: float, consist: Pairs = ()) -> None:
+        """Prepare a line for a train of a length [m] and, unless its mass is even, mass [kg] and length [m] of cars."""
         if not train_length > 0.0:
             raise InputError(f'train length = {train_length:g} m must be > 0')
         self.line, self.length = line, train_length
+        self.joints, self._shares = _spread(train_length, consist)
         self._gradient = _Steps(line.gradient)
         self._curvature = _Steps(tuple((x, 1.0 / r if r > 0.0 else 0.0) for x, r in line.curve))
         # Of two edges at one position the later one applies: adjacent tunnels are joined.
@@ -45,6 +49,8 @@ class LineProfile:
 
     def gradient(self, position: float, direction: int) -> float:
         """Return the mean gradient under the train [per mille, + uphill in its direction]: its height difference."""
+        if self._shares:
+            return direction * self._by_mass(self._gradient, position, direction)
         rear = position - direction * self.length
         return (self._gradient.integral(position) - self._gradient.integral(rear)) / self.length
 
@@ -52,7 +58,8 @@ class LineProfile:
         """Return the radius of the mean curvature under the train [m]; 0 = straight."""
         if self._curvature.always_zero:
             return 0.0
-        curvature = self._mean(self._curvature, position, direction)
+        mean = self._by_mass if self._shares else self._mean
+        curvature = mean(self._curvature, position, direction)
         return 1.0 / curvature if curvature > 0.0 else 0.0
 
     def tunnel(self, position: float, direction: int) -> bool:
@@ -91,6 +98,33 @@ class LineProfile:
     def _mean(self, steps: _Steps, position: float, direction: int) -> float:
         rear = position - direction * self.length
         return abs(steps.integral(position) - steps.integral(rear)) / self.length
+
+    def _by_mass(self, steps: _Steps, position: float, direction: int) -> float:
+        top = position if direction > 0 else position + self.length
+        heights = [steps.integral(top - joint) for joint in self.joints]
+        return math.fsum(share * (a - b) for share, (a, b) in zip(self._shares, pairwise(heights), strict=True))
+
+
+def profile_of(train_file: TrainFile) -> LineProfile:
+    """Return the line of a train file under its train."""
+    train = train_file.train
+    return LineProfile(train_file.line, train.length, train.consist)
+
+
+def _spread(length: float, consist: Pairs) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return where the mass per metre changes [m], with both ends, and shares of the mass per metre; none if even."""
+    joints, densities = [0.0], list[float]()
+    for mass, metres in consist:
+        if densities and math.isclose(densities[-1], mass / metres):
+            joints[-1] += metres
+        else:
+            densities.append(mass / metres)
+            joints.append(joints[-1] + metres)
+    if len(densities) < 2:
+        return (0.0, length), ()
+    stretch = length / joints[-1]  # what is rounded in the lengths of the cars
+    mass = math.fsum(mass for mass, _ in consist) * stretch
+    return tuple(stretch * x for x in joints), tuple(density / mass for density in densities)
 
 
 class _Steps:

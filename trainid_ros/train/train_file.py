@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
@@ -26,6 +26,9 @@ MIN_RATE, MAX_RATE = 0.01, 10.0
 _CARS = 6  # Number of cars of a train without a stated number, as that of Yizhuang Line
 _MAX_ROWS = 100
 """Maximum number of rows of the brake rate: the time of an answer of the client grows with them."""
+_MAX_CARS = 1000
+_ROUNDING = 1e-3
+"""Rounded values of cars may add up to this much more or less than the stated value of the train [1]."""
 _MAX_SPEED, _MAX_POSITION = 1000.0, 1e8
 """Values beyond are unit errors: speed [m/s], position [m]."""
 
@@ -44,6 +47,10 @@ class Train:
     # Of the mass, weighed or not, and of the force as it is reported.
     mass_std: float = setting(0.03, 'std of the relative error of the mass', '1', 0.0, 0.5)
     force_std: float = setting(0.02, 'std of the relative error of the force', '1', 0.0, 0.5)
+    # Air drag depends on the body, not on the load: 1 if all of c is air drag.
+    c_by_weight: float = setting(0.0, 'share of Davis c that goes by 1/weight, from the mass above', '1', 0.0, 1.0)
+    # Mass [kg] and length [m] of each car, first that at the end which leads while positions increase; empty: even
+    consist: Pairs = ()
 
     def traction_limit(self, speed: float) -> float:
         """Return the largest traction [N] at a speed [m/s]; below 0.1 m/s, the power limits it as at 0.1 m/s."""
@@ -139,9 +146,8 @@ def load_train_file(path: str | Path) -> TrainFile:
 def parse_train_file(text: str, source: str) -> TrainFile:
     """Read a train file from its text; ``source`` is the name shown in the InputError of an invalid field."""
     top = parse_yaml(text, source).only(_names(TrainFile))
-    train = top.section('train', required=True).only(_names(Train))
     return TrainFile(
-        train=Train(**_numbers(train, Train), cars=train.integer('cars', _CARS, low=1, high=1000)),
+        train=_train(top.section('train', required=True)),
         resistance=Davis(**_numbers(top.section('resistance', required=True).only(_names(Davis)), Davis)),
         brake=_brake(top.section('brake')),
         line=_line(top.section('line')),
@@ -161,8 +167,11 @@ def dump_train_file(train_file: TrainFile) -> str:
         }
         for effect in train_file.effects
     ]  # fmt: skip
+    train = _plain(train_file.train)
+    if train.pop('consist'):
+        train['cars'] = [dict(zip(_OF_CAR, car, strict=True)) for car in train_file.train.consist]
     document = {
-        'train': _plain(train_file.train), 'resistance': _plain(train_file.resistance), 'brake': brake,
+        'train': train, 'resistance': _plain(train_file.resistance), 'brake': brake,
         'line': _plain(train_file.line), 'effects': effects,
     }  # fmt: skip
     import yaml  # noqa: PLC0415 (slow to load)
@@ -178,6 +187,29 @@ def _numbers(section: Section, kind: type[Any], *others: str) -> dict[str, Any]:
             unit, default = '' if info.unit == '1' else info.unit, None if item.default is MISSING else item.default
             numbers[item.name] = section.number(item.name, unit, default, low=info.low, high=info.high)
     return numbers
+
+
+_OF_CAR = {'mass': 'kg', 'length': 'm'}
+
+
+def _train(section: Section) -> Train:
+    section.only(name for name in _names(Train) if name != 'consist')
+    if not isinstance(section.data.get('cars'), list):
+        return Train(**_numbers(section, Train), cars=section.integer('cars', _CARS, low=1, high=_MAX_CARS))
+    consist = tuple(_car(section, i, item) for i, item in enumerate(section.items('cars')))
+    if not 1 <= len(consist) <= _MAX_CARS:
+        section.fail('cars', f'has {len(consist)} cars; it must have 1 to {_MAX_CARS}')
+    sums = {key: math.fsum(values) for key, values in zip(_OF_CAR, zip(*consist, strict=True), strict=True)}
+    numbers = _numbers(replace(section, data={**sums, **section.data}), Train)
+    for key, unit in _OF_CAR.items():
+        if abs(numbers[key] - sums[key]) > _ROUNDING * sums[key]:
+            section.fail(key, f'= {numbers[key]:g} {unit} contradicts cars, which add up to {sums[key]:g} {unit}')
+    return Train(**numbers, cars=len(consist), consist=consist)
+
+
+def _car(section: Section, number: int, item: object) -> tuple[float, float]:
+    car = as_section(section.source, f'{section.name("cars")}[{number}]', item).only(_OF_CAR)
+    return car.number('mass', 'kg', low=1.0, high=1e9), car.number('length', 'm', low=0.1, high=1e4)
 
 
 def _brake(section: Section) -> Brake:

@@ -22,7 +22,7 @@ from trainid_ros.sim.plant import TICK_S
 from trainid_ros.sim.scenario import Change, simulate
 from trainid_ros.sim.worlds import UNKNOWNS, find_world, make_case, usual_duration, world_train
 from trainid_ros.train.fields import did_you_mean
-from trainid_ros.train.line import LineProfile
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 if TYPE_CHECKING:
@@ -308,7 +308,7 @@ class ScoredAto(Ato):
     ) -> None:
         """Start a day; with ``learns``, aim by the errors of the last stops."""
         stated, self._bias, self._learns = plan.case.stated, StopBias(), learns
-        profile = LineProfile(stated.line, stated.train.length)
+        profile = profile_of(stated)
         super().__init__(_model(plan.world), stated, profile, known, rng, lambda: self._bias.aim, position)
         strongest = plan.world.driver.max_deceleration
         self._bounds = BoundCheck(known.model, strongest) if isinstance(known, LiveValues) else None

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid train import`` writes a train file with what it lacks as comments, ``trainid train show`` shows it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from test.train.test_osrd import STOCK_OSRD, TRACK_OSRD
+from test.train.test_railml import FORMULA, STOCK_3, TRACK_2
+from trainid_ros.cli.main import main
+from trainid_ros.train.train_file import load_train_file
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, content in (
+        ('stock.json', json.dumps(STOCK_OSRD)), ('infra.json', json.dumps(TRACK_OSRD)),
+        ('stock.xml', STOCK_3.format(resistance=FORMULA)), ('track.railml', TRACK_2),
+        ('brake.yaml', 'brake: {delay: 0.9}\n'),
+    ):  # fmt: skip
+        (tmp_path / name).write_text(content, encoding='utf-8')
+    return tmp_path
+
+
+def run(folder: Path, text: str) -> int:
+    words = (str(folder / word) if '.' in word else word for word in text.split())
+    return main(['train', *words])
+
+
+@pytest.mark.parametrize('files', ['stock.json infra.json --track TA', 'stock.xml track.railml brake.yaml'])
+def test_files_of_train_and_line_make_one_that_can_be_used(
+    files: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(folder, f'import {files} --out out/T.yaml') == 0
+    text = (folder / 'out' / 'T.yaml').read_text(encoding='utf-8')
+    said = capsys.readouterr().out
+    assert 'left out: ' in text
+    assert f'next: trainid train show {folder}/out/T.yaml --out page.html' in said
+    found = load_train_file(folder / 'out' / 'T.yaml')
+    assert found.line.curve
+    assert found.brake.delay == (0.9 if 'brake' in files else 0.6)
+    assert ('brake.delay' in text) is ('brake' not in files)
+    assert run(folder, 'show out/T.yaml --out page.html') == 0
+    page = (folder / 'page.html').read_text(encoding='utf-8')
+    assert page.count('<svg') == 2
+    for words in ('speed limit', 'gradient') if found.line.gradient else ('speed limit',):
+        assert words in page
+    assert f'{found.train.mass / 1e3:g} t' in capsys.readouterr().out
+
+
+def test_what_a_train_file_needs_is_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(folder, 'import track.railml') == 1
+    out = capsys.readouterr().out
+    assert '# missing: train.mass; resistance.a; resistance.b; resistance.c\n' in out
+    assert '# next: enter what is missing, then trainid train show T.yaml' in out
+
+
+def test_json_holds_all_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(folder, 'import stock.json --json') == 0
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert answer['train_file']['resistance']['a'] == pytest.approx(0.6118, abs=1e-4)
+    assert (answer['missing'], answer['out']) == ([], None)
+    assert 'line.stops' in answer['not_stated']
+    run(folder, 'import stock.json --out T.yaml')
+    capsys.readouterr()
+    assert run(folder, 'show T.yaml --json') == 0
+    assert json.loads(capsys.readouterr().out)['train_file']['train']['mass'] == 9e5
+
+
+def test_a_value_out_of_range_and_a_file_of_the_user_are_refused(folder: Path, one_error: Callable[[], str]) -> None:
+    (folder / 'stock.json').write_text(json.dumps(STOCK_OSRD | {'mass': 10.0}), encoding='utf-8')
+    assert run(folder, 'import stock.json --out T.yaml') == 2
+    assert 'resistance.a' in one_error()
+    assert not (folder / 'T.yaml').exists()
+    (folder / 'T.yaml').write_text('train: {mass: 1}\n', encoding='utf-8')
+    assert run(folder, 'import stock.xml --out T.yaml') == 2
+    assert 'T.yaml: exists and was not written by trainid' in one_error()

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid train import`` makes a train file of files of other systems, ``trainid train show`` shows one."""
+
+from __future__ import annotations
+
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
+from trainid_ros.train.draft import Draft
+from trainid_ros.train.fields import parse_yaml, read_text
+from trainid_ros.train.osrd import read_osrd
+from trainid_ros.train.railml import read_railml
+from trainid_ros.train.train_file import load_train_file, parse_train_file
+
+if TYPE_CHECKING:
+    import argparse
+    from pathlib import Path
+
+_HEAD = '# trainid train import'
+
+
+def import_files(args: argparse.Namespace) -> int:
+    """Read the files, write or print the train file with what it lacks as comments; 1 if it cannot be used so."""
+    import yaml  # noqa: PLC0415 (slow to load)
+
+    draft, out = Draft(), args.out
+    for path in args.files:
+        _read(path, args, draft)
+    sections, (needed, defaults) = draft.sections(), draft.missing()
+    text = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
+    if not needed:
+        parse_train_file(text, ', '.join(map(str, args.files)))  # every value is in its range
+    lists = {'read': draft.notes, 'left out': draft.left_out, 'not stated': defaults, 'missing': needed}
+    lines = [fill(f'{name}: {"; ".join(found)}', 100, subsequent_indent='  ') for name, found in lists.items() if found]
+    page = '\n# '.join((_HEAD, *'\n'.join(lines).splitlines())) + f'\n{text}'
+    if out is not None:
+        check_output(out, args.files, _HEAD)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(page, encoding='utf-8')
+    if args.json:
+        print_json({'out': out, 'train_file': sections, **{k.replace(' ', '_'): found for k, found in lists.items()}})
+    else:
+        step = 'enter what is missing, then ' if needed else ''
+        show(page if out is None else '\n'.join([*lines, f'{out}: written']))
+        show(f'# next: {step}trainid train show {out or "T.yaml"} --out page.html')
+    return EXIT_NO_ANSWER if needed else 0
+
+
+def _read(path: Path, args: argparse.Namespace, draft: Draft) -> None:
+    text = read_text(path)
+    if path.suffix in {'.yaml', '.yml'}:
+        top = parse_yaml(text, str(path))
+        draft.train |= top.section('train').data
+        draft.resistance |= top.section('resistance').data
+        draft.other |= {name: top.data[name] for name in top.data if name not in {'train', 'resistance'}}
+    elif path.suffix == '.json':
+        read_osrd(text, str(path), args.track, draft)
+    else:
+        read_railml(text, str(path), args.formation, args.track, draft)
+
+
+def show_file(args: argparse.Namespace) -> int:
+    """Print a summary of a train file and write its page."""
+    from trainid_ros.report.train_page import facts, train_page  # noqa: PLC0415 (help needs no plots)
+
+    train_file = load_train_file(args.train)
+    if args.out is not None:
+        prepare_page(args.out).write_text(train_page(train_file, args.train.name), encoding='utf-8')
+    if args.json:
+        print_json({'out': args.out, 'train_file': train_file})
+        return 0
+    show('\n'.join(f'{name}: {text}' for name, text in facts(train_file)))
+    if args.out is not None:
+        show(f'{args.out}: written')
+    return 0
