@@ -161,13 +161,8 @@ class InputFaults:
         if not self.finding:
             return ()
         condemned = TABLE[self.check.verdict.row].condemns
-        for finding, what in (
-            (self._mass.finding, Input.MASS), (self._force_spikes.finding, Input.FORCE),
-            (self._gradient_spikes.finding, Input.GRADIENT), (self._commands.finding, Input.COMMAND),
-            (self._emergency.finding, Input.COMMAND), (self._command_spikes.finding, Input.COMMAND),
-            (self._releases.finding, Input.COMMAND),
-        ):  # fmt: skip
-            if finding == self.finding:
+        for check, what in self._messages():
+            if check.finding == self.finding:
                 condemned = frozenset({what})
         return tuple(sorted({one.topic for one in condemned} - {''}))
 
@@ -183,6 +178,14 @@ class InputFaults:
         verdict, stuck = self.check.verdict, 'ato/speed is stuck' if self._repeats.is_stuck else ''
         is_misread = TABLE[verdict.row].misread or not 1.0 / MAX_MASS < self.check.gain < MAX_MASS
         return self._mass.misread or self._commands.finding or (verdict.finding if is_misread else stuck)
+
+    def _messages(self) -> tuple[tuple[MessageCheck, Input], ...]:
+        """Return the checks of messages with the input that each condemns, those of the brake command last."""
+        return (
+            (self._mass, Input.MASS), (self._force_spikes, Input.FORCE), (self._gradient_spikes, Input.GRADIENT),
+            (self._commands, Input.COMMAND), (self._emergency, Input.COMMAND), (self._command_spikes, Input.COMMAND),
+            (self._releases, Input.COMMAND),
+        )  # fmt: skip
 
     def take(self, sample: Sample) -> None:
         """Take in a sample; set why estimators must not use it."""
@@ -256,14 +259,12 @@ class InputFaults:
         """Conclude which estimates must wait, after some motion [s]."""
         verdict = self.check.verdict
         row, suspect = TABLE[verdict.row], TABLE[verdict.suspect]
-        # What condemns inputs of the resistance condemns those of the brake rate, which uses the command too.
-        found, suspected = self._mass.finding, ''
-        for spikes in (self._force_spikes, self._gradient_spikes):
-            found, suspected = found or spikes.finding, suspected or spikes.suspicion
-        of_command, command_suspected = found, suspected
-        checks: tuple[MessageCheck, ...] = (self._commands, self._emergency, self._command_spikes, self._releases)
-        for check in checks:
+        found = suspected = of_command = command_suspected = ''
+        for check, what in self._messages():
+            # What condemns inputs of the resistance condemns those of the brake rate, which uses the command too.
             of_command, command_suspected = of_command or check.finding, command_suspected or check.suspicion
+            if what is not Input.COMMAND:
+                found, suspected = of_command, command_suspected
         self.resistance.update(
             found or (verdict.finding if row.holds_resistance else ''),
             suspected or (verdict.suspicion if suspect.holds_resistance else ''),
