@@ -71,6 +71,10 @@ class _Feed:
             output_topic(output.estimate), SimpleNamespace(**output_values(output)), log_ns / NS_PER_S, log_ns
         )
 
+    def view(self) -> TrainView:
+        """Return what to show of the train at the newest record."""
+        return self.train.view(self.now_ns / NS_PER_S, self.now_ns)
+
     def _is_over(self, log_ns: int) -> bool:
         return log_ns - self._first_ns > self._until_s * NS_PER_S
 
@@ -94,36 +98,24 @@ def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tup
 
 def pictures() -> dict[str, str]:
     """Return the pictures as SVG text, by their names in the folder of the documents."""
-    trains, two, nodes = Trains(), (Trains(), Trains()), _nodes()
-    feed = _Feed(trains)
-    both = tuple(
-        _Feed(one, f'/train_{number}', until_s)
-        for one, number, until_s in zip(two, (1, 2), (_SHOWN_S, _SECOND_S), strict=True)
-    )
+    trains = Trains()
+    feed, first = _Feed(trains), _Feed(Trains(), '/train_1')
+    second = _Feed(Trains(), '/train_2', _SECOND_S)
     train = _BAG / 'train.yaml'
     pipelines = Pipelines(*(setup.pipeline() for setup in node_setups(load_train_file(train), str(train))))
     priors = tuple(pipeline.current().estimate for pipeline in pipelines)
     with BagReader(_BAG) as reader:
-        replay_through(pipelines, reader, None, (feed, *both), duration_s=_SHOWN_S)
+        replay_through(pipelines, reader, None, (feed, first, second), duration_s=_SHOWN_S)
     _report(feed, trains, pipelines, priors)
+    nodes: dict[str, tuple[str, ...]] = {topic.name: (_PLAYER,) for topic in INPUT_TOPICS}
+    nodes |= {topic.name: ('a node',) for topic in OUTPUT_TOPICS}
+    first.train.on_publishers(nodes)
+    second.train.on_publishers(nodes)
     feed.train.on_publishers(nodes | {FORCE_TOPIC.name: (_PLAYER, f'{_NAMESPACE}/drive_control')})
-    for item in both:
-        item.train.on_publishers(nodes)
     return {
-        'monitor.svg': _drawn(trains.views(feed.now_ns / NS_PER_S, feed.now_ns), *_SIZE),
-        'tutorial_integrator.svg': _drawn(
-            [
-                view
-                for one, item in zip(two, both, strict=True)
-                for view in one.views(item.now_ns / NS_PER_S, item.now_ns)
-            ],
-            *_SIZE_OF_TWO,
-        ),
+        'monitor.svg': _drawn([feed.view()], *_SIZE),
+        'tutorial_integrator.svg': _drawn([first.view(), second.view()], *_SIZE_OF_TWO),
     }
-
-
-def _nodes() -> dict[str, tuple[str, ...]]:
-    return {topic.name: (_PLAYER,) for topic in INPUT_TOPICS} | {topic.name: ('a node',) for topic in OUTPUT_TOPICS}
 
 
 def _drawn(views: Sequence[TrainView], width: int, height: int) -> str:

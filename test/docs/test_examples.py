@@ -142,6 +142,14 @@ def test_the_table_of_statuses_is_complete() -> None:
     assert all(f'`{status.name}`' in text_of('README.md') for status in Status)
 
 
+def test_the_glossary_is_in_order_and_short() -> None:
+    rows = re.findall(r'^\| ([^|]+) \| ([^|]+) \|$', text_of('docs/glossary.md'), re.MULTILINE)[1:]
+    terms = [term.strip('`').lower() for term, _ in rows]
+    assert terms == sorted(set(terms))
+    assert [meaning for _, meaning in rows if re.search(r'[.] [A-Z]|[.]$', meaning)] == []
+    assert {status.name.lower() for status in Status} <= set(terms)
+
+
 @pytest.mark.parametrize('page', ['README.md', 'docs/nodes.md'])
 def test_the_table_of_topics_is_complete(page: str) -> None:
     named = first_cells(page)
