@@ -56,10 +56,10 @@ wheel: setup ## build a wheel with compiled modules in out/wheels and try it in 
 wheels: setup ## the same for each Python 3.11 and 3.12 of this machine
 	tools/with_test_env $(PYTHON_IN) tools/wheel_smoke.py --out out/wheels --all
 
-golden: setup ## regenerate expected outputs, config/params.yaml and docs/monitor.svg; review the difference before committing it
+golden: setup ## regenerate expected outputs, config/params.yaml and pictures of the monitor; review the difference before committing it
 	PYTHONPATH=. tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
 	tools/with_test_env $(PYTHON_IN) -m trainid_ros.setup.params_file > config/params.yaml
-	tools/with_test_env $(PYTHON_IN) -m tools.monitor_picture > docs/monitor.svg
+	tools/with_test_env $(PYTHON_IN) -m tools.monitor_picture
 
 docs: setup .venv-docs/stamp ## build the documentation site in out/site; a broken link is an error
 	PYTHONPATH=.venv-docs NO_MKDOCS_2_WARNING=1 $(PYTHON_IN) -m mkdocs build --strict

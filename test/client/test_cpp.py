@@ -16,10 +16,13 @@ from statistics import NormalDist
 
 import pytest
 
+from test.client.test_adhesion import SLIDE
 from test.client.test_stopping import EMU, LEARNED, TRAIN, UNKNOWN, shape
+from test.client.test_train_model import Drive
 from trainid_ros.client import TrainModel
 from trainid_ros.client.stopping import DELAY, GRADIENT, LAG, Braking, StoppingBounds, StopPosterior
 from trainid_ros.estimators.settings import GsmaConfig
+from trainid_ros.interface.results import Output, Status
 from trainid_ros.train.train_file import Brake, Davis, Pairs, Train, TrainFile
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'cpp'
@@ -37,7 +40,10 @@ int main() {{
   const Covariance P{{{davis}}};
   std::printf("%.17g %.17g ", resistance({{1.5, 0.02, 0.001}}, 15.0), resistance_std(P, 15.0));
   const double brake = feed_forward(194e3, 0.08, 2.1, 4.0, -0.5, 0.9);
-  std::printf("%.17g %.17g\\n", feed_forward(194e3, 0.08, 2.1, 4.0, 0.5), brake);
+  std::printf("%.17g %.17g ", feed_forward(194e3, 0.08, 2.1, 4.0, 0.5), brake);
+  const Train emu{{{rotary_mass}, {max_speed}, 2.5, {{{emu}}}}};
+  const auto limit = [](const Train & of) {{return adhesive_limit(of, 0.9, 0.05, 0.01, 1.645);}};
+  std::printf("%.17g %.17g\\n", limit(train), limit(emu));
   for (int rows; std::cin >> rows;) {{
     train.rate_table.resize(rows);
     for (auto & row : train.rate_table) {{std::cin >> row.first >> row.second;}}
@@ -98,7 +104,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip('no C++ compiler')
     path = tmp_path_factory.mktemp('cpp')
     davis = ', '.join(map(repr, LEARNED.davis))
-    code = MAIN.format(rotary_mass=TRAIN.rotary_mass, max_speed=TRAIN.max_speed, davis=davis)
+    emu = ', '.join(f'{{{v!r}, {rate!r}}}' for v, rate in EMU)
+    code = MAIN.format(rotary_mass=TRAIN.rotary_mass, max_speed=TRAIN.max_speed, davis=davis, emu=emu)
     (path / 'main.cpp').write_text(code, encoding='utf-8')
     command = ['g++', '-std=c++17', '-O2', *WARNINGS, f'-I{EXAMPLE / "include"}', 'main.cpp']
     subprocess.run(command, cwd=path, check=True)
@@ -113,13 +120,26 @@ def answers(program: Path, questions: list[Question]) -> list[tuple[float, ...]]
 
 
 def test_resistance_and_force_in_cpp_are_those_of_the_client(program: Path) -> None:
-    w, std, pull, brake = answers(program, [])[0]
+    w, std, pull, brake, *_ = answers(program, [])[0]
     model = TrainModel(None, TrainFile(TRAIN, Davis(2.1, 0.0, 0.0)))
     assert w == pytest.approx(1.5 + 0.02 * 15.0 + 0.001 * 225.0)
     phi = (1.0, 15.0, 225.0)
     assert std**2 == pytest.approx(sum(phi[i] * phi[j] * LEARNED.davis[3 * i + j] for i in range(3) for j in range(3)))
     assert pull == pytest.approx(model.feed_forward(10.0, 4.0, 0.5).value)
     assert brake == pytest.approx(model.feed_forward(10.0, 4.0, -0.5).value)
+
+
+@pytest.mark.parametrize(('place', 'table'), [(4, ()), (5, EMU)])
+def test_the_limit_of_a_slide_in_cpp_is_that_of_the_client(program: Path, place: int, table: Pairs) -> None:
+    limit = answers(program, [])[0][place]
+    drive = Drive(TrainFile(TRAIN, Davis(2.1, 0.0, 0.0), Brake(rate_table=table)))
+    drive.on(60.0)
+    drive.model.take(Output(round(drive.now * 1e9), SLIDE, Status.VALID, 1, 0, None))
+    full, same, less = (
+        drive.model.stopping_distance(20.0, command=-command).value for command in (3.0, limit, 0.99 * limit)
+    )
+    assert full == pytest.approx(same, rel=1e-3)
+    assert less > 1.002 * same
 
 
 def test_stops_in_cpp_are_those_of_the_client_and_take_no_longer(program: Path) -> None:
@@ -195,4 +215,4 @@ def test_the_controller_builds(tmp_path: Path) -> None:
 
 
 def test_the_controller_is_short() -> None:
-    assert len((EXAMPLE / 'src' / 'controller.cpp').read_text(encoding='utf-8').splitlines()) <= 65
+    assert len((EXAMPLE / 'src' / 'controller.cpp').read_text(encoding='utf-8').splitlines()) <= 85

@@ -7,9 +7,10 @@ import argparse
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,24 +18,33 @@ import pytest
 
 from benchmarks.run import PARTS
 from tools.documents import ROOT, Block, blocks, documents
-from trainid_ros.cli.arguments import VERBS, add_options
+from trainid_ros.cli.arguments import LIVE_NODES, VERBS, add_options
+from trainid_ros.cli.processes import free_domain, local_environment
+from trainid_ros.interface.records import INPUT_TOPICS, OUTPUT_TOPICS
 
 TRAINID = '.venv/bin/trainid'
+LIVE = 'needs a ROS graph and runs until it is stopped; a test of its own runs those of LIVE_PAGES'
 # Command lines that are only checked, by how they begin and with the reason.
 NOT_RUN = {
     r'make |\.venv/bin/python benchmarks/': 'takes minutes or hours; make itself is checked by the test run',
-    r'\.venv/bin/trainid (run|monitor|play)\b|\.venv/bin/python examples/python/closed_loop\.py$': (
-        'needs a ROS graph and runs until it is stopped'
+    r'\.venv/bin/(trainid (run|monitor|play)|train_simulator)\b|\.venv/bin/python examples/python/closed_loop\.py$': (
+        LIVE
     ),
     r'ros2 security |ros2 run .* --enclave ': 'needs DDS security, which the wheels are built without',
-    r'ros2 (launch|run|service) ': 'needs an installed workspace',
+    r'ros2 (launch|run|service|topic|lifecycle) ': 'needs an installed workspace',
     r'cd |colcon |git ': 'needs a workspace or a repository; see tools/colcon_smoke.py',
     r'\.venv/bin/trainid view bags/tiny$': 'opens a window',
     r'\.venv/bin/trainid fleet report .* --explain': 'needs the bags of weeks',
     r'\.venv/bin/trainid (simulate|fleet|fleet report) out/fleet\b': 'takes minutes; test/sim makes a few drives',
 }
 # Pages whose commands, taken together, or single commands that take longer than the inner loop should.
-SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md', 'docs/tables.md')
+SLOW_PAGES = (
+    'docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md', 'docs/tables.md',
+    'docs/tutorial_autopilot.md', 'docs/tutorial_depot.md',
+)  # fmt: skip
+# Pages whose live commands are run too, those that do not end by themselves beside the others.
+LIVE_PAGES = ('docs/tutorial_autopilot.md', 'docs/tutorial_integrator.md')
+ENDLESS = re.compile(r'\.venv/bin/(trainid run|train_simulator)\b')
 SLOW = ('replay bags/yizhuang_day', 'demo --only explain', '--report', '--params config/params.yaml')
 
 
@@ -61,6 +71,9 @@ class Page(NamedTuple):
 
 def pages() -> list[Page]:
     return [Page(p.relative_to(ROOT).as_posix(), tuple(blocks(p.read_text(encoding='utf-8')))) for p in documents()]
+
+
+TITLES = {block.title for page in pages() for block in page.blocks}
 
 
 def commands(page: Page, block: Block) -> list[Command]:
@@ -90,22 +103,12 @@ def check(text: str) -> None:
     elif words[0] == 'make':
         (target,) = words[1:]
         assert re.search(rf'^{target}:', (ROOT / 'Makefile').read_text(encoding='utf-8'), re.MULTILINE), text
-    elif words[:2] == ['ros2', 'launch']:
-        assert words[2] == 'trainid_ros'
-        source = (ROOT / 'launch' / words[3]).read_text(encoding='utf-8')
-        for word in words[4:]:
-            assert f"('{word.partition(':=')[0]}', " in source, word
-    elif words[:2] == ['ros2', 'run']:
-        assert words[2] == 'trainid_ros'
-        assert f"'{words[3]} = " in (ROOT / 'setup.py').read_text(encoding='utf-8')
-        sources = ''.join(path.read_text(encoding='utf-8') for path in (ROOT / 'trainid_ros' / 'ros').glob('*.py'))
-        for name in re.findall(r'-p (\w+):=', text):
-            assert f"'{name}'" in sources, name
-    elif words[:2] == ['ros2', 'security']:
-        assert all((ROOT / word).exists() for word in words if word.startswith('config/')), text
-    elif words[:3] == ['ros2', 'service', 'call']:
-        service = words[3].rpartition('/')[2]
-        assert f"'{service}': self." in (ROOT / 'trainid_ros/ros/estimator_node.py').read_text(encoding='utf-8')
+    elif words[0] == 'ros2':
+        check_ros(words, text)
+    elif words[0] == '.venv/bin/train_simulator':
+        check_program('train_simulator', text)
+    elif words[0] == '.venv/bin/python' and words[1] in TITLES:
+        assert len(words) == 2
     elif words[0] == '.venv/bin/python' and words[1].startswith('examples/'):
         source = (ROOT / words[1]).read_text(encoding='utf-8')
         assert all(f"'{word}'" in source for word in words[2:] if word.startswith('--')), text
@@ -113,6 +116,41 @@ def check(text: str) -> None:
         check_benchmark(words)
     else:
         assert words[0] in {'cd', 'git', 'colcon', '.'}, text
+
+
+def check_ros(words: list[str], text: str) -> None:
+    if words[1] == 'launch':
+        assert words[2] == 'trainid_ros'
+        source = (ROOT / 'launch' / words[3]).read_text(encoding='utf-8')
+        for word in words[4:]:
+            assert f"('{word.partition(':=')[0]}', " in source, word
+    elif words[1] == 'run':
+        assert words[2] == 'trainid_ros'
+        check_program(words[3], text)
+    elif words[1] in {'topic', 'lifecycle'}:
+        check_name(words)
+    elif words[1] == 'security':
+        assert all((ROOT / word).exists() for word in words if word.startswith('config/')), text
+    else:
+        assert words[1:3] == ['service', 'call'], text
+        service = words[3].rpartition('/')[2]
+        assert f"'{service}': self." in (ROOT / 'trainid_ros/ros/estimator_node.py').read_text(encoding='utf-8')
+
+
+def check_program(name: str, text: str) -> None:
+    """Check that a program is installed, and knows the parameters given."""
+    assert f"'{name} = " in (ROOT / 'setup.py').read_text(encoding='utf-8')
+    sources = ROOT.glob('trainid_ros/ros/*.py'), ROOT.glob('trainid_ros/setup/*.py')
+    code = ''.join(path.read_text(encoding='utf-8') for path in chain(*sources))
+    for parameter in re.findall(r'-p (\w+):=', text):
+        assert f"'{parameter}'" in code, parameter
+
+
+def check_name(words: list[str]) -> None:
+    """Check the topic or node of the first train, or of all, that ros2 is asked about."""
+    topics = {topic.name for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)} | set(LIVE_NODES)
+    (name,) = (word for word in words if word.startswith('/'))
+    assert name == '/diagnostics' or name.removeprefix('/train_1/') in topics
 
 
 def check_verb(name: str, arguments: list[str]) -> None:
@@ -157,6 +195,8 @@ def test_a_command_is_valid(command: Command) -> None:
         'make nothing',
         'ros2 launch trainid_ros trainid.launch.py nope:=1',
         'ros2 run trainid_ros nope',
+        '.venv/bin/train_simulator --ros-args -p nope:=1',
+        'ros2 topic echo /train_1/trainid/nope',
         'ros2 service call /resistance_estimator/nope std_srvs/srv/Trigger',
         '.venv/bin/python benchmarks/run.py --only nope',
         '.venv/bin/python benchmarks/run.py --only cost --only live',
@@ -184,24 +224,35 @@ def workspace(folder: Path) -> None:
 
 
 def run_page(page: Page, folder: Path, *, slow: bool) -> int:
-    """Write the files of a page and run its commands in their order; return how many ran."""
+    """Write the files of a page and run its commands in their order; return how many ran.
+
+    Each line of a block ``output`` must be in what the commands before it printed.
+    """
     workspace(folder)
-    environment, count = dict(os.environ), 0
+    environment, count, said = dict(os.environ), 0, ''
     for block in page.blocks:
-        if block.title:
-            path = folder / block.title
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(block.text, encoding='utf-8')
+        write_titled(block, folder)
+        if block.language == 'output' and slow == (page.name in SLOW_PAGES):
+            assert [line for line in block.text.splitlines() if line not in said] == [], said
         for command in commands(page, block) if block.language == 'sh' else ():
             if named := variable(command.text):
                 environment[named[0]] = named[1].replace('$PWD', str(folder))
             elif command.reason is None and command.slow == slow:
-                run(command, folder, environment)
+                said += run(command, folder, environment)
                 count += 1
     return count
 
 
-def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
+def write_titled(block: Block, folder: Path) -> None:
+    """Write the file that a block shows, if any."""
+    if block.title:
+        path = folder / block.title
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(block.text, encoding='utf-8')
+
+
+def run(command: Command, folder: Path, environment: dict[str, str]) -> str:
+    """Run a command to its end; return what it printed."""
     text, _, target = command.text.partition(' > ')
     words, nothing = shlex.split(text), subprocess.DEVNULL
     done = subprocess.run(
@@ -210,6 +261,7 @@ def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
     assert done.returncode == 0, f'{command.page}:{command.line}: {command.text}\n{done.stdout}{done.stderr}'
     if target:
         (folder / target).write_text(done.stdout, encoding='utf-8')
+    return done.stdout + done.stderr
 
 
 def with_commands(*, slow: bool) -> list[Page]:
@@ -227,3 +279,27 @@ def test_commands_work(page: Page, tmp_path: Path) -> None:
 @pytest.mark.parametrize('page', with_commands(slow=True), ids=lambda page: page.name)
 def test_slow_commands_work(page: Page, tmp_path: Path) -> None:
     assert run_page(page, tmp_path, slow=True)
+
+
+@pytest.mark.ros
+@pytest.mark.long
+@pytest.mark.parametrize('name', LIVE_PAGES)
+def test_live_commands_work(name: str, tmp_path: Path) -> None:
+    """In a ROS domain of their own; those that do not end by themselves end with success at Ctrl-C."""
+    workspace(tmp_path)
+    domain = {'ROS_DOMAIN_ID': str(free_domain(os.getpid())), 'ROS_LOG_DIR': str(tmp_path)}
+    environment = os.environ | local_environment(ROOT / 'config' / 'fastdds_localhost.xml') | domain
+    (page,) = (page for page in pages() if page.name == name)
+    endless: list[subprocess.Popen[bytes]] = []
+    try:
+        for command in (item for block in page.blocks if block.language == 'sh' for item in commands(page, block)):
+            if ENDLESS.match(command.text):
+                endless.append(subprocess.Popen(shlex.split(command.text), cwd=tmp_path, env=environment))
+            elif command.reason == LIVE or '--prepare' in command.text:
+                run(command, tmp_path, environment)
+    finally:
+        for process in endless:
+            process.send_signal(signal.SIGINT)
+        codes = [process.wait() for process in endless]
+    assert codes
+    assert set(codes) == {0}

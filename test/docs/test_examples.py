@@ -57,7 +57,7 @@ def test_the_page_of_tables_shows_its_files() -> None:
 
 
 def test_the_controller_reads_fields_and_topics_that_exist() -> None:
-    code = ast.parse(titled('docs/controller.md', 'controller.py').text)
+    code = ast.parse(titled('docs/client_reference.md', 'controller.py').text)
     read = {
         node.attr
         for node in ast.walk(code)
@@ -71,10 +71,9 @@ def test_the_controller_reads_fields_and_topics_that_exist() -> None:
 
 def test_the_client_answers_after_a_bag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    exec(compile(titled('docs/controller.md', 'ask_bag.py').text, 'ask_bag.py', 'exec'), {})
-    answers = capsys.readouterr().out.splitlines()
-    assert len(answers) == 2
-    assert all(re.fullmatch(r"Value\(value=[\d.]+, std=[\d.]+, live=True, reason='.*'\)", line) for line in answers)
+    page = blocks(text_of('docs/tutorial_autopilot.md'))
+    exec(compile(titled('docs/tutorial_autopilot.md', 'ask.py').text, 'ask.py', 'exec'), {})
+    assert capsys.readouterr().out == next(block.text for block in page if block.language == 'output')
 
 
 @pytest.mark.parametrize(
@@ -89,7 +88,7 @@ def test_the_client_answers_after_a_bag(monkeypatch: pytest.MonkeyPatch, capsys:
     ],
 )
 def test_the_autopilot_never_loses_its_brake_command(speed: float, gradient: float, to_stop: float) -> None:
-    code = ast.parse(titled('docs/controller.md', 'autopilot.py').text)
+    code = ast.parse(titled('docs/tutorial_autopilot.md', 'autopilot.py').text)
     control = next(node for node in code.body if isinstance(node, ast.FunctionDef))
     model = TrainModel(None, ROOT / 'config' / 'trains' / 'yizhuang.yaml')
     names: dict[str, Any] = {'train': model, 'node': Mock(), 'TrainIdError': TrainIdError}
@@ -105,7 +104,7 @@ def test_the_methods_of_the_client_are_described() -> None:
         'mark_lost',
         'take_message',
     }
-    text = text_of('docs/controller.md') + text_of('docs/client_reference.md')
+    text = text_of('docs/client_reference.md')
     assert {name for name in public if f'`{name}(' in text} == public
 
 
@@ -141,6 +140,14 @@ def test_the_verbs_are_listed() -> None:
 def test_the_table_of_statuses_is_complete() -> None:
     assert {status.name for status in Status} <= first_cells('docs/status.md')
     assert all(f'`{status.name}`' in text_of('README.md') for status in Status)
+
+
+def test_the_glossary_is_in_order_and_short() -> None:
+    rows = re.findall(r'^\| ([^|]+) \| ([^|]+) \|$', text_of('docs/glossary.md'), re.MULTILINE)[1:]
+    terms = [term.strip('`').lower() for term, _ in rows]
+    assert terms == sorted(set(terms))
+    assert [meaning for _, meaning in rows if re.search(r'[.] [A-Z]|[.]$', meaning)] == []
+    assert {status.name.lower() for status in Status} <= set(terms)
 
 
 @pytest.mark.parametrize('page', ['README.md', 'docs/nodes.md'])

@@ -12,8 +12,8 @@ import pytest
 from rich.console import Console
 
 from test.monitor.conftest import START_NS, feed
-from tools.documents import ROOT
-from tools.monitor_picture import picture
+from tools.documents import DOCS, ROOT
+from tools.monitor_picture import pictures
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status
 from trainid_ros.monitor.screen import ASCII, Lines, Screen, chart
@@ -255,7 +255,7 @@ def test_several_lines_show_the_band_around_the_value() -> None:
     assert drawn.high - drawn.low < 2.0
 
 
-def test_the_picture_of_the_documents_is_up_to_date() -> None:
-    drawn = picture()
-    assert drawn == (ROOT / 'docs' / 'monitor.svg').read_text(encoding='utf-8'), 'make golden draws it anew'
-    assert 'http' not in drawn.replace('http://www.w3.org', '').replace('https://www.textualize.io', '')
+def test_the_pictures_of_the_documents_are_up_to_date() -> None:
+    for name, drawn in pictures().items():
+        assert drawn == (ROOT / DOCS / name).read_text(encoding='utf-8'), f'{name}: make golden draws it anew'
+        assert 'http' not in drawn.replace('http://www.w3.org', '').replace('https://www.textualize.io', '')

@@ -14,6 +14,7 @@ from rclpy.qos import LivelinessPolicy, QoSProfile
 from trainid_msgs.msg import ResistanceEstimate
 
 from test.ros.graph import NARROW, START_NS, Graph, coasting, collected, feed
+from tools.documents import ROOT, blocks
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S, time_message
 
@@ -130,3 +131,13 @@ def test_a_late_joiner_gets_the_last_valid_estimate_and_learns_that_it_is_not_ke
     assert Status(got[0].status) is Status.STALE
     feed(node, coasting(160, start_ns=START_NS + 60_000_000_000))
     graph.until(lambda: Status(got[-1].status) is Status.VALID)
+
+
+def test_the_tutorial_shows_what_the_graph_says(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file, arguments=['-r', '__ns:=/train_1'])
+    text = (ROOT / 'docs' / 'tutorial_integrator.md').read_text(encoding='utf-8')
+    (shown,) = (block.text for block in blocks(text) if block.text.startswith('Node name: '))
+    topic = '/train_1/trainid/resistance'
+    graph.until(lambda: node.get_publishers_info_by_topic(topic))
+    (info,) = node.get_publishers_info_by_topic(topic)
+    assert set(shown.splitlines()) <= set(str(info).splitlines())

@@ -56,6 +56,14 @@ inline double table(const Train & train, double v) {
   return rows.back().second;
 }
 
+// Strongest brake target [m/s^2, > 0] that the adhesion of a slide and its standard deviation permit with the
+// probability of z standard deviations, where the brake has its largest rate; the adhesion is log-normal.
+inline double adhesive_limit(const Train & train, double rate, double adhesion, double sigma, double z) {
+  double most = train.rate_table.empty() ? 1.0 : 0.0;
+  for (const auto & row : train.rate_table) {most = std::max(most, row.second);}
+  return G / (1.0 + train.rotary_mass) * adhesion * std::exp(-z * sigma / adhesion) / (rate * most);
+}
+
 // Speeds [m/s] from 0 to one [m/s, > 0] between which the brake rate is smooth.
 inline std::vector<double> knots(const Train & train, double speed) {
   std::vector<double> all{train.blend_speed, 2.0 * train.blend_speed, train.max_speed}, out{0.0};
