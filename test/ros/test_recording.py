@@ -21,10 +21,9 @@ SERVICE = '/brake_rate_estimator/save_recording'
 
 def test_the_last_inputs_are_recorded_on_request(graph: Graph, train_file: str, tmp_path: Path) -> None:
     nodes, records = graph.all(train_file, record_folder=str(tmp_path / 'events')), coasting(40)
-    feed(nodes[0], records[:-1])
+    feed(nodes[0], records)
     answer = graph.call(graph.plain('caller'), Trigger, SERVICE)
     assert answer.success, answer.message
-    feed(nodes[0], records[-1:])
     for node in nodes:
         node.trigger_deactivate()
         node.trigger_cleanup()
@@ -41,7 +40,8 @@ def test_a_fault_is_recorded(graph: Graph, train_file: str, tmp_path: Path) -> N
     node = graph.active(train_file, record_folder=str(tmp_path / 'events'))
     feed(node, coasting(20))
     node.fail(node.pipeline, 'broken')
-    feed(node, coasting(21)[-4:])
+    recorder = node.shared.inputs.recorder
+    graph.until(lambda: recorder._due)
     node.trigger_deactivate()
     node.trigger_cleanup()
     (bag,) = (tmp_path / 'events').iterdir()

@@ -67,12 +67,13 @@ class Recorded:
         self.files = dict(files)
 
     def at(self, time_s: float, **changes: object) -> list[str]:
-        """Let a sample come at a time; return the events of the bags written so far."""
+        """Let a sample come at a time, and be looked at then and half a minute later; return the events written."""
         self.now_ns = round(time_s * NS_PER_S)
         self.pipeline = replace(self.pipeline, samples=self.pipeline.samples + 1, **changes)  # type: ignore[arg-type]
         self.recorder.take(ROW)
         self.recorder.look('node', self.pipeline)  # type: ignore[arg-type]
-        self.recorder.write_if_due()
+        self.now_ns += 30 * NS_PER_S
+        self.recorder.look('node', self.pipeline)  # type: ignore[arg-type]
         if self.recorder._writing is not None:
             self.recorder._writing.result()
         return list(self.bags)
@@ -117,8 +118,16 @@ def test_slow_changes_are_no_step(recorded: Recorded) -> None:
 
 def test_an_event_within_a_minute_waits(recorded: Recorded) -> None:
     recorded.at(1.0, status=Status.FAULT)
-    assert recorded.at(2.0, stream=Stream('ato/force')) == ['node_fault']
-    assert recorded.at(1.0 + MIN_PAUSE_NS / NS_PER_S) == ['node_fault', 'node_contradiction']
+    assert recorded.at(32.0, stream=Stream('ato/force')) == ['node_fault']
+    assert recorded.at(2.0 + MIN_PAUSE_NS / NS_PER_S) == ['node_fault', 'node_contradiction']
+
+
+def test_what_is_due_is_written_at_the_end(recorded: Recorded) -> None:
+    recorded.pipeline.status = Status.FAULT
+    recorded.recorder.look('node', recorded.pipeline)  # type: ignore[arg-type]
+    assert not recorded.bags
+    recorded.recorder.close()
+    assert list(recorded.bags) == ['node_fault']
 
 
 def test_a_request_does_not_wait(recorded: Recorded) -> None:
@@ -173,7 +182,6 @@ def test_the_bag_holds_what_was_taken(tmp_path: Path) -> None:
     for record in records:
         recorder.take(record.row())
     recorder.request('node')
-    recorder.write_if_due()
     recorder.close()
     (bag,) = tmp_path.iterdir()
     with BagReader(bag) as reader:

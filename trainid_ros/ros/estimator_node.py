@@ -295,7 +295,8 @@ class EstimatorNode(ManagedNode):
 
     def about(self) -> str:
         """Return what the node does, for the log."""
-        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.kind.topic.name)}'
+        given = f'; {self.shared.parameters.given_values}' if self.state == 'activating' else ''
+        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.kind.topic.name)}{given}'
 
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.shared.parameters.value('diagnostic_period'))
@@ -469,11 +470,8 @@ class EstimatorNode(ManagedNode):
         self.publisher.conclude(now_ns)
         self.shared.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
         self._rejected = []
-        pipeline, inputs = self.shared.pipeline, self.shared.inputs
-        if self._listening and pipeline is not None and inputs is not None:
-            self.watchdog.saw(pipeline.newest_ns, now_ns, self.steady_ns())
-            if inputs.recorder is not None:
-                inputs.recorder.look(self.get_name(), pipeline)
+        if self._listening and self.shared.pipeline is not None:
+            self.watchdog.saw(self.shared.pipeline.newest_ns, now_ns, self.steady_ns())
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
         """Put the pipeline into FAULT and return its output; log the reason once."""
@@ -488,6 +486,8 @@ class EstimatorNode(ManagedNode):
             return
         inputs.drain()
         self._follow_jump(pipeline)
+        if inputs.recorder is not None:
+            inputs.recorder.look(self.get_name(), pipeline)
         # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
         steady_ns = self.steady_ns()

@@ -425,8 +425,6 @@ class InputGroup:
         # One of them at a time: the next message may come soon.
         if due := [node.checkpoints for node, estimates in made if estimates and node.checkpoints.is_due]:
             min(due, key=lambda checkpoints: checkpoints.saved_at).save_if_due()
-        if self.recorder is not None:
-            self.recorder.write_if_due()
 
     def _read(self, topic: AnyTopic, message: Any, received_ns: int) -> tuple[list[Record], int]:
         """Return the records that a message gives, and its stamp [ns]."""

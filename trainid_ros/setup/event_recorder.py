@@ -35,6 +35,8 @@ MIN_PAUSE_NS: Final = 60 * NS_PER_S
 """Time between recordings, except for those requested [ns]."""
 MAX_RECORDINGS: Final = 20
 """Recordings in the folder; each new one replaces the oldest."""
+_AFTER_NS: Final = 30 * NS_PER_S
+"""Time recorded after an event, which shows what came of it [ns]."""
 # Change of an estimate that counts as a step [std]: one in two million by chance.
 _STEP_STD: Final = 5.0
 _FIT: Final = frozenset({Status.VALID, Status.HOLDING})
@@ -127,7 +129,7 @@ class EventRecorder:
         self._newest_ns = 0
         self._watches: dict[str, Watch] = {}
         self._due: dict[str, str] = {}  # Kind of the event by its text
-        self._free_ns = 0  # When the next recording may begin, by the steady clock
+        self._free_ns = self._due_ns = 0  # When the next one may be written, and when it is due, by the steady clock
         self._thread = ThreadPoolExecutor(1, 'recorder')
         self._writing: Future[None] | None = None
 
@@ -140,22 +142,22 @@ class EventRecorder:
             entries.popleft()
 
     def look(self, name: str, pipeline: EstimatorPipeline[Any]) -> None:
-        """Look for events in an estimator, by the name of its node."""
-        watch = self._watches.setdefault(name, Watch(self._span_ns))
-        self._due.update((f'{name}: {text}', f'{name}_{kind}') for kind, text in watch.events(pipeline, self._clock()))
+        """Look for events in an estimator, by the name of its node; begin to write if that is due."""
+        now_ns = self._clock()
+        for kind, text in self._watches.setdefault(name, Watch(self._span_ns)).events(pipeline, now_ns):
+            if not self._due:
+                self._due_ns = max(self._free_ns, now_ns + _AFTER_NS)
+            self._due[f'{name}: {text}'] = f'{name}_{kind}'
+        if self._due and now_ns >= self._due_ns and (self._writing is None or self._writing.done()):
+            self._begin(now_ns)
 
     def request(self, name: str) -> str:
-        """Write a bag with the next message, for a node; return what will happen."""
+        """Write a bag soon, for a node; return what will happen."""
         self._due[f'{name}: requested'] = f'{name}_request'
-        self._free_ns = 0
-        return f'with the next message the last {self._span_ns / NS_PER_S / 60.0:g} min go to {self._folder}'
+        self._due_ns = 0
+        return f'the last {self._span_ns / NS_PER_S / 60.0:g} min are written to {self._folder}'
 
-    def write_if_due(self) -> None:
-        """Begin to write after an event, if the pause is over and the bag before is finished."""
-        if not self._due or (now_ns := self._clock()) < self._free_ns:
-            return
-        if self._writing is not None and not self._writing.done():
-            return
+    def _begin(self, now_ns: int) -> None:
         due, self._due, self._free_ns = self._due, {}, now_ns + MIN_PAUSE_NS
         made = {name: make() for name, make in self.files.items()}
         at = datetime.fromtimestamp(self._newest_ns // NS_PER_S, UTC)
@@ -175,7 +177,9 @@ class EventRecorder:
         self._log(f'{path}: {len(entries)} messages recorded: {"; ".join(files["event.txt"].splitlines())}')
 
     def close(self) -> None:
-        """Finish what is being written."""
+        """Write what is due, and finish it."""
+        if self._due:
+            self._begin(0)
         self._thread.shutdown()
 
 
