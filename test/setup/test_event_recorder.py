@@ -160,7 +160,7 @@ def test_old_recordings_make_room_and_other_folders_stay(recorded: Recorded) -> 
 
 
 def test_a_full_disk_is_told(recorded: Recorded) -> None:
-    def fail(path: Path, rows: Iterable[tuple[int, Row]], files: Mapping[str, str]) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(28, 'No space left on device')
 
     recorded.recorder._write = fail
