@@ -24,9 +24,9 @@ def test_the_last_inputs_are_recorded_on_request(graph: Graph, train_file: str, 
     feed(nodes[0], records)
     answer = graph.call(graph.plain('caller'), Trigger, SERVICE)
     assert answer.success, answer.message
-    for node in nodes:
-        node.trigger_deactivate()
-        node.trigger_cleanup()
+    recorder = nodes[0].shared.inputs.recorder
+    nodes[-1].trigger_deactivate()  # if it is not written yet
+    recorder._writing.result()
     (bag,) = (tmp_path / 'events').iterdir()
     with BagReader(bag) as reader:
         assert list(reader.records()) == records
@@ -43,7 +43,7 @@ def test_a_fault_is_recorded(graph: Graph, train_file: str, tmp_path: Path) -> N
     recorder = node.shared.inputs.recorder
     graph.until(lambda: recorder._due)
     node.trigger_deactivate()
-    node.trigger_cleanup()
+    recorder._writing.result()
     (bag,) = (tmp_path / 'events').iterdir()
     assert bag.name.endswith('Z_resistance_estimator_fault')
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -80,10 +80,8 @@ class Recorded:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Iterator[Recorded]:
-    made = Recorded(tmp_path / 'a' / 'b')
-    yield made
-    made.recorder.close()
+def recorded(tmp_path: Path) -> Recorded:
+    return Recorded(tmp_path / 'a' / 'b')
 
 
 @pytest.mark.parametrize(
@@ -126,7 +124,9 @@ def test_what_is_due_is_written_at_the_end(recorded: Recorded) -> None:
     recorded.pipeline.status = Status.FAULT
     recorded.recorder.look('node', recorded.pipeline)  # type: ignore[arg-type]
     assert not recorded.bags
-    recorded.recorder.close()
+    recorded.recorder.flush()
+    assert recorded.recorder._writing is not None
+    recorded.recorder._writing.result()
     assert list(recorded.bags) == ['node_fault']
 
 
@@ -182,7 +182,9 @@ def test_the_bag_holds_what_was_taken(tmp_path: Path) -> None:
     for record in records:
         recorder.take(record.row())
     recorder.request('node')
-    recorder.close()
+    recorder.flush()
+    assert recorder._writing is not None
+    recorder._writing.result()
     (bag,) = tmp_path.iterdir()
     with BagReader(bag) as reader:
         assert list(reader.records()) == records

@@ -26,7 +26,7 @@ from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
 from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show
 from trainid_ros.cli.processes import ProcessGroup, isolate
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
-from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
@@ -124,10 +124,7 @@ class DemoBag(NamedTuple):
 
 def stock_bag(name: str) -> Path:
     """Return the folder of a bag of the package; InputError if it is not there."""
-    try:
-        return shared_path(f'bags/{DEMO_BAGS[name]}')
-    except InputError as error:
-        raise InputError(f'{error}: the bags stay in the source tree; name one, with train.yaml inside') from None
+    return shared_path(f'bags/{DEMO_BAGS[name]}')
 
 
 def load_demo_bag(path: Path) -> DemoBag:

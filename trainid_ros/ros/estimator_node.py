@@ -383,6 +383,8 @@ class EstimatorNode(ManagedNode):
 
     def _pause(self) -> None:
         self.checkpoints.pause(running=self._listening)
+        if self.shared.inputs is not None and self.shared.inputs.recorder is not None:
+            self.shared.inputs.recorder.flush()
         self._listening = False
         if self.shared.pipeline is not None:
             self.shared.pipeline.interrupt()

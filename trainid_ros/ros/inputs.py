@@ -316,8 +316,6 @@ class InputGroup:
         self.members.remove(node)
         if self.members:
             return False
-        if self.recorder is not None:
-            self.recorder.close()
         for subscription in self.subscriptions.values():
             subscription.close()
         if self._discovery is not None:

@@ -240,10 +240,7 @@ class NodeParameters:
         for problem in self._problems.values():
             logger.error(problem)
         filed = [f'{name} = {self.value(name)}' for name in self._specs if name in self._filed - self.given]
-        rest = [name for name in self._specs if name not in self.given | self._filed]
-        logger.debug(
-            f'{self.given_values}; from the train file: {", ".join(filed) or "none"}; defaults: {_grouped(rest)}'
-        )
+        logger.debug(f'{self.given_values}; from the train file: {", ".join(filed) or "none"}; defaults: all others')
 
     @property
     def given_values(self) -> str:
@@ -329,15 +326,6 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
         low, high = int(max(spec.low, -(2**63))), int(min(spec.high, 2**63 - 1))
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
     return descriptor
-
-
-def _grouped(names: list[str]) -> str:
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        prefix, _, last = name.rpartition('.')
-        groups.setdefault(prefix, []).append(last)
-    texts = (f'{prefix}.{{{", ".join(last)}}}' if prefix else ', '.join(last) for prefix, last in groups.items())
-    return ', '.join(texts) or 'none'
 
 
 class _StopRequest:

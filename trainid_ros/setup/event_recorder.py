@@ -14,7 +14,7 @@ from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Row
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
 
 MAX_ROWS: Final = 200_000
-"""Messages kept in memory at most, 15 MB: ten minutes of five topics at 66 Hz."""
+"""Messages kept at most, 15 MB: ten minutes of five topics at 66 Hz."""
 MIN_PAUSE_NS: Final = 60 * NS_PER_S
 """Time between recordings, except for those requested [ns]."""
 MAX_RECORDINGS: Final = 20
@@ -45,30 +45,26 @@ _ENTRY: Final = Struct('<qBqdd?')
 _NAME: Final = re.compile(r'\d{8}T\d{6}Z_\w+_(fault|contradiction|step|request)')
 
 
-class WriteBag(Protocol):
-    """Writes rows with their log times [ns] to a new bag, and texts to files in its folder, by name."""
-
-    def __call__(self, path: Path, rows: Iterable[tuple[int, Row]], files: Mapping[str, str]) -> None:
-        """Write; InputError or OSError if that fails."""
+Say: TypeAlias = 'Callable[[str], object]'
+Clock: TypeAlias = 'Callable[[], int]'
+WriteBag: TypeAlias = 'Callable[[Path, Iterable[tuple[int, Row]], Mapping[str, str]], None]'
+"""Writes rows with their log times [ns] to a new bag, and texts to files in its folder; InputError, OSError."""
 
 
 def step_of(before: Any, now: Any) -> str:
     """Return how far a resistance or brake rate is from an earlier estimate, '' within five standard deviations."""
     if isinstance(now, ResistanceEstimate):
         name, new, new_std = 'resistance [N/kN]', now.resistance, now.resistance_std
-        old, old_std = (
-            davis(Davis(before.a, before.b, before.c), now.speed),
-            resistance_std(before.covariance, now.speed),
-        )
+        old = davis(Davis(before.a, before.b, before.c), now.speed)
+        old_std = resistance_std(before.covariance, now.speed)
     elif isinstance(now, BrakeRateEstimate):
         name, new, new_std = 'brake rate', now.brake_rate, now.brake_rate_std
         old, old_std = before.brake_rate, before.brake_rate_std
     else:
         return ''
-    # The errors of both are correlated, which makes the difference smaller than assumed here.
-    if abs(new - old) <= _STEP_STD * math.hypot(new_std, old_std):
-        return ''
-    return f'{name} from {old:.3g} ± {old_std:.2g} to {new:.3g} ± {new_std:.2g}'
+    # Their errors are correlated, which makes the difference smaller than assumed here.
+    is_step = abs(new - old) > _STEP_STD * math.hypot(new_std, old_std)
+    return f'{name} from {old:.3g} ± {old_std:.2g} to {new:.3g} ± {new_std:.2g}' if is_step else ''
 
 
 class Watch:
@@ -107,13 +103,7 @@ class EventRecorder:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        minutes: float,
-        write: WriteBag,
-        log: Callable[[str], object],
-        warn: Callable[[str], object],
-        clock: Callable[[], int] = time.monotonic_ns,
+        self, folder: Path, minutes: float, write: WriteBag, log: Say, warn: Say, clock: Clock = time.monotonic_ns
     ) -> None:
         """Create the folder; InputError if that fails. ``log`` and ``warn`` are called from the writing thread."""
         try:
@@ -152,23 +142,25 @@ class EventRecorder:
             self._begin(now_ns)
 
     def request(self, name: str) -> str:
-        """Write a bag soon, for a node; return what will happen."""
+        """Write a bag soon, for a node; return what will happen; InputError before the first message."""
+        if not self._entries:
+            raise InputError('nothing is recorded: no message has come')
         self._due[f'{name}: requested'] = f'{name}_request'
         self._due_ns = 0
         return f'the last {self._span_ns / NS_PER_S / 60.0:g} min are written to {self._folder}'
 
     def _begin(self, now_ns: int) -> None:
         due, self._due, self._free_ns = self._due, {}, now_ns + MIN_PAUSE_NS
-        made = {name: make() for name, make in self.files.items()}
+        made = {name: make() for name, make in self.files.items()} | {'event.txt': '\n'.join([*due, ''])}
         at = datetime.fromtimestamp(self._newest_ns // NS_PER_S, UTC)
-        files = {name: text for name, text in made.items() if text} | {'event.txt': '\n'.join([*due, ''])}
         path = self._folder / f'{at:%Y%m%dT%H%M%SZ}_{next(iter(due.values()))}'
+        files = {name: text for name, text in made.items() if text}
         self._writing = self._thread.submit(self._store, path, list(self._entries), files)
 
     def _store(self, path: Path, entries: list[bytes], files: dict[str, str]) -> None:
         try:
             old = sorted(item for item in self._folder.iterdir() if item.is_dir() and _NAME.fullmatch(item.name))
-            self._write(path, _unpacked(entries), files)
+            self._write(path, ((row[0], row[1:]) for row in map(_ENTRY.unpack, entries)), files)
         except (InputError, OSError) as error:
             self._warn(f'{path}: not recorded: {error}')
             return
@@ -176,13 +168,7 @@ class EventRecorder:
             shutil.rmtree(item, ignore_errors=True)
         self._log(f'{path}: {len(entries)} messages recorded: {"; ".join(files["event.txt"].splitlines())}')
 
-    def close(self) -> None:
-        """Write what is due, and finish it."""
-        if self._due:
+    def flush(self) -> None:
+        """Begin to write what would be due later, as nodes stop; the process ends after that."""
+        if self._due and self._entries:
             self._begin(0)
-        self._thread.shutdown()
-
-
-def _unpacked(entries: list[bytes]) -> Iterator[tuple[int, Row]]:
-    for log_ns, topic, stamp_ns, x, y, flag in map(_ENTRY.unpack, entries):
-        yield log_ns, (topic, stamp_ns, x, y, flag)
