@@ -16,8 +16,8 @@ from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
 NAME = 'trainid_ros'
-# Folders that go to the share directory as they are.
-SHARED_FOLDERS = ('bags', 'config', 'launch')
+# Folders that go to the share directory as they are; the bags stay in the source tree.
+SHARED_FOLDERS = ('config', 'launch')
 # Commands that build; others, which only read metadata, must not wait for a compiler.
 BUILDING = {'build', 'build_ext', 'bdist_wheel', 'develop', 'editable_wheel', 'install'}
 
@@ -37,6 +37,17 @@ def shared_files() -> list[tuple[str, list[str]]]:
                 relative = path.relative_to(root)
                 groups[f'share/{NAME}/{relative.parent}'].append(str(relative))
     return list(groups.items())
+
+
+def check_messages() -> None:
+    """End with what to do if colcon builds this package, and the messages are neither built nor installed."""
+    prefixes = [path for path in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if path]
+    is_colcon = not {'--record', '--editable'}.isdisjoint(sys.argv)  # without and with --symlink-install
+    if is_colcon and prefixes and not any((Path(path) / 'share' / 'trainid_msgs').is_dir() for path in prefixes):
+        sys.exit(
+            f'{NAME}: trainid_msgs is not built. It lies in msg_defs, inside this package, where colcon does not look. '
+            f'In src of the workspace: ln -s {Path(__file__).resolve().parent}/msg_defs trainid_msgs'
+        )
 
 
 class BuildModules(build_ext):
@@ -91,6 +102,7 @@ def compiled_modules() -> list[Extension]:
     return extensions
 
 
+check_messages()
 setup(
     name=NAME,
     version='0.1.0',

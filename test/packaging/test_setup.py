@@ -32,7 +32,7 @@ def setup_value(name: str) -> Any:
 def test_shared_folders_exist_and_are_those_of_the_set_up() -> None:
     folders = setup_value('SHARED_FOLDERS')
     assert all(any((ROOT / folder).iterdir()) for folder in folders)
-    assert {*folders, 'package.xml'} == set(SHARED)
+    assert {*folders, 'package.xml', 'bags'} == set(SHARED)  # in the source tree, bags too
 
 
 def test_every_data_file_is_packaged(monkeypatch: pytest.MonkeyPatch) -> None:

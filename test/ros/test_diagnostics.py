@@ -163,6 +163,8 @@ def test_simulated_time_that_never_starts_or_has_stopped_is_reported(
     Simulated(graph, node).go(START_NS)
     diagnosed.until(OWN, '/clock has stopped')
     assert diagnosed.level(OWN) == DiagnosticStatus.WARN
+    Simulated(graph, node)
+    diagnosed.until(OWN, '2 publishers of /clock: /time: stop all but one')
 
 
 def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(
@@ -254,7 +256,7 @@ def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagno
     for text in (
         f'/ato/speed: {wrong_type}',
         f'/ato/brake_command: {wrong_qos}',
-        '/ato/force: more than one publisher',
+        '/ato/force: more than one publisher: /odometer, /second',
     ):
         assert logged.count(text) == 1, logged
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import time
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, cast
@@ -25,7 +26,7 @@ from trainid_ros.bag.types import (
     typestore,
 )
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import OUTPUT_TOPICS, Record, input_topic, output_topic
+from trainid_ros.interface.records import OUTPUT_TOPICS, Record, Row, input_topic, output_topic, record_of
 from trainid_ros.interface.results import Output, Status
 
 if sys.version_info >= (3, 14):
@@ -34,6 +35,8 @@ else:
     from backports import zstd
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from rosbags.interfaces import Connection
 
     from trainid_ros.bag.bag_replay import AnyOutput
@@ -41,6 +44,8 @@ if TYPE_CHECKING:
 
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
+# Messages written at a time beside other threads: about 1 ms.
+_SLICE: Final = 32
 _LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
 
 
@@ -180,6 +185,20 @@ class BagWriter:
         )
         self._connections[topic] = connection
         return connection
+
+
+def write_rows(path: Path, rows: Iterable[tuple[int, Row]], files: Mapping[str, str]) -> None:
+    """Write inputs with their log times [ns] to a new bag, and texts to files in its folder, beside other threads.
+
+    InputError or OSError if that fails.
+    """
+    with BagWriter(path) as writer:
+        for count, (log_ns, row) in enumerate(rows):
+            writer.write_record(record_of(*row), log_ns)
+            if count % _SLICE == 0:
+                time.sleep(0.001)  # or else a thread that gets a message would wait for 5 ms
+    for name, text in files.items():
+        (path / name).write_text(text, encoding='utf-8')
 
 
 class BagRecorder:

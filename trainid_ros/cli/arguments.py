@@ -99,7 +99,7 @@ VERBS: Final = (
         'demo', 'play a bag through the live nodes and write a report',
         'bag --rate --out --only --quick --seed --json',
     ),
-    Verb('run', 'run the estimator nodes live', '--train --map --node --ros-args', 'live.run_nodes'),
+    Verb('run', 'run the estimator nodes live', '--train --map --node --record --ros-args', 'live.run_nodes'),
     Verb(
         'monitor', 'show inputs, estimates and diagnostics live in a terminal', '--namespace --duration --ros-args',
         'live.monitor',
@@ -225,6 +225,9 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     '--only': _value(str, None, None, 'run only this chapter', choices=(*DEMO_BAGS, EXPLAIN_CHAPTER)),
     '--quick': _flag(f'only the first {DEMO_QUICK_S:g} s of each bag'),
     '--node': _repeated('run only this node; repeatable', choices=LIVE_NODES),
+    '--record': _path(
+        'FOLDER', 'write the last minutes of the inputs there after faults, contradictions and steps (record_folder)'
+    ),
     '--world': _value(str, None, None, 'type of railway: train, line and driver'),
     '--realism': _value(
         str,

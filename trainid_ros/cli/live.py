@@ -33,7 +33,7 @@ def run_nodes(args: argparse.Namespace) -> int:
     elif args.map is not None:
         load_mapping(args.map)
     names = tuple(dict.fromkeys(args.node)) if args.node else LIVE_NODES
-    files = {'train_file': args.train, 'mapping_file': args.map}
+    files = {'train_file': args.train, 'mapping_file': args.map, 'record_folder': args.record}
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
     from trainid_ros.ros.estimator_node import SPECS, EstimatorNode  # noqa: PLC0415

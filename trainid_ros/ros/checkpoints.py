@@ -188,6 +188,11 @@ class Checkpoints:
     def _file_or_default(self) -> CheckpointFile:
         return self._file or CheckpointFile(default_path(self._node.get_fully_qualified_name()))
 
+    def text(self) -> str:
+        """Return the content of a checkpoint of now, '' where nothing was learned."""
+        pipeline = self._context.pipeline
+        return '' if pipeline is None or not pipeline.samples else self._checkpoint(pipeline).text()
+
     # Both ways
 
     def _checkpoint(self, pipeline: EstimatorPipeline[Any]) -> Checkpoint:

@@ -533,6 +533,7 @@ class DiagnosticsPublisher:
         self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
         self._problems: dict[str, Finding] = {}
+        self._logged: dict[AnyTopic, Publishers] = {}
         # Hash of the definition with which a topic is subscribed, by topic and type
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
@@ -633,10 +634,14 @@ class DiagnosticsPublisher:
         monitor.publishers = self._publishers(inputs, monitor.topic, name)
         if not inputs.subscriptions[monitor.topic].may_mix:
             monitor.publishers = monitor.publishers.at_a_time()
-        if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:
-            logger.error(f'{name}: {"; ".join(monitor.publishers.unheard)}')
-        if len(monitor.publishers.heard) > max(1, len(before.heard)):
-            logger.warning(f'{name}: more than one publisher: {", ".join(monitor.publishers.heard)}')
+        logged = self._logged.get(monitor.topic, Publishers())
+        if before != monitor.publishers or before == logged:  # the graph knows names later than publishers
+            return
+        self._logged[monitor.topic] = before
+        if before.unheard and before.unheard != logged.unheard:
+            logger.error(f'{name}: {"; ".join(before.unheard)}')
+        if len(before.heard) > max(1, len(logged.heard)):
+            logger.warning(f'{name}: more than one publisher: {_names(before.heard)}')
 
     def _publishers(self, inputs: InputGroup, topic: AnyTopic, name: str) -> Publishers:
         subscription, infos = inputs.subscriptions[topic], self._node.get_publishers_info_by_topic(name)
@@ -671,4 +676,7 @@ class DiagnosticsPublisher:
             return ''
         if now_ns == 0:
             return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
+        if len(infos := self._node.get_publishers_info_by_topic('/clock')) > 1:
+            names = _names(sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos))
+            return f'{len(infos)} publishers of /clock: {names}: stop all but one'
         return '/clock has stopped: resume its publisher' if now_ns == before else ''

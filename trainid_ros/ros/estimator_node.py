@@ -22,6 +22,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from trainid_ros.bag import missing_package_error
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, output_topic
@@ -47,6 +48,7 @@ from trainid_ros.ros.topics import (
     overridable,
     publisher_events,
 )
+from trainid_ros.setup.event_recorder import EventRecorder
 from trainid_ros.setup.params_file import (
     ALGORITHM,
     build_settings,
@@ -64,7 +66,7 @@ from trainid_ros.setup.pipelines import (
     force_findings,
 )
 from trainid_ros.stream.sample_stream import MAX_STEP_S, TimeJumpPolicy
-from trainid_ros.train.train_file import TrainFile, load_train_file
+from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_file
 
 # Statuses that are published again without new samples, after this time [ns]: in time for the deadline of 1 s.
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
@@ -276,6 +278,7 @@ class EstimatorNode(ManagedNode):
             'reset': self.reset_on_request,
             'save_checkpoint': self.save_on_request,
             'load_checkpoint': self.load_on_request,
+            'save_recording': self.record_on_request,
         }
         for name, serve in services.items():
             self.create_service(Trigger, f'~/{name}', partial(self._answer, serve))
@@ -292,7 +295,8 @@ class EstimatorNode(ManagedNode):
 
     def about(self) -> str:
         """Return what the node does, for the log."""
-        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.kind.topic.name)}'
+        given = f'; {self.shared.parameters.given_values}' if self.state == 'activating' else ''
+        return f'{self.algorithm} on {self.resolve_topic_name(self.shared.kind.topic.name)}{given}'
 
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.shared.parameters.value('diagnostic_period'))
@@ -318,6 +322,7 @@ class EstimatorNode(ManagedNode):
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
         self.shared.step_times = StepTimes()
         self._open()
+        self._open_recorder(train_file)
         return super().on_configure(state)
 
     @guarded
@@ -360,8 +365,26 @@ class EstimatorNode(ManagedNode):
         # The clock drops callbacks whose handle is not kept.
         self._jump_handle = self.get_clock().create_jump_callback(threshold, post_callback=self._note_jump)
 
+    def _open_recorder(self, train_file: TrainFile) -> None:
+        """Record the inputs if asked to, and the nodes that share them do not yet; InputError if that is impossible."""
+        parameters, inputs, logger = self.shared.parameters, self.shared.inputs, self.get_logger()
+        assert inputs is not None
+        if (folder := str(parameters.value('record_folder'))) and inputs.recorder is None:
+            try:  # what writes bags does not come from apt
+                from trainid_ros.bag.writer import write_rows  # noqa: PLC0415
+            except ModuleNotFoundError as error:
+                raise missing_package_error(error) from None
+            minutes = float(parameters.value('record_minutes'))
+            path = Path(folder).expanduser()
+            inputs.recorder = EventRecorder(path, minutes, write_rows, logger.info, logger.warning)
+            inputs.recorder.files['train.yaml'] = partial(dump_train_file, train_file)
+        if inputs.recorder is not None:
+            inputs.recorder.files[f'{self.get_name()}.json'] = self.checkpoints.text
+
     def _pause(self) -> None:
         self.checkpoints.pause(running=self._listening)
+        if self.shared.inputs is not None and self.shared.inputs.recorder is not None:
+            self.shared.inputs.recorder.flush()
         self._listening = False
         if self.shared.pipeline is not None:
             self.shared.pipeline.interrupt()
@@ -465,6 +488,8 @@ class EstimatorNode(ManagedNode):
             return
         inputs.drain()
         self._follow_jump(pipeline)
+        if inputs.recorder is not None:
+            inputs.recorder.look(self.get_name(), pipeline)
         # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
         steady_ns = self.steady_ns()
@@ -524,6 +549,12 @@ class EstimatorNode(ManagedNode):
         loaded = self.checkpoints.load_on_request(pipeline)
         self.latch_loaded()
         return f'loaded {self.algorithm} from {loaded}'
+
+    def record_on_request(self, _pipeline: EstimatorPipeline[Any]) -> str:
+        """Write the last inputs to a bag."""
+        if self.shared.inputs is None or self.shared.inputs.recorder is None:
+            raise InputError('nothing is recorded: start the node with the parameter record_folder')
+        return self.shared.inputs.recorder.request(self.get_name())
 
     # Time
 

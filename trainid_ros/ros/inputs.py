@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from trainid_ros.interface.records import Record
     from trainid_ros.ros.node import ManagedNode
     from trainid_ros.ros.topics import SerializedEstimate
+    from trainid_ros.setup.event_recorder import EventRecorder
     from trainid_ros.setup.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
@@ -283,6 +284,7 @@ class InputGroup:
         members: The nodes.
         subscriber: Name of the first node.
         subscriptions: The subscriptions by topic; a foreign one is made as soon as its type is known.
+        recorder: Keeps the last inputs for recordings, None without any.
         mapped: What makes records of the messages of foreign topics, None without a mapping.
     """
 
@@ -295,6 +297,7 @@ class InputGroup:
             topic: InputSubscription(topic, partial(self._subscribe, topic), node.destroy_subscription)
             for topic in subscribed_topics(mapping.mapping)
         }
+        self.recorder: EventRecorder | None = None
         self._said: set[tuple[str, str]] = set()
         self._discovery: Any = None
         if any(isinstance(topic, ForeignTopic) for topic in self.subscriptions):
@@ -407,7 +410,9 @@ class InputGroup:
             share_streams(pipeline for _, pipeline in running)
         made: list[tuple[Consumer, list[SerializedEstimate]]] = [(node, []) for node, _ in running]
         for record in records:
-            shared = SharedRecord(record.row())
+            shared = SharedRecord(row := record.row())
+            if self.recorder is not None:
+                self.recorder.take(row)
             for (node, pipeline), (_, estimates) in zip(running, made, strict=True):
                 estimates.extend(node.step(pipeline, shared))
         # Sent at once, so that a subscriber of all of them wakes up once.

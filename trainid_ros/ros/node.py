@@ -86,7 +86,11 @@ def guarded(
             node.get_logger().error(f'{transition.__name__} failed\n{traceback.format_exc()}')
             return TransitionCallbackReturn.ERROR
         if result == TransitionCallbackReturn.SUCCESS:
-            node.get_logger().info(f'{_REACHED[transition.__name__]}: {node.about()}')
+            text = f'{_REACHED[transition.__name__]}: {node.about()}'
+            if transition.__name__ == 'on_configure':  # most nodes are activated at once
+                node.get_logger().debug(text)
+            else:
+                node.get_logger().info(text)
         return result
 
     return run
@@ -231,17 +235,18 @@ class NodeParameters:
                 self._problems[str(path)] = str(error)
 
     def report(self) -> None:
-        """Log every problem as an error, and the sources of all values in one line."""
+        """Log every problem as an error, and for debugging the sources of all values in one line."""
         logger = self._node.get_logger()
         for problem in self._problems.values():
             logger.error(problem)
-        given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
         filed = [f'{name} = {self.value(name)}' for name in self._specs if name in self._filed - self.given]
-        rest = [name for name in self._specs if name not in self.given | self._filed]
-        logger.info(
-            f'parameters given: {", ".join(given) or "none"}; from the train file: {", ".join(filed) or "none"}; '
-            f'defaults: {_grouped(rest)}'
-        )
+        logger.debug(f'{self.given_values}; from the train file: {", ".join(filed) or "none"}; defaults: all others')
+
+    @property
+    def given_values(self) -> str:
+        """The values that the user set, as text."""
+        given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
+        return f'parameters given: {", ".join(given) or "none"}'
 
     def check(self) -> None:
         """Raise InputError, naming them, while parameters are unknown or invalid."""
@@ -323,15 +328,6 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     return descriptor
 
 
-def _grouped(names: list[str]) -> str:
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        prefix, _, last = name.rpartition('.')
-        groups.setdefault(prefix, []).append(last)
-    texts = (f'{prefix}.{{{", ".join(last)}}}' if prefix else ', '.join(last) for prefix, last in groups.items())
-    return ', '.join(texts) or 'none'
-
-
 class _StopRequest:
     """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first.
 
@@ -367,7 +363,8 @@ def _start(arguments: list[str]) -> list[str]:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RCLError, RuntimeError, ValueError) as error:
-        raise InputError(f'ROS cannot start: {str(error).splitlines()[0]}') from error
+        hint = '; set ROS_LOG_DIR to a folder that can be written' if 'log' in str(error) else ''
+        raise InputError(f'ROS cannot start: {str(error).splitlines()[0]}{hint}') from error
     _STOP.requested = False
     _on_signals(_STOP.note)
     return arguments

@@ -258,7 +258,9 @@ class PlaybackNode(ManagedNode):
         if not wanted or self.position_ns:
             return False
         now = self.steady_ns()
-        counts = {output.topic_name: output.get_subscription_count() for output in self._outputs.values()}
+        # With a mapping for its topics, which nodes subscribe to last; nobody may want the others.
+        outputs = [self._outputs[name] for name in self.timeline.foreign or self._outputs]
+        counts = {output.topic_name: output.get_subscription_count() for output in outputs}
         lacking = [f'{topic} has {count}' for topic, count in sorted(counts.items()) if count < wanted]
         if not lacking:
             self._complete_ns = self._complete_ns or now

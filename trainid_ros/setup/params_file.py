@@ -171,6 +171,10 @@ _OF_NODES: Final = (
         3600.0,
         least=0.1,
     ),
+    ParameterSpec(
+        'record_folder', '', 'folder of bags with the last inputs, written after faults and steps', read_only=True
+    ),
+    on_configure('record_minutes', 10.0, 'length of these bags [min]', 0.1, 120.0),
     SEED,
     ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0),
     AUTOSTART,
