@@ -32,7 +32,7 @@ NOT_RUN = {
     ),
     r'ros2 security |ros2 run .* --enclave ': 'needs DDS security, which the wheels are built without',
     r'ros2 (launch|run|service|topic|lifecycle) ': 'needs an installed workspace',
-    r'cd |colcon |git ': 'needs a workspace or a repository; see tools/colcon_smoke.py',
+    r'cd |colcon |git |rosdep ': 'needs a workspace or a repository; see tools/colcon_smoke.py',
     r'\.venv/bin/trainid view bags/tiny$': 'opens a window',
     r'\.venv/bin/trainid fleet report .* --explain': 'needs the bags of weeks',
     r'\.venv/bin/trainid (simulate|fleet|fleet report) out/fleet\b': 'takes minutes; test/sim makes a few drives',
@@ -115,7 +115,7 @@ def check(text: str) -> None:
     elif words[0] == '.venv/bin/python':
         check_benchmark(words)
     else:
-        assert words[0] in {'cd', 'git', 'colcon', '.'}, text
+        assert words[0] in {'cd', 'git', 'colcon', '.', 'ln', 'rosdep'}, text
 
 
 def check_ros(words: list[str], text: str) -> None:

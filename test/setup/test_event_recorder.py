@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,9 +18,11 @@ from trainid_ros.setup.event_recorder import MAX_RECORDINGS, MAX_ROWS, MIN_PAUSE
 from trainid_ros.train.train_file import load_train_file
 
 ROW: Row = (1, 17, 2.5, 0.0, False)
-ESTIMATE = ResistanceEstimate(
-    1.5, 0.0, 0.0, (0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.5, 0.1, 10.0, 0.0, 0.01, 0.0, 5.0, 20.0, 0.1
-)
+
+
+def estimate_of(resistance: float) -> ResistanceEstimate:
+    covariance = (0.01, *[0.0] * 8)
+    return ResistanceEstimate(resistance, 0.0, 0.0, covariance, resistance, 0.1, 10.0, 0.0, 0.01, 0.0, 5.0, 20.0, 0.1)
 
 
 @dataclass
@@ -39,9 +40,7 @@ class Pipeline:
     stream: Stream = field(default_factory=Stream)
 
     def current(self) -> Output[ResistanceEstimate]:
-        estimate = copy(ESTIMATE)
-        estimate.a = estimate.resistance = self.resistance
-        return Output(0, estimate, self.status, 0, 0, None)
+        return Output(0, estimate_of(self.resistance), self.status, 0, 0, None)
 
 
 class Recorded:
