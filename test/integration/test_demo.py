@@ -110,7 +110,11 @@ def test_interrupted_demo_leaves_no_process_behind(
     _, err = process.communicate()
     assert process.returncode == 130, err
     assert 'Traceback' not in err
-    assert children_of(process) == []
+    # A child that was being started is ended by the kernel, after its parent.
+    deadline = time.monotonic() + HANG_S
+    while children_of(process):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_node_that_cannot_start_is_reported_in_one_line(start: Start, bag: Path, tmp_path: Path) -> None:
