@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -80,6 +81,16 @@ def test_errors_larger_than_stated_need_care() -> None:
     found = verdict(replace(outcome, brake_rate=replace(outcome.brake_rate, consistency=optimistic)))
     assert found.level is Level.CARE
     assert 'uncertainty of brake rate: predictions miss by 2.00 times the stated std' in found.text
+    assert found.text.endswith('Next: trainid explain day --train train.yaml names what the train file lacks.')
+
+
+def test_the_next_step_is_for_what_cannot_be_used() -> None:
+    outcome, suggested = drive(Status.VALID, Status.VALID, Status.CONVERGING), SimpleNamespace(text='coast')
+    unused = replace(outcome.brake_rate, output=Output(1, BRAKE, Status.CONVERGING, 0, 60, None))
+    found = judge(replace(outcome, brake_rate=unused), (cast('Any', suggested), None), 'day', 'train.yaml')
+    assert 'brake rate is CONVERGING, no sample was used (most often: braking)' in found.text
+    assert found.text.endswith('Next: trainid info day shows what the bag holds.')
+    assert judge(outcome, (None, cast('Any', suggested)), 'day', 'train.yaml').text.endswith('Next: coast.')
 
 
 def test_without_a_sample_the_reason_is_the_most_frequent_rejection() -> None:

@@ -238,7 +238,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
         head,
         *('\n  '.join(lines) for lines in effects),
         *filter(None, ['\n'.join(parts)]),
-        f'Probability: {words.causes_text(explanation)}.',
+        f'Probability by cause, all causes together 100%: {words.causes_text(explanation)}.',
         words.gap_sentence(explanation),
         table(davis, numbers=(1,)),
         ' '.join(filter(None, (explanation.remaining, words.learned_sentence(explanation.learned)))),

@@ -21,8 +21,6 @@ from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.setup.pipelines import force_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from trainid_ros.bag.bag_replay import Replay, Result
     from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
@@ -113,27 +111,33 @@ def estimate_rows(
 
 def judge(
     outcome: Replay,
-    drives: Sequence[SuggestedDrive | None],
+    drives: tuple[SuggestedDrive | None, SuggestedDrive | None],
     bag: str,
     train: str,
     named: Callable[[str], str] = lambda text: text,
 ) -> Verdict:
-    """Return the verdict on a replay; ``drives`` are suggested ones, ``named`` gives topics the names of the bag."""
+    """Return the verdict on a replay.
+
+    ``drives`` are those suggested for resistance and brake rate; ``named`` gives topics the names of the bag.
+    """
     results = results_of(outcome)
     unusable = {name: result for name, result in results.items() if result.output.status not in USABLE}
     level = Level.NOT if len(unusable) == len(results) else Level.PART if unusable else Level.USABLE
     info = f'{shlex.join(("trainid", "info", bag))} shows what the bag holds'
     reasons = [_why(name, result) for name, result in unusable.items()]
-    steps = [drive.text for drive in drives if drive is not None] if unusable else []
+    suggested = zip(('resistance', 'brake rate'), drives, strict=True)
+    steps = [drive.text for name, drive in suggested if name in unusable and drive is not None]
     if reason := outcome.why_no_resistance():
         reasons = [reason]
     elif not unusable and (findings := (*force_findings(outcome.resistance.output.estimate), *outcome.brake_findings)):
         reasons, steps = [*findings], ['correct the train file or what publishes the topic']
-    reasons += [
+    optimistic = [
         f'uncertainty of {name}: {result.consistency.advice}'
         for name, result in results.items()
         if result.consistency.verdict is ConsistencyVerdict.OPTIMISTIC and name not in unusable
     ]
+    steps = steps or ([_explained(bag, train)] if optimistic and not unusable else [])
+    reasons += optimistic
     if (last := outcome.contradiction).finding:
         share = max(dict(r.rejections).get(Reason.CONTRADICTION, 0) / max(r.samples, 1) for r in results.values())
         text = f'{last.text} ({share:.0%} of the samples left out)'
@@ -160,8 +164,14 @@ def _is_main(outcome: Replay) -> bool:
 
 
 def _why(name: str, result: Result[Any]) -> str:
-    status = result.output.status
-    return f'{name} is {status.name}, {result.why_converging or _WHY[status]}'
+    status, why = result.output.status, result.why_converging
+    if not why and status is Status.CONVERGING and not result.output.used and result.rejections:
+        why = f'no sample was used (most often: {result.rejections[0][0].text})'
+    return f'{name} is {status.name}, {why or _WHY[status]}'
+
+
+def _explained(bag: str, train: str) -> str:
+    return f'{shlex.join(("trainid", "explain", bag, "--train", train))} names what the train file lacks'
 
 
 def _compared(outcome: Replay, bag: str, train: str) -> tuple[list[str], list[str]]:
@@ -177,4 +187,4 @@ def _compared(outcome: Replay, bag: str, train: str) -> tuple[list[str], list[st
     if max(moved, braking) <= _AGREES:
         return [f'{numbers} agree with the train file'], ['go on with this train file']
     differ = f'{numbers} differ from the train file by {moved:.1f} and {braking:.1f} std'
-    return [differ], [f'{shlex.join(("trainid", "explain", bag, "--train", train))} names what the train file lacks']
+    return [differ], [_explained(bag, train)]
