@@ -170,6 +170,26 @@ def test_a_track_of_railml_3_runs_over_its_net_elements() -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ('text', 'attribute', 'place'),
+    [
+        (TRACK_2, ' slope="-12.5"', 'gradient from 720 to 3100 m'),
+        (TRACK_2, ' vMax="108"', 'speed_limit from 1000 to 3100 m'),
+        (TRACK_3, ' gradient="-4"', 'gradient from 1000 to 1200 m'),
+    ],
+    ids=['slope', 'vMax', 'gradient'],
+)
+def test_a_change_without_its_value_is_left_out(text: str, attribute: str, place: str) -> None:
+    assert f'{place}, without a value' in railml(text.replace(attribute, '')).left_out
+    assert not any('without a value' in line for line in railml(text).left_out)
+
+
+def test_a_curve_without_radius_is_straight() -> None:
+    draft = railml(TRACK_2.replace(' radius="0"', ''))
+    assert draft.sections()['line'] == railml(TRACK_2).sections()['line']
+    assert draft.left_out == railml(TRACK_2).left_out
+
+
 N1, N2 = '<associatedNetElement netElementRef="n1"/>', '<associatedNetElement netElementRef="n2"/>'
 
 

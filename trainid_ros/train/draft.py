@@ -57,7 +57,9 @@ class Draft:
         self.notes.append(f'traction: by its largest force and power, at most {off - 1.0:.0%} above its curve')
 
     def add(self, kind: str, start: float, end: float, value: float) -> None:
-        """Add a stretch of the line; one without length or value is none."""
+        """Add a stretch of the line; one without length is none, one of NaN is left out."""
+        if end > start and math.isnan(value):
+            self.left_out.append(f'{kind} from {start:g} to {end:g} m, without a value')
         if end > start and value and math.isfinite(value):
             self.stretches.setdefault(kind, []).append((start, end, abs(value) if kind == 'curve' else value))
 

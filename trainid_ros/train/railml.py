@@ -28,6 +28,8 @@ _PER_WEIGHT: Final = frozenset({'1', 'N/kN'})
 _MAX: Final = 1e12
 """Largest number: what it may be is checked in the train file [any unit]."""
 _FORMULA: Final = ('constantFactorA', 'speedDependentFactorB', 'squareSpeedDependentFactorC')
+_DEFAULTS: Final = {'curve': 0.0, 'tunnel': 1.0}
+"""Values of what may lack one: a straight [m] and a tunnel [1]."""
 _INCIDENTAL: Final = frozenset({'id', 'name', 'code', 'description', 'register', 'entry', 'dir', 'sequence'})
 
 
@@ -197,7 +199,8 @@ def _read_track_2(track: _Element, draft: Draft) -> None:
         ('speed_limit', 'speedChange', 'vMax', 1.0 / KM_H),
     ):  # fmt: skip
         those = [one for one in track.each(tag) if one.text('dir') != 'down' and 'profileRef' not in one.xml.attrib]
-        rows = sorted((one.number('pos'), one.number(name) * scale) for one in those)
+        default = _DEFAULTS.get(kind, math.nan)
+        rows = sorted((one.number('pos'), one.number(name, default=default) * scale) for one in those)
         for (start, value), (until, _) in zip(rows, [*rows[1:], (end, 0.0)], strict=True):
             draft.add(kind, start, until, value)
     for one in track.each('tunnel'):
@@ -240,7 +243,8 @@ def _read_track_3(root: _Element, track: _Element, draft: Draft) -> None:
             against = {'reverse' if is_kept else 'normal'}  # Directions are those of the net element
             if ends and ways != against and (name or one.text('constructionType') == 'tunnel'):
                 factor = -scale if kind == 'gradient' and not is_along else scale
-                draft.add(kind, min(ends), max(ends), one.number(name, default=0.0 if name else 1.0) * factor)
+                value = one.number(name, default=_DEFAULTS.get(kind, math.nan))
+                draft.add(kind, min(ends), max(ends), value * factor)
     draft.stops = [x for one in root.each('stoppingPlace') for x in _ends(one, places)[:1]]
 
 
