@@ -117,3 +117,13 @@ def test_effects_are_shown_with_values_and_runs(folder: Path, capsys: pytest.Cap
     assert ', 1 car, ' in said
     assert 'Effect: mass_error: ratio = 1.150 ± 0.020, on runs 2 and 3 only\n' in said
     assert 'Effect: headwind: speed = 3 m/s\n' in said
+
+
+@pytest.mark.parametrize('command', ['show brake.yaml', 'import stock.json brake.yaml'])
+def test_runs_of_an_effect_on_records_are_refused(command: str, folder: Path, one_error: Callable[[], str]) -> None:
+    text = 'effects: [{name: wheel_diameter, parameters: {ratio: 1.02}, runs: [1]}]\n'
+    if 'show' in command:
+        text += 'train: {mass: 2e5}\nresistance: {a: 1.5, b: 0.0, c: 0.01}\n'
+    (folder / 'brake.yaml').write_text(text, encoding='utf-8')
+    assert run(folder, command) == 2
+    assert 'effect wheel_diameter: runs: it acts on all records' in one_error()
