@@ -12,6 +12,8 @@ import pytest
 
 from trainid_ros.cli.main import main
 from trainid_ros.fleet.table_file import find_bags, label_rule, list_bags
+from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.train.train_file import dump_train_file
 
 
 def call(out: Path, *options: str) -> int:
@@ -42,6 +44,7 @@ def test_bags_have_train_and_day_and_the_next_command_is_printed(
     [
         (('--days', '3'), '--days needs --fleet N'),
         (('--fault', 'T01:brake_scale:ratio=0.8:2'), '--fault needs --fleet N'),
+        (('--fleet', '2', '--days', '0'), '--days = 0 must be >= 1'),
         (('--fleet', '2', '--effect', 'headwind:speed=3'), '--effect is of a single bag'),
         (('--fleet', '2', '--fault', 'T03:brake_scale:ratio=0.8:2'), 'the trains are T01 to T02'),
     ],
@@ -52,6 +55,17 @@ def test_wrong_options_leave_nothing_behind(
     assert call(tmp_path / 'fleet', *options) == 2
     assert problem in one_error()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('options', [(), ('--fleet', '1', '--days', '1')], ids=['bag', 'fleet'])
+def test_effects_on_runs_that_the_drive_does_not_have_are_named(
+    tmp_path: Path, options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, text = tmp_path / 'T.yaml', dump_train_file(world_train(WORLDS['metro']))
+    effect = '{name: mass_error, parameters: {ratio: 1.15}, runs: [1, 40, 41]}'
+    path.write_text(text.replace('effects: []', f'effects: [{effect}]'), encoding='utf-8')
+    assert call(tmp_path / 'out', '--train', str(path), *options) == 0
+    assert capsys.readouterr().err == ('trainid: warning: effect mass_error: the drive has 1 run, not runs 40, 41\n')
 
 
 @pytest.mark.long

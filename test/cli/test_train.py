@@ -80,3 +80,50 @@ def test_a_value_out_of_range_and_a_file_of_the_user_are_refused(folder: Path, o
     (folder / 'T.yaml').write_text('train: {mass: 1}\n', encoding='utf-8')
     assert run(folder, 'import stock.xml --out T.yaml') == 2
     assert 'T.yaml: exists and was not written by trainid' in one_error()
+
+
+@pytest.mark.parametrize(
+    ('change', 'problem'),
+    [
+        ({'rolling_resistance': {'type': 'davis', 'A': 5.4, 'B': 0.2, 'C': 0.012}}, 'resistance at 10 m/s = 0.00'),
+        ({'mass': 900.0, 'rolling_resistance': {'type': 'davis', 'A': 9.0, 'B': 0.0, 'C': 0.0}}, 'train.mass = 900 kg'),
+    ],
+)
+def test_values_that_no_train_has_are_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], problem: str
+) -> None:
+    assert run(folder, 'import stock.json --out T.yaml') == 0
+    assert 'check' not in (folder / 'T.yaml').read_text(encoding='utf-8').partition('\ntrain:')[0]
+    (folder / 'stock.json').write_text(json.dumps(STOCK_OSRD | change), encoding='utf-8')
+    capsys.readouterr()
+    assert run(folder, 'import stock.json --out T.yaml') == 0
+    text = (folder / 'T.yaml').read_text(encoding='utf-8')
+    assert f'# check: {problem}' in text
+    assert run(folder, 'show T.yaml') == 0
+    said = capsys.readouterr().out
+    assert f'\ncheck: {problem}' in f'\n{said}'
+    assert f'\nCheck: {problem}' in said
+
+
+def test_effects_are_shown_with_values_and_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / 'T.yaml').write_text(
+        'train: {mass: 2e5, cars: 1}\nresistance: {a: 1.5, b: 0.0, c: 0.01}\neffects:\n'
+        '- {name: mass_error, parameters: {ratio: 1.15}, std: {ratio: 0.02}, runs: [2, 3]}\n'
+        '- {name: headwind, parameters: {speed: 3.0}}\n',
+        encoding='utf-8',
+    )
+    assert run(folder, 'show T.yaml') == 0
+    said = capsys.readouterr().out
+    assert ', 1 car, ' in said
+    assert 'Effect: mass_error: ratio = 1.150 ± 0.020, on runs 2 and 3 only\n' in said
+    assert 'Effect: headwind: speed = 3 m/s\n' in said
+
+
+@pytest.mark.parametrize('command', ['show brake.yaml', 'import stock.json brake.yaml'])
+def test_runs_of_an_effect_on_records_are_refused(command: str, folder: Path, one_error: Callable[[], str]) -> None:
+    text = 'effects: [{name: wheel_diameter, parameters: {ratio: 1.02}, runs: [1]}]\n'
+    if 'show' in command:
+        text += 'train: {mass: 2e5}\nresistance: {a: 1.5, b: 0.0, c: 0.01}\n'
+    (folder / 'brake.yaml').write_text(text, encoding='utf-8')
+    assert run(folder, command) == 2
+    assert 'effect wheel_diameter: runs: it acts on all records' in one_error()

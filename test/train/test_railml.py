@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import yaml
 
@@ -166,6 +168,71 @@ def test_a_track_of_railml_3_runs_over_its_net_elements() -> None:
         'tunnel': [[800.0, 1000.0]],
         'stops': [1250.0],
     }
+
+
+@pytest.mark.parametrize(
+    ('text', 'attribute', 'place'),
+    [
+        (TRACK_2, ' slope="-12.5"', 'gradient from 720 to 3100 m'),
+        (TRACK_2, ' vMax="108"', 'speed_limit from 1000 to 3100 m'),
+        (TRACK_3, ' gradient="-4"', 'gradient from 1000 to 1200 m'),
+    ],
+    ids=['slope', 'vMax', 'gradient'],
+)
+def test_a_change_without_its_value_is_left_out(text: str, attribute: str, place: str) -> None:
+    assert f'{place}, without a value' in railml(text.replace(attribute, '')).left_out
+    assert not any('without a value' in line for line in railml(text).left_out)
+
+
+def test_a_curve_without_radius_is_straight() -> None:
+    draft = railml(TRACK_2.replace(' radius="0"', ''))
+    assert draft.sections()['line'] == railml(TRACK_2).sections()['line']
+    assert draft.left_out == railml(TRACK_2).left_out
+
+
+N1, N2 = '<associatedNetElement netElementRef="n1"/>', '<associatedNetElement netElementRef="n2"/>'
+
+
+def with_attribute(net: str, attribute: str) -> str:
+    return net.replace('/>', f' {attribute}/>')
+
+
+def line_of(text: str) -> dict[str, Any]:
+    draft = railml(text)
+    draft.train['max_speed'] = 25.0
+    line: dict[str, Any] = draft.sections()['line']
+    return line
+
+
+def test_net_elements_are_in_their_stated_sequence() -> None:
+    text = TRACK_3.replace(N1, with_attribute(N1, 'sequence="10"')).replace(N2, with_attribute(N2, 'sequence="9"'))
+    line = line_of(text)
+    assert line['gradient'] == [[0.0, -4.0], [200.0, 0.0]]
+    assert line['curve'] == [[0.0, 0.0], [800.0, 400.0], [1000.0, 0.0]]
+    assert line['stops'] == [250.0]
+
+
+def test_a_net_element_that_is_run_backwards_is_mirrored() -> None:
+    line = line_of(TRACK_3.replace(N2, with_attribute(N2, 'keepsOrientation="false"')))
+    assert line['gradient'] == [[0.0, 0.0], [1300.0, 4.0]]
+    back = line_of(TRACK_3.replace(N1, with_attribute(N1, 'keepsOrientation="false"')))
+    assert back['curve'] == [[0.0, 0.0], [500.0, 400.0], [700.0, 0.0]]
+    assert back['tunnel'] == [[0.0, 200.0]]
+    assert back['speed_limit'] == [[0.0, pytest.approx(10.0)], [1000.0, 25.0]]
+    assert back['gradient'] == [[0.0, 0.0], [1000.0, -4.0], [1200.0, 0.0]]
+
+
+def test_a_gradient_against_its_net_element_changes_its_sign() -> None:
+    own = PLACE.format(way='both', net='n2', begin=0.0, end=0.4)
+    text = TRACK_3.replace(own, own.replace('"true"', '"false"'))
+    assert line_of(text)['gradient'] == [[0.0, 0.0], [1000.0, 4.0], [1200.0, 0.0]]
+    both = text.replace(N2, with_attribute(N2, 'keepsOrientation="false"'))
+    assert line_of(both)['gradient'] == [[0.0, 0.0], [1300.0, -4.0]]
+
+
+def test_a_net_element_without_length_has_what_is_left_of_the_track() -> None:
+    text = TRACK_3.replace('</linearLocation></track>', '</linearLocation><length value="1600"/></track>')
+    assert line_of(text.replace('length="1000"', ''))['stops'] == [1350.0]
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,10 @@ INVALID = [
         ('', 'T.yaml is empty, but must be a mapping of fields'),
         ('train: {mass: 1, mas: 2}\nresistance: {}', "T.yaml: train.mas is not a known field; did you mean 'mass'?"),
         (
+            'train: {mass: 1}\nresistance: {a: 1, b: 0, c: 0, c_by_weight: 1}',
+            'T.yaml: resistance.c_by_weight is not a known field; did you mean train.c_by_weight?',
+        ),
+        (
             'train: {mass: 1, mass: 2}\nresistance: {}',
             "T.yaml: line 1, column 18 is not valid YAML: key 'mass' is given twice",
         ),

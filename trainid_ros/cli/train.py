@@ -7,7 +7,8 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
-from trainid_ros.train.draft import Draft
+from trainid_ros.train.draft import Draft, doubts
+from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
 from trainid_ros.train.osrd import read_osrd
 from trainid_ros.train.railml import read_railml
@@ -29,9 +30,12 @@ def import_files(args: argparse.Namespace) -> int:
         _read(path, args, draft)
     sections, (needed, defaults) = draft.sections(), draft.missing()
     text = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
+    check = []
     if not needed:
-        parse_train_file(text, ', '.join(map(str, args.files)))  # every value is in its range
-    lists = {'read': draft.notes, 'left out': draft.left_out, 'not stated': defaults, 'missing': needed}
+        train_file = parse_train_file(text, ', '.join(map(str, args.files)))  # Every value is in its range
+        check_effects(train_file.effects)
+        check = doubts(train_file)
+    lists = {'check': check, 'read': draft.notes, 'left out': draft.left_out, 'not stated': defaults, 'missing': needed}
     lines = [fill(f'{name}: {"; ".join(found)}', 100, subsequent_indent='  ') for name, found in lists.items() if found]
     page = '\n# '.join((_HEAD, *'\n'.join(lines).splitlines())) + f'\n{text}'
     if out is not None:
@@ -65,6 +69,7 @@ def show_file(args: argparse.Namespace) -> int:
     from trainid_ros.report.train_page import facts, train_page  # noqa: PLC0415 (help needs no plots)
 
     train_file = load_train_file(args.train)
+    check_effects(train_file.effects)
     if args.out is not None:
         prepare_page(args.out).write_text(train_page(train_file, args.train.name), encoding='utf-8')
     if args.json:

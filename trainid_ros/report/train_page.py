@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_ros.interface.text import pluralise
+from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.report import page
+from trainid_ros.report.words import join, unit_of
 from trainid_ros.resistance.suggested_drive import KM_H
+from trainid_ros.train.draft import doubts
 from trainid_ros.train.forces import davis
 from trainid_ros.train.line import profile_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from trainid_ros.train.train_file import Pairs, TrainFile
+    from trainid_ros.train.train_file import Effect, Pairs, TrainFile
 
 
 def facts(train_file: TrainFile) -> list[tuple[str, str]]:
@@ -25,8 +27,9 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
     speeds = [share * train.max_speed for share in (0.25, 0.5, 1.0)]
     at = ', '.join(f'{davis(w, v):.2f} at {v / KM_H:.0f} km/h' for v in speeds)
     rates = sorted({brake.rate_at(v) for v in (*speeds, 0.0, *(v for v, _ in brake.rate_table))})
+    cars = pluralise(train.cars, 'car')
     rows = [
-        ('Train', f'{train.mass / 1e3:g} t, {train.length:g} m, {train.cars} cars, {train.max_speed / KM_H:.0f} km/h'),
+        ('Train', f'{train.mass / 1e3:g} t, {train.length:g} m, {cars}, {train.max_speed / KM_H:.0f} km/h'),
         ('Resistance', f'{w.a:.4g} + {w.b:.4g} v + {w.c:.4g} v² N/kN, v in m/s: {at}'),
         ('Brake rate', f'{_range(rates)}; dead time {brake.delay:g} s, lag {brake.time_constant:g} s'),
     ]
@@ -41,7 +44,19 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
         f'limits {_range([v / KM_H for _, v in line.speed_limit])} km/h' if line.speed_limit else '',
     )
     rows += [('Line', '; '.join(filter(None, parts)) or 'none')]
-    return [*rows, *(('Effect', effect.name) for effect in train_file.effects)]
+    rows += [('Effect', _effect(effect)) for effect in train_file.effects]
+    return [*rows, *(('Check', doubt) for doubt in doubts(train_file))]
+
+
+def _effect(effect: Effect) -> str:
+    """Return an effect with its parameters, and the runs if not all."""
+    std = dict(effect.std)
+    values = [
+        f'{key} = {plus_minus(value, std.get(key, 0.0))} {unit_of(effect.name, key)}'.rstrip()
+        for key, value in effect.parameters
+    ]
+    runs = [f'on runs {join([*map(str, effect.runs)])} only'] if effect.runs else []
+    return f'{effect.name}: {", ".join([*values, *runs])}' if values or runs else effect.name
 
 
 def _range(values: list[float]) -> str:

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.fields import did_you_mean
-from trainid_ros.train.forces import specific_force
-from trainid_ros.train.train_file import Train
+from trainid_ros.train.forces import davis, specific_force
+from trainid_ros.train.train_file import Train, TrainFile
 
 Stretch = tuple[float, float, float]
 """Start and end [m], and the value between them in the unit of the train file."""
@@ -21,6 +21,12 @@ _USUAL: Final = (
     'train.rotary_mass', 'train.length', 'train.cars', 'train.max_traction_force', 'train.max_traction_power',
     'train.max_speed', 'brake.time_constant', 'brake.delay', 'line.stops', 'line.gradient',
 )  # fmt: skip
+_USUAL_W: Final = (0.3, 30.0)
+"""Resistance of trains at 10 m/s [N/kN]: the low end is the rolling part alone of the modified Davis formula of the
+AREMA manual, 0.6 lb per short ton; the high end, a hundred times that, is a wide margin and not measured."""
+_USUAL_MASS: Final = (1e3, 1e8)
+"""Mass of trains [kg]: a light trolley has more than the low end, the heaviest train on record had 99 734 t (Port
+Hedland, 2001)."""
 
 
 @dataclass(slots=True)
@@ -51,7 +57,9 @@ class Draft:
         self.notes.append(f'traction: by its largest force and power, at most {off - 1.0:.0%} above its curve')
 
     def add(self, kind: str, start: float, end: float, value: float) -> None:
-        """Add a stretch of the line; one without length or value is none."""
+        """Add a stretch of the line; one without length is none, one of NaN is left out."""
+        if end > start and math.isnan(value):
+            self.left_out.append(f'{kind} from {start:g} to {end:g} m, without a value')
         if end > start and value and math.isfinite(value):
             self.stretches.setdefault(kind, []).append((start, end, abs(value) if kind == 'curve' else value))
 
@@ -83,6 +91,17 @@ class Draft:
         given = {f'{name}.{key}' for name, section in self.sections().items() for key in section}
         given |= {'train.mass', 'train.length'} if isinstance(self.train.get('cars'), list) else set()
         return [name for name in _NEEDED if name not in given], [name for name in _USUAL if name not in given]
+
+
+def doubts(file: TrainFile) -> list[str]:
+    """Return the values of a train file that are in range, but no train has: their unit is wrong."""
+    w, mass = float(davis(file.resistance, 10.0)), file.train.mass
+    return [
+        f'{name} = {value:.3g} {unit}, but trains have {low:g} to {high:g} {unit}: check the unit'
+        for name, value, unit, (low, high) in (
+            ('resistance at 10 m/s', w, 'N/kN', _USUAL_W), ('train.mass', mass, 'kg', _USUAL_MASS),
+        ) if not low <= value <= high
+    ]  # fmt: skip
 
 
 def chosen(name: str, known: Sequence[str], source: str, option: str) -> str:

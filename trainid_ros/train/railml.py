@@ -10,24 +10,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NamedTuple, NoReturn
 from xml.etree import ElementTree
 
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.records import KM_H
 from trainid_ros.train.draft import Draft, chosen
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
 
-_KM_H: Final = 1.0 / 3.6
-_SPEEDS: Final = {'km/h': _KM_H, 'm/s': 1.0}
+_SPEEDS: Final = {'km/h': 1.0 / KM_H, 'm/s': 1.0}
 _FORCES: Final = {'N': 1.0, 'kN': 1e3}
 _PER_WEIGHT: Final = frozenset({'1', 'N/kN'})
 """Units of speed [m/s], force [N] and specific resistance [N/kN], for which railML 3 writes 1."""
 _MAX: Final = 1e12
 """Largest number: what it may be is checked in the train file [any unit]."""
 _FORMULA: Final = ('constantFactorA', 'speedDependentFactorB', 'squareSpeedDependentFactorC')
+_DEFAULTS: Final = {'curve': 0.0, 'tunnel': 1.0}
+"""Values of what may lack one: a straight [m] and a tunnel [1]."""
 _INCIDENTAL: Final = frozenset({'id', 'name', 'code', 'description', 'register', 'entry', 'dir', 'sequence'})
 
 
@@ -122,7 +124,7 @@ def _read_train(root: _Element, vehicles: dict[str, _Element], name: str, draft:
     speeds = [speed for one in order if math.isfinite(speed := one.number('speed'))]
     found = {
         'mass': mass, 'length': train.number('length', default=sums[1]),
-        'max_speed': round(train.number('speed', default=min(speeds, default=math.nan)) * _KM_H, 6),
+        'max_speed': round(train.number('speed', default=min(speeds, default=math.nan)) / KM_H, 6),
     }  # fmt: skip
     factors = [one.anywhere('rotatingMassFactor', 'rotationMassFactor') - 1.0 for one in order]
     rotary = math.fsum(x * m for x, (m, _) in zip(factors, cars, strict=True))
@@ -144,7 +146,7 @@ def _read_resistance(train: _Element, mass: float, draft: Draft) -> None:
         if formula.text('massDependent') != 'true':
             a, b, c = (formula.number(name) for name in _FORMULA)
             draft.notes.append(f'resistance: {a:g} + {b:g} v + {c:g} v^2 in N, with v in km/h')
-            return draft.set_resistance((a, b / _KM_H, c / _KM_H**2), mass)
+            return draft.set_resistance((a, b * KM_H, c * KM_H**2), mass)
         draft.left_out.append('a formula per mass (massDependent), in a unit that is not stated')
     for owner in train.each('trainResistance', 'vehicleResistance', 'drivingResistance'):
         for x, y, unit in _tables(owner):
@@ -194,10 +196,11 @@ def _read_track_2(track: _Element, draft: Draft) -> None:
     draft.extent = begin, end
     for kind, tag, name, scale in (
         ('gradient', 'gradientChange', 'slope', 1.0), ('curve', 'radiusChange', 'radius', 1.0),
-        ('speed_limit', 'speedChange', 'vMax', _KM_H),
+        ('speed_limit', 'speedChange', 'vMax', 1.0 / KM_H),
     ):  # fmt: skip
         those = [one for one in track.each(tag) if one.text('dir') != 'down' and 'profileRef' not in one.xml.attrib]
-        rows = sorted((one.number('pos'), one.number(name) * scale) for one in those)
+        default = _DEFAULTS.get(kind, math.nan)
+        rows = sorted((one.number('pos'), one.number(name, default=default) * scale) for one in those)
         for (start, value), (until, _) in zip(rows, [*rows[1:], (end, 0.0)], strict=True):
             draft.add(kind, start, until, value)
     for one in track.each('tunnel'):
@@ -206,36 +209,74 @@ def _read_track_2(track: _Element, draft: Draft) -> None:
     draft.stops = [one.number('pos') for one in stops]
 
 
+class _Place(NamedTuple):
+    """Where a net element lies along the track."""
+
+    start: float  # Position of the end that comes first [m]
+    length: float  # [m]
+    is_kept: bool  # False if the track runs from its end to its start
+
+    def at(self, share: float) -> float:
+        """Return the position [m], to the micrometre, of a share [1] of the net element from its own start."""
+        return round(self.start + self.length * (share if self.is_kept else 1.0 - share), 6)
+
+
 def _read_track_3(root: _Element, track: _Element, draft: Draft) -> None:
     """Read values of sections, by their places on the net elements of the track."""
-    lengths = {one.text('id'): one.number('length') for one in root.each('netElement')}
-    places, at = dict[str, tuple[float, float]](), track.anywhere('measure')
+    places, at = dict[str, _Place](), track.anywhere('measure')
     start = at = at if math.isfinite(at) else 0.0
-    for net in dict.fromkeys(one.text('netElementRef') for one in track.each() if one.text('netElementRef')):
-        places[net] = at, lengths.get(net, math.nan)
-        at += places[net][1]
+    lengths, those = _lengths(root, track), [one for one in track.each() if one.text('netElementRef')]
+    for one in sorted(those, key=lambda one: one.number('sequence', default=0.0)):
+        if (net := one.text('netElementRef')) not in places:
+            places[net] = _Place(at, lengths.get(net, math.nan), is_kept=_keeps(one))
+            at += places[net].length
     if not math.isfinite(at):
         track.fail(f'one of its netElements {", ".join(places)} has no length')
     draft.extent = start, at
     for kind, tag, name, scale in (
         ('gradient', 'gradientCurve', 'gradient', 1.0), ('curve', 'horizontalCurve', 'radius', 1.0),
-        ('speed_limit', 'speedSection', 'maxSpeed', _KM_H), ('tunnel', 'overCrossing', '', 1.0),
+        ('speed_limit', 'speedSection', 'maxSpeed', 1.0 / KM_H), ('tunnel', 'overCrossing', '', 1.0),
     ):  # fmt: skip
         for one in root.each(tag):
-            ends = _ends(one, places)
+            ends, (is_kept, is_along) = _ends(one, places), _directions(one, places)
             ways = {x.text('applicationDirection') for x in one.each('linearLocation')}
-            if ends and ways != {'reverse'} and (name or one.text('constructionType') == 'tunnel'):
-                draft.add(kind, min(ends), max(ends), one.number(name, default=0.0 if name else 1.0) * scale)
+            against = {'reverse' if is_kept else 'normal'}  # Directions are those of the net element
+            if ends and ways != against and (name or one.text('constructionType') == 'tunnel'):
+                factor = -scale if kind == 'gradient' and not is_along else scale
+                value = one.number(name, default=_DEFAULTS.get(kind, math.nan))
+                draft.add(kind, min(ends), max(ends), value * factor)
     draft.stops = [x for one in root.each('stoppingPlace') for x in _ends(one, places)[:1]]
 
 
-def _ends(element: _Element, places: dict[str, tuple[float, float]]) -> list[float]:
-    """Return the positions of an element [m] by those of net elements: start and length [m]."""
+def _lengths(root: _Element, track: _Element) -> dict[str, float]:
+    """Return the lengths of net elements [m]; one of the track without its own has what the others leave of it."""
+    lengths = {one.text('id'): one.number('length') for one in root.each('netElement')}
+    nets = {name for one in track.each() if (name := one.text('netElementRef'))}
+    lacking = [net for net in nets if not math.isfinite(lengths.get(net, math.nan))]
+    if len(lacking) == 1 and (total := track.each('length')[:1]):
+        rest = total[0].number('value') - math.fsum(lengths[net] for net in nets if net != lacking[0])
+        lengths[lacking[0]] = rest if rest > 0.0 else math.nan
+    return lengths
+
+
+def _keeps(one: _Element) -> bool:
+    """Return False if something runs against its net element."""
+    return one.text('keepsOrientation') not in {'false', '0'}
+
+
+def _directions(element: _Element, places: dict[str, _Place]) -> tuple[bool, bool]:
+    """Return whether the net element of an element, and the element itself, have the direction of the track."""
+    those = (one for one in element.each('associatedNetElement') if one.text('netElementRef') in places)
+    kept = ((places[one.text('netElementRef')].is_kept, _keeps(one)) for one in those)
+    return next(((of_net, of_net == own) for of_net, own in kept), (True, True))
+
+
+def _ends(element: _Element, places: dict[str, _Place]) -> list[float]:
+    """Return the positions of an element [m] by the places of net elements."""
     found: list[float] = []
     for one in element.each('associatedNetElement', 'spotLocation'):
-        start, length = places.get(one.text('netElementRef'), (math.nan, math.nan))
-        shares = [one.number(f'intrinsicCoord{end}') for end in ('', 'Begin', 'End')]
-        measures = [x.number('measure') for x in one.each() if 'measure' in x.xml.attrib]
-        inner = [start + length * share for share in shares if math.isfinite(share)]
-        found += (measures or inner) if math.isfinite(start) else []
+        if place := places.get(one.text('netElementRef')):
+            shares = [one.number(f'intrinsicCoord{end}') for end in ('', 'Begin', 'End')]
+            measures = [x.number('measure') for x in one.each() if 'measure' in x.xml.attrib]
+            found += measures or [place.at(share) for share in shares if math.isfinite(share)]
     return found

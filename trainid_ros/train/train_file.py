@@ -148,7 +148,7 @@ def parse_train_file(text: str, source: str) -> TrainFile:
     top = parse_yaml(text, source).only(_names(TrainFile))
     return TrainFile(
         train=_train(top.section('train', required=True)),
-        resistance=Davis(**_numbers(top.section('resistance', required=True).only(_names(Davis)), Davis)),
+        resistance=_davis(top.section('resistance', required=True)),
         brake=_brake(top.section('brake')),
         line=_line(top.section('line')),
         effects=tuple(_effect(as_section(source, f'effects[{i}]', x)) for i, x in enumerate(top.items('effects'))),
@@ -210,6 +210,12 @@ def _train(section: Section) -> Train:
 def _car(section: Section, number: int, item: object) -> tuple[float, float]:
     car = as_section(section.source, f'{section.name("cars")}[{number}]', item).only(_OF_CAR)
     return car.number('mass', 'kg', low=1.0, high=1e9), car.number('length', 'm', low=0.1, high=1e4)
+
+
+def _davis(section: Section) -> Davis:
+    if key := next((key for key in section.data if key in _names(Train)), ''):
+        section.fail(key, f'is not a known field; did you mean train.{key}?')
+    return Davis(**_numbers(section.only(_names(Davis)), Davis))
 
 
 def _brake(section: Section) -> Brake:
