@@ -201,6 +201,24 @@ def test_numbers_that_may_be_others_are_a_doubt(tmp_path: Path, rows: list[Row],
     assert csv.text == ('{decimal: ","}' if ',' in cell else '')
 
 
+def test_a_sign_is_that_of_all_columns_beside_one_of_texts(tmp_path: Path, rows: list[Row]) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f};{v:.2f};Nord;'.replace('.', ',') + f'{1000 + x:,.0f}'.replace(',', '.')
+
+    path = write(tmp_path / 'log.csv', 't;v;Ort;Weg', rows, line)
+    found = lines_of(text_of(path))
+    position = 'position: {field: Weg, unit: m}'
+    assert found == ['time: {field: t, unit: s}', 'csv: {decimal: ","}', 'speed: {field: v, unit: m/s}', position]
+    assert not read_table(path)[1][1].decisions
+
+
+def test_a_column_of_another_decimal_sign_is_left_out(tmp_path: Path, rows: list[Row]) -> None:
+    path = write(tmp_path / 'log.csv', 't;v', rows, lambda t, v, *_: f'{t:.3f};' + f'{v:.2f}'.replace('.', ','))
+    numbers, (_, csv) = read_table(path)
+    assert numbers.left_out == (('v', 'another decimal sign'),)
+    assert csv.text == '{decimal: "."}'
+
+
 @pytest.mark.parametrize('suffix', ['npz', 'parquet'])
 def test_other_files_are_read_too(tmp_path: Path, rows: list[Row], suffix: str) -> None:
     t, v, x, f, *_ = np.array(rows).T

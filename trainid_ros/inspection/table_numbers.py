@@ -36,6 +36,7 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     """
     reader = _Reader(path)
     names = open_table(path, reader.mapping).names()
+    reader.find_decimal(names)
     columns = reader.columns(names)
     rows = max((len(column) for column in columns.values()), default=0)
     columns = {name: column for name, column in columns.items() if len(column) == rows}
@@ -73,7 +74,28 @@ class _Reader:
         self.left_out: list[tuple[str, str]] = []
         self.is_vbox = path.suffix.lower() == VBOX_SUFFIX
         self._path = path
-        self._decimal: UnclearError | None = None
+        self._csv: Choice | None = None
+        self._others: tuple[str, ...] = ()  # columns of another decimal sign
+
+    def find_decimal(self, names: Sequence[str]) -> None:
+        """Find one decimal sign for all columns: any part of them might show another."""
+        table = open_table(self._path, self.mapping)
+        if not isinstance(table, CsvTable):
+            return
+        doubts = []
+        try:
+            sign, self._others, grouped = table.decimal_sign(names)
+        except UnclearError as error:
+            sign, grouped, doubts = error.choice, (), [str(error).removeprefix(f'{self._path}: ')]
+        if sign:
+            self.mapping = Mapping(csv=CsvFormat(decimal=sign))
+        if grouped:
+            doubts = [
+                f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
+            ]
+        if doubts or self._others:
+            text = f'{{decimal: "{sign}"}}' if sign else ''
+            self._csv = Choice('csv', text=text, head='csv: as written' if sign else 'csv: as found', decisions=doubts)
 
     def columns(self, names: Sequence[str], form: str = '') -> dict[str, Column]:
         """Return the columns that can be read; ``form`` is that of a single one with times."""
@@ -82,16 +104,14 @@ class _Reader:
         try:
             found = joined(islice(table.blocks(names), _BLOCKS), names)
         except InputError as error:
-            if isinstance(error, UnclearError) and error.choice == ',':
-                self.mapping, self._decimal = Mapping(csv=CsvFormat(decimal=',')), error
-                return self.columns(names)
             if len(names) > 1:
                 half = len(names) // 2
                 return self.columns(names[:half]) | self.columns(names[half:])
             if isinstance(error, UnclearError):
                 self.forms[names[0]] = error
                 return self.columns(names, error.choice)
-            self.left_out.append((names[0], 'no numbers or times'))
+            is_other = names[0] in self._others
+            self.left_out.append((names[0], 'another decimal sign' if is_other else 'no numbers or times'))
             return {}
         self.units |= table.units
         self.zoned |= {name for name, times in table.times.items() if times.has_zone}
@@ -99,14 +119,7 @@ class _Reader:
 
     def form(self) -> list[Choice]:
         """Return what a mapping says of the form of the file."""
-        table = open_table(self._path, self.mapping)
-        if self._decimal is not None:
-            problem = str(self._decimal).removeprefix(f'{self._path}: ')
-            return [Choice('csv', text='{decimal: ","}', head='csv: as written', decisions=[problem])]
-        read = [name for name in table.names() if name not in dict(self.left_out)]
-        grouped = table.grouped(read) if isinstance(table, CsvTable) else []
-        problem = f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
-        return [Choice('csv', head='csv: as found', decisions=[problem])] if grouped else []
+        return [] if self._csv is None else [self._csv]
 
 
 def _points(column: Column, series: NumberSeries) -> float:
