@@ -219,6 +219,25 @@ def test_a_column_of_another_decimal_sign_is_left_out(tmp_path: Path, rows: list
     assert csv.text == '{decimal: "."}'
 
 
+@pytest.mark.parametrize(
+    ('cell', 'table'),
+    [
+        (lambda brake: {0.0: '4', 0.3: '2', 0.8: '0'}[brake], '{0: -0.8, 2: -0.3, 4: 0}'),
+        (lambda brake: 'true' if brake > 0.5 else 'false', '{0: 0, 1: -0.8}'),
+    ],
+)
+def test_notches_of_any_order_and_flags_get_a_table(
+    tmp_path: Path, rows: list[Row], metro: TrainFile, cell: Callable[[float], str], table: str
+) -> None:
+    def line(t: float, v: float, _x: float, f: float, _i: float, brake: float) -> str:
+        return f'{t:.3f},{v:.3f},{f / 1e3:.1f},{cell(brake)}'
+
+    path = write(tmp_path / 'log.csv', 't,v,F,brake', rows, line)
+    found = text_of(path, TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance))
+    assert lines_of(found)[-1] == f'brake_command: {{field: brake, table: {table}}}'
+    assert 'the nominal deceleration of each notch' in found.choices[-1].decisions
+
+
 @pytest.mark.parametrize('suffix', ['npz', 'parquet'])
 def test_other_files_are_read_too(tmp_path: Path, rows: list[Row], suffix: str) -> None:
     t, v, x, f, *_ = np.array(rows).T

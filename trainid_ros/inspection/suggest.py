@@ -622,9 +622,13 @@ def _earlier(values: Array, by_s: float) -> Array:
 
 
 def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
-    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
+    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted.
+
+    Notch 0 may be the full brake; unseen it is released if no other one is.
+    """
     wait = round(1.4 / STEP_S)  # a brake takes 1.4 s to come to its value
-    table = []
+    table: list[tuple[float, float]] = []
+    unseen: list[float] = []
     for notch in np.unique(item.value):
         holds = values == notch
         steady = holds.copy()
@@ -632,11 +636,16 @@ def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> 
             steady[steps:] &= holds[:-steps]
         known = np.isfinite(target)
         seen = target[steady & known] if np.any(steady & known) else target[holds & known]
-        if notch != 0.0 and not seen.size:
-            choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
-            continue
-        value = float(np.median(seen)) if seen.size else 0.0
-        table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING and notch != 0.0 else 0.0))
+        if seen.size:
+            value = float(np.median(seen))
+            table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING else 0.0))
+        else:
+            unseen.append(float(notch))
+    if 0.0 in unseen and all(value for _, value in table):
+        unseen.remove(0.0)
+        table = sorted([*table, (0.0, 0.0)])
+    for notch in unseen:
+        choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
     return tuple(table)
 
 

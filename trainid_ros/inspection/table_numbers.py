@@ -61,7 +61,8 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
 
 
 def _series(name: str, column: Column, unit: str) -> NumberSeries:
-    is_whole = column.dtype.kind == 'i' and len(np.unique(column[:1000])) <= _MAX_NOTCHES
+    is_flag = column.dtype.kind == 'f' and bool(np.all(np.isin(column, (0.0, 1.0)) | np.isnan(column)))  # true, false
+    is_whole = is_flag or (column.dtype.kind == 'i' and len(np.unique(column)) <= _MAX_NOTCHES)
     return NumberSeries('', unit, name, np.empty(0), np.empty(0), has_stamps=True, is_whole=is_whole)
 
 
