@@ -238,6 +238,17 @@ def test_notches_of_any_order_and_flags_get_a_table(
     assert 'the nominal deceleration of each notch' in found.choices[-1].decisions
 
 
+@pytest.mark.parametrize(('code', 'said'), [('-999', '-999'), ('6553.50', '6553.5'), ('0.00', '')])
+def test_codes_of_no_value_are_left_out(tmp_path: Path, rows: list[Row], code: str, said: str) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f},{code if round(HZ * t) % 50 == 0 else f"{3.6 * v:.2f}"},{x:.1f}'
+
+    found = text_of(write(tmp_path / 'log.csv', 't,v,x', rows, line))
+    missing = [f'missing: [{said}]'] if said else []
+    speed = ['speed: {field: v, unit: km/h}', 'position: {field: x, unit: m}']
+    assert lines_of(found) == ['time: {field: t, unit: s}', *missing, *speed]
+
+
 @pytest.mark.parametrize('suffix', ['npz', 'parquet'])
 def test_other_files_are_read_too(tmp_path: Path, rows: list[Row], suffix: str) -> None:
     t, v, x, f, *_ = np.array(rows).T

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
 _BLOCKS: Final = 10  # of rows that are read
 _MAX_NOTCHES: Final = 16  # whole numbers of more values are measurements
 
+_MIN_REPEATED: Final = 3  # times that a code is there at least; fewer are outliers
+# Like -999, or the largest number of 8, 16 or 32 bits, also in tenths or hundredths.
+_LIKE_CODE: Final = re.compile(r'-?(9{3,}(\.9+)?|99\.9+)|-?(255|327\.?6\.?[78]|655\.?3\.?5|2147483647|4294967295)')
+_CODE_SPANS: Final = 1.0  # ranges of all other numbers that such a number is away from them [1]
+_OTHER_SPANS: Final = 5.0  # the same of any other number, which may be a rare value
+
 
 def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     """Return the numbers in the first rows of a table, and what a mapping says of its time and form.
@@ -47,6 +54,9 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
         raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
     choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
     time = (stamps - stamps[known][0]) / NS_PER_S
+    codes = _codes({other: column for other, column in columns.items() if column.dtype.kind in 'if'})
+    numbers_of = sorted({code for some in codes.values() for code in some})
+    columns |= {other: np.where(np.isin(columns[other], numbers_of), np.nan, columns[other]) for other in codes}
     found = []
     for other, column in columns.items():
         if column.dtype.kind not in 'if' or not np.any(rows_of := known & np.isfinite(column)):
@@ -57,7 +67,47 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
         else:
             reader.left_out.append((other, 'always 0'))
     numbers = BagNumbers(tuple(found), frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
-    return numbers, (choice, *reader.form())
+    return numbers, (choice, *reader.form(), *_missing(codes))
+
+
+def _codes(columns: dict[str, Column]) -> dict[str, list[float]]:
+    """Return the numbers that stand for no value, by column: repeated, and far outside all others of their column."""
+    found = {name: codes for name, column in columns.items() if (codes := _codes_in(column))}
+    others = [np.setdiff1d(column, found.get(name, ())) for name, column in columns.items()]
+    # A mapping leaves a code out of all columns.
+    used = np.concatenate([*others, [0.0]])
+    found = {name: [code for code in codes if code not in used] for name, codes in found.items()}
+    return {name: codes for name, codes in found.items() if codes}
+
+
+def _codes_in(column: Column) -> list[float]:
+    values, counts = np.unique(column[np.isfinite(column)].astype(np.float64), return_counts=True)
+    codes = []
+    while values.size > _MAX_NOTCHES:
+        gaps = values[1] - values[0], values[-1] - values[-2]
+        end = 0 if gaps[0] > gaps[1] else -1
+        others = np.delete(values, end)
+        code, text = float(values[end]), _as_text(values[end])
+        spans = _CODE_SPANS if _LIKE_CODE.fullmatch(text) else _OTHER_SPANS
+        if counts[end] < _MIN_REPEATED or gaps[end] <= spans * np.ptp(others):
+            break
+        codes.append(code)
+        values, counts = others, np.delete(counts, end)
+    return codes
+
+
+def _as_text(number: float) -> str:
+    return np.format_float_positional(number, trim='-')
+
+
+def _missing(codes: dict[str, list[float]]) -> list[Choice]:
+    """Return what a mapping says of codes."""
+    texts = sorted({_as_text(code) for some in codes.values() for code in some})
+    said = [f'{", ".join(map(_as_text, some))} in {name}' for name, some in codes.items()]
+    problem = f'{listed(said, 6)}: far outside all other numbers, so taken for no value'
+    return (
+        [Choice('missing', text=f'[{", ".join(texts)}]', head='missing: codes', decisions=[problem])] if codes else []
+    )
 
 
 def _series(name: str, column: Column, unit: str) -> NumberSeries:
