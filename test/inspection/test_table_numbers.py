@@ -191,6 +191,24 @@ def test_a_file_without_a_time_is_refused(tmp_path: Path, rows: list[Row]) -> No
 
 
 @pytest.mark.parametrize(
+    ('cell', 'why'),
+    [
+        (
+            lambda t: clock(t, '%d %b %Y %H:%M:%S'),
+            r"; no numbers .* 'Zeit' \(but '14 Nov 2023 23:13:59'\); time: \{format: '%d",
+        ),
+        (lambda t: clock(t, '%H:%M:%S'), '; column Zeit does not rise from row to row$'),
+    ],
+)
+def test_a_time_that_is_refused_is_shown(
+    tmp_path: Path, rows: list[Row], cell: Callable[[float], str], why: str
+) -> None:
+    path = write(tmp_path / 'log.csv', 'Zeit;v', rows, lambda t, v, *_: f'{cell(t)};{v:.3f}')
+    with pytest.raises(InputError, match=rf'no column is a time \(columns: Zeit, v\){why}'):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
     ('cell', 'said'),
     [('1.{:03d}', 'v: all numbers are like 1.250'), ('1,{:03d}', 'a comma before three digits')],
 )

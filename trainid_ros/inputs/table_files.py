@@ -335,7 +335,9 @@ class CsvTable(Table):
         cells = [[row[i] if i < len(row) else '' for i in places] for row in below]
         named = int(not self._is_comment(rows[place]))
         if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
-            raise InputError(f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}')
+            cell = next((cell for cell in cells[-1] if cell.strip()), '')
+            which = ', '.join(map(shown, names)) + (f' (but {shown(cell)})' if cell else '')
+            raise InputError(f'{self.path}: no numbers below the names of its columns {which}')
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         stated = _vbox_units(text, known) if self._is_vbox else {}
         in_names = [stated.get(name) or _in_brackets(name) for name in columns]

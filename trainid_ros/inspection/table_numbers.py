@@ -23,7 +23,7 @@ from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.text import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 _BLOCKS: Final = 10  # of rows that are read
@@ -51,7 +51,7 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     points = {name: _points(column, series[name]) for name, column in columns.items()}
     name = max(points, key=lambda name: points[name], default='')
     if not name or points[name] <= 0.0:
-        raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
+        raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"}){reader.why(columns)}')
     choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
     time = (stamps - stamps[known][0]) / NS_PER_S
     codes = _codes({other: column for other, column in columns.items() if column.dtype.kind in 'if'})
@@ -125,6 +125,7 @@ class _Reader:
         self.left_out: list[tuple[str, str]] = []
         self.is_vbox = path.suffix.lower() == VBOX_SUFFIX
         self._path = path
+        self._problems: dict[str, str] = {}  # of columns that cannot be read
         self._csv: Choice | None = None
         self._others: tuple[str, ...] = ()  # columns of another decimal sign
 
@@ -161,6 +162,7 @@ class _Reader:
             if isinstance(error, UnclearError):
                 self.forms[names[0]] = error
                 return self.columns(names, error.choice)
+            self._problems[names[0]] = str(error).removeprefix(f'{self._path}: ')
             is_other = names[0] in self._others
             self.left_out.append((names[0], 'another decimal sign' if is_other else 'no numbers or times'))
             return {}
@@ -168,9 +170,21 @@ class _Reader:
         self.zoned |= {name for name, times in table.times.items() if times.has_zone}
         return found
 
+    def why(self, columns: Iterable[str]) -> str:
+        """Return why no column is a time, for up to two that are named like one; ``columns`` could be read."""
+        rising = [f'column {name} does not rise from row to row' for name in columns if _is_named(name)]
+        named = [text for name, text in self._problems.items() if _is_named(name)]
+        problems = [*rising, *named] or list(self._problems.values())
+        form = "; time: {format: '%d %b %Y %H:%M:%S.%f'} in a mapping says how other texts are written"
+        return f'{"".join(f"; {text}" for text in problems[:2])}{form if named else ""}'
+
     def form(self) -> list[Choice]:
         """Return what a mapping says of the form of the file."""
         return [] if self._csv is None else [self._csv]
+
+
+def _is_named(name: str) -> bool:
+    return score('time', '', name) > 0.0
 
 
 def _points(column: Column, series: NumberSeries) -> float:
