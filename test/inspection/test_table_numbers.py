@@ -267,6 +267,23 @@ def test_codes_of_no_value_are_left_out(tmp_path: Path, rows: list[Row], code: s
     assert lines_of(found) == ['time: {field: t, unit: s}', *missing, *speed]
 
 
+def test_of_alike_speeds_the_nearest_to_the_position_is_taken(tmp_path: Path, rows: list[Row]) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f},{3.72 * v:.3f},{3.6 * v:.3f},{x:.3f}'
+
+    path = write(tmp_path / 'log.csv', 't,v_wheel [km/h],v [km/h],x', rows, line)
+    assert lines_of(text_of(path))[1] == 'speed: {field: "v [km/h]", unit: km/h}'
+
+
+@pytest.mark.parametrize('unit', ['m/s', 'km/h'])
+def test_a_speed_beyond_that_of_the_train_is_a_doubt(
+    tmp_path: Path, rows: list[Row], metro: TrainFile, unit: str
+) -> None:
+    path = write(tmp_path / 'log.csv', f't,v [{unit}]', rows, lambda t, v, *_: f'{t:.3f},{3.6 * v:.3f}')
+    (speed,) = (choice for choice in text_of(path, metro).choices if choice.quantity == 'speed')
+    assert any('max_speed' in text for text in speed.decisions) == (unit == 'm/s')
+
+
 @pytest.mark.parametrize('suffix', ['npz', 'parquet'])
 def test_other_files_are_read_too(tmp_path: Path, rows: list[Row], suffix: str) -> None:
     t, v, x, f, *_ = np.array(rows).T
