@@ -298,11 +298,11 @@ def _choose_speed(
     if abs(best.push[0]) > _MIN_CORRELATION:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons.append(reason)
-    top = float(np.nanmax(speed_si))
-    if train_file is not None and top > _MAX_OVER * train_file.train.max_speed:
+    fastest = float(np.nanmax(speed_si))
+    if train_file is not None and fastest > _MAX_OVER * train_file.train.max_speed:
         limit = train_file.train.max_speed
         choice.decisions.append(
-            f'unit {unit} makes it up to {top:.3g} m/s; max_speed of the train file is {limit:.3g} m/s'
+            f'unit {unit} makes it up to {fastest:.3g} m/s; max_speed of the train file is {limit:.3g} m/s'
         )
     alike = [
         item.speed.name
