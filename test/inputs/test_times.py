@@ -156,6 +156,27 @@ def test_a_clock_of_local_time_is_followed_through_the_year() -> None:
 
 
 @pytest.mark.parametrize(
+    ('blocks', 'expected'),
+    [
+        ((('02:59:59', '02:00:00', '02:30:00'),), ['00:59', '01:00', '01:30']),
+        ((('01:59:59', '02:00:00'), ('02:59:59',), ('02:00:00', '02:59:59', '03:00:00')), None),
+        ((('01:59:59', '02:00:00', '02:59:30'), ('02:59:59', '02:00:00'), ('02:00:30',)),
+         ['23:59', '00:00', '00:59', '00:59', '01:00', '01:00']),
+        ((('02:59:59', '03:00:00'),), ['01:59', '02:00']),
+    ],
+)  # fmt: skip
+def test_rows_before_and_after_show_which_hour_it_is(
+    blocks: tuple[tuple[str, ...], ...], expected: list[str] | None
+) -> None:
+    whole = [tuple(f'2024-10-27T{text}' for text in block) for block in blocks]
+    if expected is None:  # what follows after a gap of an hour
+        with pytest.raises(InputError, match='twice'):
+            in_utc('Europe/Berlin', *whole)
+    else:
+        assert in_utc('Europe/Berlin', *whole) == expected
+
+
+@pytest.mark.parametrize(
     ('zone', 'times', 'error'),
     [
         ('Europe/Berlin', ('2024-10-27T02:30:00', '2024-10-27T02:30:01'), r'row 1: .* show this hour twice'),

@@ -191,6 +191,24 @@ def test_a_file_without_a_time_is_refused(tmp_path: Path, rows: list[Row]) -> No
 
 
 @pytest.mark.parametrize(
+    ('cell', 'why'),
+    [
+        (
+            lambda t: clock(t, '%d %b %Y %H:%M:%S'),
+            r"; no numbers .* 'Zeit' \(but '14 Nov 2023 23:13:59'\); time: \{format: '%d",
+        ),
+        (lambda t: clock(t, '%H:%M:%S'), '; column Zeit does not rise from row to row$'),
+    ],
+)
+def test_a_time_that_is_refused_is_shown(
+    tmp_path: Path, rows: list[Row], cell: Callable[[float], str], why: str
+) -> None:
+    path = write(tmp_path / 'log.csv', 'Zeit;v', rows, lambda t, v, *_: f'{cell(t)};{v:.3f}')
+    with pytest.raises(InputError, match=rf'no column is a time \(columns: Zeit, v\){why}'):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
     ('cell', 'said'),
     [('1.{:03d}', 'v: all numbers are like 1.250'), ('1,{:03d}', 'a comma before three digits')],
 )
@@ -199,6 +217,71 @@ def test_numbers_that_may_be_others_are_a_doubt(tmp_path: Path, rows: list[Row],
     _, (_, csv) = read_table(path)
     assert said in csv.decisions[0]
     assert csv.text == ('{decimal: ","}' if ',' in cell else '')
+
+
+def test_a_sign_is_that_of_all_columns_beside_one_of_texts(tmp_path: Path, rows: list[Row]) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f};{v:.2f};Nord;'.replace('.', ',') + f'{1000 + x:,.0f}'.replace(',', '.')
+
+    path = write(tmp_path / 'log.csv', 't;v;Ort;Weg', rows, line)
+    found = lines_of(text_of(path))
+    position = 'position: {field: Weg, unit: m}'
+    assert found == ['time: {field: t, unit: s}', 'csv: {decimal: ","}', 'speed: {field: v, unit: m/s}', position]
+    assert not read_table(path)[1][1].decisions
+
+
+def test_a_column_of_another_decimal_sign_is_left_out(tmp_path: Path, rows: list[Row]) -> None:
+    path = write(tmp_path / 'log.csv', 't;v', rows, lambda t, v, *_: f'{t:.3f};' + f'{v:.2f}'.replace('.', ','))
+    numbers, (_, csv) = read_table(path)
+    assert numbers.left_out == (('v', 'another decimal sign'),)
+    assert csv.text == '{decimal: "."}'
+
+
+@pytest.mark.parametrize(
+    ('cell', 'table'),
+    [
+        (lambda brake: {0.0: '4', 0.3: '2', 0.8: '0'}[brake], '{0: -0.8, 2: -0.3, 4: 0}'),
+        (lambda brake: 'true' if brake > 0.5 else 'false', '{0: 0, 1: -0.8}'),
+    ],
+)
+def test_notches_of_any_order_and_flags_get_a_table(
+    tmp_path: Path, rows: list[Row], metro: TrainFile, cell: Callable[[float], str], table: str
+) -> None:
+    def line(t: float, v: float, _x: float, f: float, _i: float, brake: float) -> str:
+        return f'{t:.3f},{v:.3f},{f / 1e3:.1f},{cell(brake)}'
+
+    path = write(tmp_path / 'log.csv', 't,v,F,brake', rows, line)
+    found = text_of(path, TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance))
+    assert lines_of(found)[-1] == f'brake_command: {{field: brake, table: {table}}}'
+    assert 'the nominal deceleration of each notch' in found.choices[-1].decisions
+
+
+@pytest.mark.parametrize(('code', 'said'), [('-999', '-999'), ('6553.50', '6553.5'), ('0.00', '')])
+def test_codes_of_no_value_are_left_out(tmp_path: Path, rows: list[Row], code: str, said: str) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f},{code if round(HZ * t) % 50 == 0 else f"{3.6 * v:.2f}"},{x:.1f}'
+
+    found = text_of(write(tmp_path / 'log.csv', 't,v,x', rows, line))
+    missing = [f'missing: [{said}]'] if said else []
+    speed = ['speed: {field: v, unit: km/h}', 'position: {field: x, unit: m}']
+    assert lines_of(found) == ['time: {field: t, unit: s}', *missing, *speed]
+
+
+def test_of_alike_speeds_the_nearest_to_the_position_is_taken(tmp_path: Path, rows: list[Row]) -> None:
+    def line(t: float, v: float, x: float, *_: float) -> str:
+        return f'{t:.3f},{3.72 * v:.3f},{3.6 * v:.3f},{x:.3f}'
+
+    path = write(tmp_path / 'log.csv', 't,v_wheel [km/h],v [km/h],x', rows, line)
+    assert lines_of(text_of(path))[1] == 'speed: {field: "v [km/h]", unit: km/h}'
+
+
+@pytest.mark.parametrize('unit', ['m/s', 'km/h'])
+def test_a_speed_beyond_that_of_the_train_is_a_doubt(
+    tmp_path: Path, rows: list[Row], metro: TrainFile, unit: str
+) -> None:
+    path = write(tmp_path / 'log.csv', f't,v [{unit}]', rows, lambda t, v, *_: f'{t:.3f},{3.6 * v:.3f}')
+    (speed,) = (choice for choice in text_of(path, metro).choices if choice.quantity == 'speed')
+    assert any('max_speed' in text for text in speed.decisions) == (unit == 'm/s')
 
 
 @pytest.mark.parametrize('suffix', ['npz', 'parquet'])

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
@@ -182,13 +182,39 @@ def _number(cell: str, decimal: str) -> float | None:
         return {'true': 1.0, 'false': 0.0}.get(text.lower())
 
 
+def _may_be_number(text: str) -> bool:
+    return any(_number(text, decimal) is not None for decimal in _GROUPED)
+
+
 def _is_value(cell: str) -> bool:
     text = cell.strip()
-    found = (_number(text, decimal) for decimal in _GROUPED)
-    return not _is_blank(text) and (is_time(text) or any(value is not None for value in found))
+    return not _is_blank(text) and (is_time(text) or _may_be_number(text))
+
+
+_EITHER: Final = '1,250'  # such a number, which both signs explain
+_THOUSANDS: Final = '1.250'  # such a number, read as 1.25 unless others show a comma
+
+
+def _sign_in(cell: str) -> str:
+    """Return the decimal sign that alone explains a number, one of the above if both do, '' if it shows nothing."""
+    if ',' not in cell and '.' not in cell:
+        return ''
+    signs = [decimal for decimal in _GROUPED if _number(cell, decimal) is not None]
+    if len(signs) > 1:
+        return _EITHER if ',' in cell else _THOUSANDS
+    return ''.join(signs)
 
 
 _COMMENT: Final = '#'
+_ROWS_FOR_SIGN: Final = 1000  # that show which columns are numbers, and how they are written
+
+
+class DecimalSign(NamedTuple):
+    """The decimal sign of columns."""
+
+    sign: str  # '' if no number shows one
+    others: tuple[str, ...]  # Columns that show another one, or may on their own
+    grouped: tuple[str, ...]  # Columns of numbers that are all like 1.250, where the sign is ''
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,17 +249,23 @@ class CsvTable(Table):
         counts = Counter(_names(rows[place]))
         return tuple(name for name, count in counts.items() if name and count == 1)
 
-    def grouped(self, names: Sequence[str]) -> list[str]:
-        """Return the columns of which all first numbers are like 1.250, which may be 1250 as well."""
+    def decimal_sign(self, names: Sequence[str]) -> DecimalSign:
+        """Return the decimal sign of the columns that hold numbers; UnclearError where a comma may be either."""
         _, rows, _ = next(self._rows(self._layout(names)), ((), (), 0.0))
-        columns = ([cell.strip() for cell in column if not self.is_missing(cell)] for column in zip(*rows, strict=True))
-        grouped = (bool(x) and all('.' in cell and _GROUPED[','].fullmatch(cell) for cell in x) for x in columns)
-        return [name for name, is_grouped in zip(names, grouped, strict=False) if is_grouped]
+        some = zip(names, zip(*rows[:_ROWS_FOR_SIGN], strict=True), strict=False)
+        columns = {name: [cell.strip() for cell in column if not self.is_missing(cell)] for name, column in some}
+        numbers = {name: cells for name, cells in columns.items() if cells and all(map(_may_be_number, cells))}
+        sign = self._decimal(self._layout(tuple(numbers) or names))
+        shown_by = {name: {_sign_in(cell) for cell in cells} for name, cells in numbers.items()}
+        grouped = [name for name, signs in shown_by.items() if signs == {_THOUSANDS}]
+        read = {'', _THOUSANDS} if sign == '.' else {''}
+        others = [name for name, signs in shown_by.items() if sign not in signs and signs - read]
+        return DecimalSign(sign, tuple(others) if sign else (), () if sign else tuple(grouped))
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
         layout = self._layout(names)
-        decimal = self._form.decimal or self._decimal(layout)
+        decimal = self._form.decimal or self._decimal(layout) or '.'
         for lines, cells, share in self._rows(layout):
             columns = zip(names, zip(*cells, strict=True), strict=True)
             yield Block({name: self._column(name, lines, column, decimal) for name, column in columns}, share)
@@ -303,7 +335,9 @@ class CsvTable(Table):
         cells = [[row[i] if i < len(row) else '' for i in places] for row in below]
         named = int(not self._is_comment(rows[place]))
         if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
-            raise InputError(f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}')
+            cell = next((cell for cell in cells[-1] if cell.strip()), '')
+            which = ', '.join(map(shown, names)) + (f' (but {shown(cell)})' if cell else '')
+            raise InputError(f'{self.path}: no numbers below the names of its columns {which}')
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         stated = _vbox_units(text, known) if self._is_vbox else {}
         in_names = [stated.get(name) or _in_brackets(name) for name in columns]
@@ -321,14 +355,14 @@ class CsvTable(Table):
         return encoding, text, *_find_names(text, separators, names)
 
     def _decimal(self, layout: _Layout) -> str:
-        """Return the decimal sign of a file; InputError where a comma may also mark thousands."""
+        """Return the decimal sign of a file, '' if it shows none; UnclearError where a comma may mark thousands."""
         unclear = ''
         for _, rows, _ in self._rows(layout):
             for cell in (cell.strip() for row in rows for cell in row if ',' in cell or '.' in cell):
-                with_comma, with_point = _number(cell, ','), _number(cell, '.')
-                if (with_comma is None) != (with_point is None):
-                    return '.' if with_comma is None else ','
-                if with_comma is not None and ',' in cell:
+                sign = _sign_in(cell)
+                if sign in _GROUPED:
+                    return sign
+                if sign == _EITHER:
                     unclear = unclear or cell
         if unclear:
             raise UnclearError(
@@ -337,7 +371,7 @@ class CsvTable(Table):
                 'says which',
                 ',',
             )
-        return '.'
+        return ''
 
     def _column(self, name: str, lines: Sequence[int], cells: Sequence[str], decimal: str) -> Column:
         times = self.text_times(name)

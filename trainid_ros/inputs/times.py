@@ -184,6 +184,16 @@ def find_zone(text: str) -> tzinfo:
     raise ValueError(f'is no zone like Europe/Berlin or +01:00; {did_you_mean(text, (*available_timezones(), "UTC"))}')
 
 
+_RUNS_ON_NS: Final = 60 * NS_PER_S  # between rows of a clock that runs on, at most; far less than an hour
+
+
+def _pieces(local_ns: NDArray[np.int64], unclear: NDArray[np.bool_]) -> list[slice]:
+    """Return the rows whose times may be several, in pieces in which the clock is not set back."""
+    rows = np.flatnonzero(unclear)
+    breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(local_ns[rows]) < -2 * _QUARTER_NS)) + 1
+    return [slice(int(piece[0]), int(piece[-1]) + 1) for piece in np.split(rows, breaks) if piece.size]
+
+
 class LocalClock:
     """Turns the local times of rows, in their order, into UTC.
 
@@ -211,12 +221,35 @@ class LocalClock:
             )
         quarters, place = np.unique(local_ns // _QUARTER_NS, return_inverse=True)
         early, late = (np.array([self._offset_ns(x, fold) for x in quarters.tolist()])[place] for fold in (0, 1))
-        if (unclear := early != late).any():
+        found = local_ns - early
+        for piece in _pieces(local_ns, early != late):
+            found[piece] -= self._correction(piece, found, local_ns - late, where)
+        self._last_ns = int(found[-1])
+        return np.asarray(found)
+
+    def _correction(
+        self, piece: slice, found: NDArray[np.int64], late: NDArray[np.int64], where: Callable[[int], str]
+    ) -> int:
+        """Return what to subtract from the times of rows in an hour that is there twice [ns]: 0 for the first one.
+
+        ``found`` has such rows, from these on, in the first hour, ``late`` in the second one. InputError if no row
+        within a minute before or after them shows which it is.
+        """
+        first, last = piece.start, piece.stop - 1
+        before = self._last_ns if first == 0 else int(found[first - 1])
+        by = int(found[first] - late[first])
+        shown_by = []
+        for shift in (0, by):
+            after_ns = int(late[last + 1] - found[last]) + shift if piece.stop < found.size else -1
+            before_ns = -1 if before is None else int(found[first]) - shift - before
+            if any(0 <= gap_ns < _RUNS_ON_NS for gap_ns in (before_ns, after_ns)):
+                shown_by.append(shift)
+        if by > 0 or len(shown_by) != 1:  # by > 0 is an hour that is left out in spring
             raise InputError(
-                f'{where(int(np.argmax(unclear)))}: the clocks of {self._zone} show this hour twice or not at all; '
+                f'{where(first)}: the clocks of {self._zone} show this hour twice or not at all; '
                 "time: {zone: '+01:00'} or another offset in the mapping says which it is"
             )
-        return np.asarray(local_ns - early)
+        return shown_by[0]
 
     def _offset_ns(self, quarter: int, fold: int) -> int:
         local = datetime(1970, 1, 1) + timedelta(seconds=900 * quarter)

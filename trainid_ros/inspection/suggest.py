@@ -192,6 +192,8 @@ def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[
 
 # Correlation of two speeds of one train, and of a position with the integral of its speed [1].
 _MIN_ALIKE: Final = 0.9
+# Largest speed by that of the train file [1], which no train exceeds by half.
+_MAX_OVER: Final = 1.5
 # Correlation of a force or a brake with the acceleration [1], and without a name that says so.
 _MIN_CORRELATION: Final = 0.3
 _MIN_NAMELESS: Final = 0.6
@@ -296,6 +298,12 @@ def _choose_speed(
     if abs(best.push[0]) > _MIN_CORRELATION:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons.append(reason)
+    fastest = float(np.nanmax(speed_si))
+    if train_file is not None and fastest > _MAX_OVER * train_file.train.max_speed:
+        limit = train_file.train.max_speed
+        choice.decisions.append(
+            f'unit {unit} makes it up to {fastest:.3g} m/s; max_speed of the train file is {limit:.3g} m/s'
+        )
     alike = [
         item.speed.name
         for item in ranked[1:]
@@ -333,19 +341,30 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
     if travel.correlation < _MIN_ALIKE:
         position = None
     points = score('speed', speed.topic, speed.field) + 2.0 * (position is not None) + 1.5 * abs(push[0])
+    if position is not None:
+        points -= 10.0 * min((off for _, _, off in _units_off(travel.ratio)), default=_MAX_OFF)
     return _Ranked(points + 0.1 * speed.has_stamps + 0.001 * min(speed.rate, 50.0), speed, position, travel, push)
+
+
+_MAX_OFF: Final = 0.04  # share by which a worn wheel or a coarse position may be off [1]
+
+
+def _units_off(ratio: float) -> list[tuple[str, str, float]]:
+    """Return the units of speed and position that fit a ratio of both, and by how much it is off [1]."""
+    return [
+        (unit, length, off)
+        for length, meters in unit_factors('length').items()
+        for unit, meters_per_s in unit_factors('speed').items()
+        if (off := abs(ratio * meters / meters_per_s - 1.0)) < _MAX_OFF
+    ]
 
 
 def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
     """Return the units of speed and position ('' if none fits both), the reason, and what to decide."""
     speed, position = best.speed, best.position
     named = unit_in(speed, 'speed')
-    pairs = [
-        (unit, length)
-        for length, meters in (unit_factors('length').items() if position is not None else ())
-        for unit, meters_per_s in unit_factors('speed').items()
-        if abs(best.travel.ratio * meters / meters_per_s - 1.0) < 0.04
-    ]
+    found = _units_off(best.travel.ratio)
+    pairs = [(unit, length) for unit, length, _ in found]
     if position is not None and pairs:
         also = unit_in(position, 'length')
         unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
@@ -622,9 +641,13 @@ def _earlier(values: Array, by_s: float) -> Array:
 
 
 def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
-    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
+    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted.
+
+    Notch 0 may be the full brake; unseen it is released if no other one is.
+    """
     wait = round(1.4 / STEP_S)  # a brake takes 1.4 s to come to its value
-    table = []
+    table: list[tuple[float, float]] = []
+    unseen: list[float] = []
     for notch in np.unique(item.value):
         holds = values == notch
         steady = holds.copy()
@@ -632,11 +655,16 @@ def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> 
             steady[steps:] &= holds[:-steps]
         known = np.isfinite(target)
         seen = target[steady & known] if np.any(steady & known) else target[holds & known]
-        if notch != 0.0 and not seen.size:
-            choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
-            continue
-        value = float(np.median(seen)) if seen.size else 0.0
-        table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING and notch != 0.0 else 0.0))
+        if seen.size:
+            value = float(np.median(seen))
+            table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING else 0.0))
+        else:
+            unseen.append(float(notch))
+    if 0.0 in unseen and all(value for _, value in table):
+        unseen.remove(0.0)
+        table = sorted([*table, (0.0, 0.0)])
+    for notch in unseen:
+        choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
     return tuple(table)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -22,11 +23,17 @@ from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.text import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 _BLOCKS: Final = 10  # of rows that are read
 _MAX_NOTCHES: Final = 16  # whole numbers of more values are measurements
+
+_MIN_REPEATED: Final = 3  # times that a code is there at least; fewer are outliers
+# Like -999, or the largest number of 8, 16 or 32 bits, also in tenths or hundredths.
+_LIKE_CODE: Final = re.compile(r'-?(9{3,}(\.9+)?|99\.9+)|-?(255|327\.?6\.?[78]|655\.?3\.?5|2147483647|4294967295)')
+_CODE_SPANS: Final = 1.0  # ranges of all other numbers that such a number is away from them [1]
+_OTHER_SPANS: Final = 5.0  # the same of any other number, which may be a rare value
 
 
 def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
@@ -36,6 +43,7 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     """
     reader = _Reader(path)
     names = open_table(path, reader.mapping).names()
+    reader.find_decimal(names)
     columns = reader.columns(names)
     rows = max((len(column) for column in columns.values()), default=0)
     columns = {name: column for name, column in columns.items() if len(column) == rows}
@@ -43,9 +51,12 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     points = {name: _points(column, series[name]) for name, column in columns.items()}
     name = max(points, key=lambda name: points[name], default='')
     if not name or points[name] <= 0.0:
-        raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"})')
+        raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"}){reader.why(columns)}')
     choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
     time = (stamps - stamps[known][0]) / NS_PER_S
+    codes = _codes({other: column for other, column in columns.items() if column.dtype.kind in 'if'})
+    numbers_of = sorted({code for some in codes.values() for code in some})
+    columns |= {other: np.where(np.isin(columns[other], numbers_of), np.nan, columns[other]) for other in codes}
     found = []
     for other, column in columns.items():
         if column.dtype.kind not in 'if' or not np.any(rows_of := known & np.isfinite(column)):
@@ -56,11 +67,52 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
         else:
             reader.left_out.append((other, 'always 0'))
     numbers = BagNumbers(tuple(found), frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
-    return numbers, (choice, *reader.form())
+    return numbers, (choice, *reader.form(), *_missing(codes))
+
+
+def _codes(columns: dict[str, Column]) -> dict[str, list[float]]:
+    """Return the numbers that stand for no value, by column: repeated, and far outside all others of their column."""
+    found = {name: codes for name, column in columns.items() if (codes := _codes_in(column))}
+    others = [np.setdiff1d(column, found.get(name, ())) for name, column in columns.items()]
+    # A mapping leaves a code out of all columns.
+    used = np.concatenate([*others, [0.0]])
+    found = {name: [code for code in codes if code not in used] for name, codes in found.items()}
+    return {name: codes for name, codes in found.items() if codes}
+
+
+def _codes_in(column: Column) -> list[float]:
+    values, counts = np.unique(column[np.isfinite(column)].astype(np.float64), return_counts=True)
+    codes = []
+    while values.size > _MAX_NOTCHES:
+        gaps = values[1] - values[0], values[-1] - values[-2]
+        end = 0 if gaps[0] > gaps[1] else -1
+        others = np.delete(values, end)
+        code, text = float(values[end]), _as_text(values[end])
+        spans = _CODE_SPANS if _LIKE_CODE.fullmatch(text) else _OTHER_SPANS
+        if counts[end] < _MIN_REPEATED or gaps[end] <= spans * np.ptp(others):
+            break
+        codes.append(code)
+        values, counts = others, np.delete(counts, end)
+    return codes
+
+
+def _as_text(number: float) -> str:
+    return np.format_float_positional(number, trim='-')
+
+
+def _missing(codes: dict[str, list[float]]) -> list[Choice]:
+    """Return what a mapping says of codes."""
+    texts = sorted({_as_text(code) for some in codes.values() for code in some})
+    said = [f'{", ".join(map(_as_text, some))} in {name}' for name, some in codes.items()]
+    problem = f'{listed(said, 6)}: far outside all other numbers, so taken for no value'
+    return (
+        [Choice('missing', text=f'[{", ".join(texts)}]', head='missing: codes', decisions=[problem])] if codes else []
+    )
 
 
 def _series(name: str, column: Column, unit: str) -> NumberSeries:
-    is_whole = column.dtype.kind == 'i' and len(np.unique(column[:1000])) <= _MAX_NOTCHES
+    is_flag = column.dtype.kind == 'f' and bool(np.all(np.isin(column, (0.0, 1.0)) | np.isnan(column)))  # true, false
+    is_whole = is_flag or (column.dtype.kind == 'i' and len(np.unique(column)) <= _MAX_NOTCHES)
     return NumberSeries('', unit, name, np.empty(0), np.empty(0), has_stamps=True, is_whole=is_whole)
 
 
@@ -73,7 +125,29 @@ class _Reader:
         self.left_out: list[tuple[str, str]] = []
         self.is_vbox = path.suffix.lower() == VBOX_SUFFIX
         self._path = path
-        self._decimal: UnclearError | None = None
+        self._problems: dict[str, str] = {}  # of columns that cannot be read
+        self._csv: Choice | None = None
+        self._others: tuple[str, ...] = ()  # columns of another decimal sign
+
+    def find_decimal(self, names: Sequence[str]) -> None:
+        """Find one decimal sign for all columns: any part of them might show another."""
+        table = open_table(self._path, self.mapping)
+        if not isinstance(table, CsvTable):
+            return
+        doubts = []
+        try:
+            sign, self._others, grouped = table.decimal_sign(names)
+        except UnclearError as error:
+            sign, grouped, doubts = error.choice, (), [str(error).removeprefix(f'{self._path}: ')]
+        if sign:
+            self.mapping = Mapping(csv=CsvFormat(decimal=sign))
+        if grouped:
+            doubts = [
+                f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
+            ]
+        if doubts or self._others:
+            text = f'{{decimal: "{sign}"}}' if sign else ''
+            self._csv = Choice('csv', text=text, head='csv: as written' if sign else 'csv: as found', decisions=doubts)
 
     def columns(self, names: Sequence[str], form: str = '') -> dict[str, Column]:
         """Return the columns that can be read; ``form`` is that of a single one with times."""
@@ -82,31 +156,35 @@ class _Reader:
         try:
             found = joined(islice(table.blocks(names), _BLOCKS), names)
         except InputError as error:
-            if isinstance(error, UnclearError) and error.choice == ',':
-                self.mapping, self._decimal = Mapping(csv=CsvFormat(decimal=',')), error
-                return self.columns(names)
             if len(names) > 1:
                 half = len(names) // 2
                 return self.columns(names[:half]) | self.columns(names[half:])
             if isinstance(error, UnclearError):
                 self.forms[names[0]] = error
                 return self.columns(names, error.choice)
-            self.left_out.append((names[0], 'no numbers or times'))
+            self._problems[names[0]] = str(error).removeprefix(f'{self._path}: ')
+            is_other = names[0] in self._others
+            self.left_out.append((names[0], 'another decimal sign' if is_other else 'no numbers or times'))
             return {}
         self.units |= table.units
         self.zoned |= {name for name, times in table.times.items() if times.has_zone}
         return found
 
+    def why(self, columns: Iterable[str]) -> str:
+        """Return why no column is a time, for up to two that are named like one; ``columns`` could be read."""
+        rising = [f'column {name} does not rise from row to row' for name in columns if _is_named(name)]
+        named = [text for name, text in self._problems.items() if _is_named(name)]
+        problems = [*rising, *named] or list(self._problems.values())
+        form = "; time: {format: '%d %b %Y %H:%M:%S.%f'} in a mapping says how other texts are written"
+        return f'{"".join(f"; {text}" for text in problems[:2])}{form if named else ""}'
+
     def form(self) -> list[Choice]:
         """Return what a mapping says of the form of the file."""
-        table = open_table(self._path, self.mapping)
-        if self._decimal is not None:
-            problem = str(self._decimal).removeprefix(f'{self._path}: ')
-            return [Choice('csv', text='{decimal: ","}', head='csv: as written', decisions=[problem])]
-        read = [name for name in table.names() if name not in dict(self.left_out)]
-        grouped = table.grouped(read) if isinstance(table, CsvTable) else []
-        problem = f'{listed(grouped, 6)}: all numbers are like 1.250, read as 1.25; csv: {{decimal: ","}} makes it 1250'
-        return [Choice('csv', head='csv: as found', decisions=[problem])] if grouped else []
+        return [] if self._csv is None else [self._csv]
+
+
+def _is_named(name: str) -> bool:
+    return score('time', '', name) > 0.0
 
 
 def _points(column: Column, series: NumberSeries) -> float:
