@@ -275,6 +275,15 @@ def test_of_alike_speeds_the_nearest_to_the_position_is_taken(tmp_path: Path, ro
     assert lines_of(text_of(path))[1] == 'speed: {field: "v [km/h]", unit: km/h}'
 
 
+def test_a_few_seconds_of_speed_have_a_unit_by_their_size(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / 'short.csv', 't [ms],v', driven()[:50], lambda t, v, *_: f'{4.0 * HZ * t:.0f},{80.0 + v:.3f}'
+    )
+    text = text_of(path).text()
+    assert '#   unit km/h: up to 8' in text
+    assert 'a second' not in text
+
+
 @pytest.mark.parametrize('unit', ['m/s', 'km/h'])
 def test_a_speed_beyond_that_of_the_train_is_a_doubt(
     tmp_path: Path, rows: list[Row], metro: TrainFile, unit: str

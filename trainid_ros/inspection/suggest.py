@@ -377,9 +377,12 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
     if named:
         return named, '', f'unit {named}: by its name', []
     top = float(np.max(np.abs(speed.value)))
-    steep = float(np.nanpercentile(np.abs(derivative(at_times(speed, common_times(speed)))), 99.0))
+    changes = np.abs(derivative(at_times(speed, common_times(speed))))
+    known = changes[np.isfinite(changes)]  # of too few seconds none is
+    steep = float(np.percentile(known, 99.0)) if known.size else 0.0
     unit = 'km/h' if top > 60.0 or steep > 1.6 else 'm/s'  # no train reaches 60 m/s, or changes by 1.6 m/s^2 for long
-    reason = f'unit {unit}: up to {top:.3g}, and 99 % of its changes below {steep:.2g} a second'
+    reason = f'unit {unit}: up to {top:.3g}'
+    reason += f', and 99 % of its changes below {steep:.2g} a second' if known.size else ''
     return unit, '', reason, ['nothing but its range shows the unit of the speed']
 
 
