@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.sim.worlds import Case
+    from trainid_ros.train.train_file import TrainFile
 
 TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'
@@ -142,6 +143,7 @@ def simulate(args: argparse.Namespace) -> int:
     rng = np.random.default_rng(args.seed)
     case = _case(args, rng)
     scenario = case.scenario if case else _scenario(args)
+    warn_of_runs(scenario.train_file, args.runs)
     # The bag is opened first, so that a path that cannot be written is reported before the simulation.
     with BagWriter(args.out) as writer:
         with progress('simulating'):
@@ -166,6 +168,13 @@ def simulate(args: argparse.Namespace) -> int:
     if args.world:
         show(f'stated train file: {args.out / TRAIN_FILE}')
     return 0
+
+
+def warn_of_runs(file: TrainFile, runs: int) -> None:
+    """Warn of effects on runs that a drive of so many runs does not have."""
+    for effect in file.effects:
+        if beyond := [str(run) for run in effect.runs if run > runs]:
+            warn(f'effect {effect.name}: the drive has {pluralise(runs, "run")}, not runs {", ".join(beyond)}')
 
 
 def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:

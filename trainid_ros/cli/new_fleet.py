@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.bag.worker_pool import each_bag, processors
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli import new_bag
-from trainid_ros.cli.output import print_json, progress, show, warn
+from trainid_ros.cli.output import print_json, progress, show
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import pluralise
 from trainid_ros.sim.fleet import Fault, Fleet, draw_day, draw_train, drive, fleet_train, parse_fault, train_name
@@ -25,8 +25,6 @@ from trainid_ros.train.train_file import dump_train_file, load_train_file
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
-
-    from trainid_ros.train.train_file import TrainFile
 
     Advance = Callable[[float], None]
 
@@ -40,10 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.fleet:
         if args.days is not None or args.fault:
             raise InputError(f'--{"fault" if args.fault else "days"} needs --fleet N')
-        code = new_bag.simulate(args)
-        if args.train:
-            _warn_of_runs(load_train_file(args.train), args.runs)
-        return code
+        return new_bag.simulate(args)
     if given := [name for name in _NO_FLEET if getattr(args, name)]:
         raise InputError(f'--{given[0]} is of a single bag; what a train of a fleet has is a --fault')
     days = _DAYS if args.days is None else args.days
@@ -52,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     faults = [parse_fault(text, args.fleet, days) for text in args.fault]
     world = find_world(args.world or 'metro')
     fleet = Fleet(world, load_train_file(args.train) if args.train else world_train(world), args.seed)
-    _warn_of_runs(fleet.file, args.runs)
+    new_bag.warn_of_runs(fleet.file, args.runs)
     if args.out.exists():
         raise InputError(f'{args.out}: exists already and is not overwritten')
     args.out.parent.mkdir(parents=True, exist_ok=True)
@@ -74,13 +69,6 @@ def run(args: argparse.Namespace) -> int:
     counts = f'{pluralise(args.fleet, "train")}, {pluralise(days, "day")}, {pluralise(args.fleet * days, "bag")}'
     show(f'{args.out}: {counts}; faults: {broken}\nnext: {" && ".join(commands)}')
     return 0
-
-
-def _warn_of_runs(file: TrainFile, runs: int) -> None:
-    """Warn of effects on runs that a drive of so many runs does not have."""
-    for effect in file.effects:
-        if beyond := [str(run) for run in effect.runs if run > runs]:
-            warn(f'effect {effect.name}: the drive has {pluralise(runs, "run")}, not runs {", ".join(beyond)}')
 
 
 def _simulate(

@@ -395,7 +395,7 @@ class TrainModel:
             self._go_on()
             w = self._resistance_at(v, direction)
             scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
-        load = load_drag(train.c_by_weight * self._file.train_file.resistance.c, train.mass, M, v)
+        load = load_drag(self._file.train_file.c_of_load, train.mass, M, v)
         force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + load + i))
         if force > 0.0:
             # As the estimators do: they subtract what effects take from the reported force, which they scale.
@@ -461,7 +461,7 @@ class TrainModel:
         v, i, train = SPEED.checked(speed), GRADIENT.checked(gradient), self._file.train_file.train
         times = [HORIZON.checked(time) for time in _rows(horizon, HORIZON)]
         M, u0 = train.mass if mass is None else MASS.checked(mass), -APPLIED.checked(applied)
-        load = load_drag(train.c_by_weight * self._file.train_file.resistance.c, train.mass, M, v)  # as at the start
+        load = load_drag(self._file.train_file.c_of_load, train.mass, M, v)  # as at the start
         forces = [(t, F / ((1.0 + train.rotary_mass) * M)) for t, F in _steps(force, FORCE)]
         plan = Plan(forces, [(t, -u) for t, u in _steps(command, _PLANNED)], u0)
         place = None if position is None else _POSITION.checked(position)

@@ -152,7 +152,7 @@ class RunCollector:
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
             braking, self._heat, self._since_release, self._distance, pull, nominal,
-            load_drag(train.c_by_weight * self._train_file.resistance.c, train.mass, mass, sample.speed),
+            load_drag(self._train_file.c_of_load, train.mass, mass, sample.speed),
         )  # fmt: skip
         self._rows.append(row)
         if row[0] - self._rows[0][0] > MAX_RUN_S:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.report import page
 from trainid_ros.report.words import join, unit_of
-from trainid_ros.resistance.suggested_drive import KM_H
 from trainid_ros.train.draft import doubts
 from trainid_ros.train.forces import davis
 from trainid_ros.train.line import profile_of
@@ -25,11 +25,11 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
     """Return the content of a train file, a line of text for each part."""
     train, brake, line, w = train_file.train, train_file.brake, train_file.line, train_file.resistance
     speeds = [share * train.max_speed for share in (0.25, 0.5, 1.0)]
-    at = ', '.join(f'{davis(w, v):.2f} at {v / KM_H:.0f} km/h' for v in speeds)
+    at = ', '.join(f'{davis(w, v):.2f} at {KM_H * v:.0f} km/h' for v in speeds)
     rates = sorted({brake.rate_at(v) for v in (*speeds, 0.0, *(v for v, _ in brake.rate_table))})
     cars = pluralise(train.cars, 'car')
     rows = [
-        ('Train', f'{train.mass / 1e3:g} t, {train.length:g} m, {cars}, {train.max_speed / KM_H:.0f} km/h'),
+        ('Train', f'{train.mass / 1e3:g} t, {train.length:g} m, {cars}, {KM_H * train.max_speed:.0f} km/h'),
         ('Resistance', f'{w.a:.4g} + {w.b:.4g} v + {w.c:.4g} v² N/kN, v in m/s: {at}'),
         ('Brake rate', f'{_range(rates)}; dead time {brake.delay:g} s, lag {brake.time_constant:g} s'),
     ]
@@ -41,7 +41,7 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
         f'gradients {_range([i for _, i in line.gradient])} per mille' if line.gradient else '',
         f'curves from {min(radii):g} m' if radii else '',
         pluralise(len(line.tunnel), 'tunnel') if line.tunnel else '',
-        f'limits {_range([v / KM_H for _, v in line.speed_limit])} km/h' if line.speed_limit else '',
+        f'limits {_range([KM_H * v for _, v in line.speed_limit])} km/h' if line.speed_limit else '',
     )
     rows += [('Line', '; '.join(filter(None, parts)) or 'none')]
     rows += [('Effect', _effect(effect)) for effect in train_file.effects]
@@ -78,8 +78,8 @@ def _over_speed(train_file: TrainFile) -> Markup:
     speed = np.linspace(0.0, train_file.train.max_speed, 200)
     with page.styled_figure(3.2) as figure:
         left, right = figure.subplots(1, 2)
-        left.plot(speed / KM_H, davis(train_file.resistance, speed), color=page.ESTIMATE)
-        right.plot(speed / KM_H, [train_file.brake.rate_at(v) for v in speed.tolist()], color=page.BRAKE)
+        left.plot(KM_H * speed, davis(train_file.resistance, speed), color=page.ESTIMATE)
+        right.plot(KM_H * speed, [train_file.brake.rate_at(v) for v in speed.tolist()], color=page.BRAKE)
         for axes, label in ((left, 'running resistance [N/kN]'), (right, 'brake rate [1]')):
             axes.set(xlabel='speed [km/h]', ylabel=label, ylim=(0.0, None))
         return page.to_svg(figure, 'Running resistance and brake rate over speed')
@@ -93,7 +93,7 @@ def _line(train_file: TrainFile) -> Markup:
     panels = (
         ('gradient [per mille]', line.gradient, page.ESTIMATE),
         ('curvature [1/km]', tuple((x, 1e3 / r if r else 0.0) for x, r in line.curve), page.SECOND),
-        ('speed limit [km/h]', tuple((x, v / KM_H) for x, v in line.speed_limit), page.BRAKE),
+        ('speed limit [km/h]', tuple((x, KM_H * v) for x, v in line.speed_limit), page.BRAKE),
     )
     shown = [panel for panel in panels if panel[1]]
     with page.styled_figure(1.0 + 1.6 * len(shown)) as figure:

@@ -146,7 +146,7 @@ class KnownForce:
         """Time after the release of the brake until it is certainly off [s]."""
         self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)
-        self._by_weight = train_file.train.c_by_weight * train_file.resistance.c
+        self._by_weight = train_file.c_of_load
         self._has_extra = bool(self._terms) or self._by_weight > 0.0
         known_line = self._terms and train_file.line.gradient
         self._line = profile_of(train_file) if known_line else None

@@ -137,6 +137,11 @@ class TrainFile:
     line: Line = field(default_factory=Line)
     effects: tuple[Effect, ...] = ()
 
+    @property
+    def c_of_load(self) -> float:
+        """Part of Davis c that goes by 1/weight [N/kN per (m/s)^2]."""
+        return self.train.c_by_weight * self.resistance.c
+
 
 def load_train_file(path: str | Path) -> TrainFile:
     """Read a train file; raise InputError, which names file and field in one line, if it cannot be used."""
