@@ -220,19 +220,29 @@ def test_slope_changeover_and_level_errors_act_on_the_speed(train_file: TrainFil
 
 def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: Make) -> None:
     """An error of 0.01 m/s^2 is an error of 0.02 in the brake rate at a level of 0.5 m/s^2."""
-    model, item = MotionModel(train_file, CONFIG), sample(1, brake_command=-0.5)
-    assert model.share(item, 0.5)[7] == pytest.approx(2.0)
-    assert model.share(item, 0.05)[7] == 0.0
-    assert not any(model.share(replace(item, brake_command=0.0), 0.5))
+    model = MotionModel(train_file, CONFIG)
+    assert model.share(15.0, 0.5)[7] == pytest.approx(2.0)
+    assert model.share(15.0, 0.05)[7] == 0.0
 
 
-@pytest.mark.parametrize(('speed', 'is_stopping'), [(0.75, False), (0.65, True)])
-def test_the_rate_is_that_of_the_next_braking_just_before_the_stop(
-    train_file: TrainFile, sample: Make, speed: float, is_stopping: bool
+@pytest.mark.parametrize('released_s', [6.0, math.inf])
+def test_the_rate_is_that_at_the_present_speed_until_the_brake_is_released_or_the_train_stands(
+    train_file: TrainFile, journey: Journey, released_s: float
 ) -> None:
-    """Braking by 0.5 m/s^2 the train is slower than 0.5 m/s, where nothing is learned, two samples after 0.7 m/s."""
-    item = sample(1, speed=speed, brake_command=-0.5)
-    assert any(MotionModel(train_file, CONFIG).share(item, 0.5)) is not is_stopping
+    samples = journey(14.0, brake=lambda t: -0.6 if 2.0 < t < released_s else 0.0, speed=6.0)
+    estimator = Gsma(train_file, CONFIG, np.random.default_rng(1))
+    differed = False
+    for item in samples:
+        before, start_target = estimator.state.rate, estimator.state.filtered_target
+        estimator.step(item)
+        state, medium = estimator.state, estimator.posterior.rate
+        if state.observable:
+            differed = state.rate != medium
+        elif item.speed >= CONFIG.min_speed and min(state.filtered_target, start_target) <= -CONFIG.min_braking:
+            assert state.rate == before
+        else:
+            assert state.rate == medium
+    assert differed
 
 
 def braked(train_file: TrainFile, samples: list[Sample]) -> BrakeRateEstimator:

@@ -168,7 +168,7 @@ class EstimatorState:
     disturbance: DisturbanceNoise  # Size of the unmodelled acceleration
     commands: CommandHistory  # Brake commands that may still act
     timing: Timing  # Estimated dead time and lag of the brake
-    rate: float = 1.0  # Brake rate at the speed and level of its last update [1]
+    rate: float = 1.0  # Brake rate at the speed and level of its last update, at medium speed once that is over [1]
     rate_variance: float = 0.0  # Its variance [1]
     blending: float = 0.0  # Standard deviation due to the changeover between brakes, at the newest sample [1]
     # Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1
@@ -279,6 +279,8 @@ class BrakeRateEstimator:
         state, posterior = self.state, self.posterior
         if (rejection := self._unknown(sample)) is not None:
             self._reinit_motion(sample, elapsed)
+            if rejection.reason is Reason.STANDSTILL:
+                self._conclude()
             return rejection
         if (rejection := self._model.known.reject(sample)) is not None:
             posterior.predict(self._interval(sample, motion))
@@ -295,19 +297,26 @@ class BrakeRateEstimator:
         is_pulling = sample.brake_command >= 0.0 and sample.force_mean > 0.0
         if braking < self._min_braking or motion.is_released or is_pulling:
             posterior.follow(sample.speed, state.noise.variance)
+            if braking < self._min_braking:
+                self._conclude()
             self._learn_disturbance(sample, interval, braking)
             return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._min_braking)
         if not posterior.update(interval, state.unbraked_s, sample.speed, self._noise_variance()):
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
         ratio = min(state.innovation * state.innovation / state.innovation_variance, _MAX_SQUARE)
         state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MAX_EXCESS)
-        share = self._model.share(sample, abs(state.filtered_target))
+        share = self._model.share(sample.speed, abs(state.filtered_target))
         state.rate, state.rate_variance = posterior.total_rate(share)
         # The model has the width of a changeover, but not its exact shape.
         state.blending = BLEND_SHAPE * self.config.blend_std if share[CHANGEOVER] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
         return None
+
+    def _conclude(self) -> None:
+        """After a braking, state the brake rate at medium speed for the next one."""
+        state, posterior = self.state, self.posterior
+        state.rate, state.rate_variance, state.blending = posterior.rate, posterior.variance, 0.0
 
     def _unknown(self, sample: Sample) -> Rejection | None:
         """Return a rejection if the motion since the last sample, or the state of the brake, is not known."""

@@ -285,8 +285,6 @@ _BLEND_S: Final = 1.0
 # Correlation times of the errors of dead time, lag, slope and changeover, and of resistance and traction [s].
 _LONG_S: Final = 1e5
 _SHORT_S: Final = 1800.0
-# Samples before the slowest one to learn from at which the published brake rate becomes that of the next braking.
-_STOPPING: Final = 2.0
 # Relative change of the response per second at which its steadiness is 1/e [1/s].
 _CHANGING: Final = 0.1
 # Smallest brake level with a level error [m/s^2].
@@ -316,7 +314,7 @@ class MotionModel:
         self.timing_stds = delay, lag
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
-        self._force_error, self._min_speed, self._min_braking = config.force_error, config.min_speed, config.min_braking
+        self._force_error, self._min_braking = config.force_error, config.min_braking
         self._blend_speed, self._blend_std, self._level_length = (
             config.blend_speed, config.blend_std, config.level_length
         )  # fmt: skip
@@ -395,17 +393,14 @@ class MotionModel:
         """Return m, see the module."""
         return max(0.0, 1.0 - abs(speed / self._blend_speed - 1.0))
 
-    def share(self, sample: Sample, level: float) -> vec[float]:
-        """Return the shares of the errors in the brake rate at a level [m/s^2, >= 0], shape (8,), until the next call.
+    def share(self, speed: float, level: float) -> vec[float]:
+        """Return the shares of the errors in the brake rate at a speed [m/s] and level [m/s^2, >= 0], shape (8,).
 
-        From just before a stop, or a release, on they are zero: the brake rate at medium speed, for the next braking.
+        It is valid until the next call.
         """
         share = self._share
-        share[SLOPE] = share[CHANGEOVER] = share[LEVEL] = 0.0
-        is_stopping = sample.speed - _STOPPING * level * sample.dt < self._min_speed
-        if sample.brake_command < 0.0 and not is_stopping:
-            share[SLOPE], share[CHANGEOVER] = self._slope(sample.speed), self._changeover(sample.speed)
-            share[LEVEL] = 1.0 / level if level >= _MIN_LEVEL else 0.0
+        share[SLOPE], share[CHANGEOVER] = self._slope(speed), self._changeover(speed)
+        share[LEVEL] = 1.0 / level if level >= _MIN_LEVEL else 0.0
         return share
 
     def forget(self, elapsed: float, change: float, decay_e: vec[float], q_e: vec[float]) -> None:
