@@ -213,6 +213,11 @@ def _position(name: str, change: Callable[[float, float], float]) -> Fault:
     return value_fault(f'position {name}', 'speed', lambda t, x, y, flag: (x, change(t, y), flag))
 
 
+def _odometer(name: str, factor: float) -> Fault:
+    """Return a fault that scales speed and position alike."""
+    return value_fault(name, 'speed', lambda _t, x, y, flag: (factor * x, factor * y, flag))
+
+
 def _drifting(name: str, topic: str, per_second: float) -> Fault:
     """Return a fault whose offset grows with time, without limit."""
     return value_fault(name, topic, lambda t, x, y, flag: (x + per_second * t, y, flag))
@@ -230,6 +235,8 @@ _SPEED: Final = (
     scaled('5 % high', 'speed', 1.05),
     scaled('3 % low', 'speed', 0.97),
     scaled('offset .5 m/s', 'speed', 1.0, 0.5),
+    _odometer('in km/h with its position', _KMH),
+    _odometer('half with its position', 0.5),
     _drifting('drift', 'speed', 0.02),
     value_fault('slip', 'speed', _slipping),
     value_fault('slide', 'speed', _sliding),
@@ -248,6 +255,7 @@ _FORCE: Final = (
     scaled('in kN', 'force', 1e-3),
     scaled('in lbf', 'force', _LBF),
     scaled('sign', 'force', -1.0),
+    value_fault('without sign', 'force', lambda _t, x, y, flag: (abs(x), y, flag)),
     scaled('5 % high', 'force', 1.05),
     scaled('20 % high', 'force', 1.2),
     scaled('half', 'force', 0.5),

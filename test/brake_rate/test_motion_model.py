@@ -218,7 +218,7 @@ def test_slope_changeover_and_level_errors_act_on_the_speed(train_file: TrainFil
     assert interval(train_file, item, response(-0.05, -0.05)).gain_e[7] == 0.0
 
 
-def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: Make) -> None:
+def test_the_brake_rate_includes_the_level_error(train_file: TrainFile) -> None:
     """An error of 0.01 m/s^2 is an error of 0.02 in the brake rate at a level of 0.5 m/s^2."""
     model = MotionModel(train_file, CONFIG)
     assert model.share(15.0, 0.5)[7] == pytest.approx(2.0)

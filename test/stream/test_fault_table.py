@@ -19,7 +19,14 @@ def test_each_row_names_what_it_condemns_and_corrects_something(row: Row) -> Non
     assert row.condemns
     assert any(item.value.split(' ')[0] in text or item.value in text for item in row.condemns)
     factors = {row.force, row.command, row.gradient, row.speed, row.position}
-    assert factors != {1.0} or row.late or row.ignores or row.unusual or row.wheel_std != TABLE[0].wheel_std
+    assert (
+        factors != {1.0}
+        or row.signless
+        or row.late
+        or row.ignores
+        or row.unusual
+        or row.wheel_std != TABLE[0].wheel_std
+    )
 
 
 def test_what_an_effect_or_another_train_can_look_like_is_not_misread() -> None:

@@ -125,7 +125,7 @@ class Prior:
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
-        self.is_of_line = self.ignores_line or row.gradient != 1.0
+        self.is_of_line = (self.ignores_line and row.speed == 1.0) or row.gradient != 1.0
         if self.ignores_gradient or row.gradient != 1.0:
             self.anew[OFFSET] = 1.0
 
@@ -455,7 +455,8 @@ class Forces:
     def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
         """Correct force and brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
-        F, dF = row.force * force.force, row.force * force.force_step / force.seconds
+        factor = -row.force if row.signless and command.brake < -BRAKES and force.force > 0.0 else row.force
+        F, dF = factor * force.force, factor * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
         T, dT = F - B, dF - dB

@@ -89,6 +89,7 @@ class Row:
     gradient: float = 1.0
     speed: float = 1.0
     position: float = 1.0
+    signless: bool = False  # True if the force of a brake is reported as positive
     late: Input | None = None  # The input that comes too late
     late_s: float = 0.0  # By so much [s]
     early: bool = False  # True if it comes too early instead
@@ -116,7 +117,7 @@ class Row:
     @property
     def has_speed(self) -> bool:
         """True if it says something about speed over position."""
-        return self.speed != 1.0 or self.position != 1.0 or self.wheel_std != WHEEL.std
+        return self.speed != self.position or self.wheel_std != WHEEL.std
 
 
 _FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
@@ -167,6 +168,21 @@ TABLE: Final[tuple[Row, ...]] = (
     ),
     Row('ato/speed is in mph', _only(Input.SPEED), speed=1.0 / _MPH, misread=True),
     Row('ato/speed is half of what it should be', _only(Input.SPEED), speed=2.0, misread=True),
+    *(
+        Row(
+            f'ato/speed is {size}, and its position with it',
+            _only(Input.SPEED, Input.POSITION),
+            speed=factor,
+            position=factor,
+            ignores=_only(Input.LINE),
+            misread=True,
+        )
+        for size, factor in (
+            ('in km/h or ft/s', 1.0 / KM_H),
+            ('in mph or twice what it should be', 1.0 / _MPH),
+            ('half of what it should be', 2.0),
+        )
+    ),
     Row('ato/speed is about {wheel:+.0%} off what its position gives', _only(Input.SPEED), wheel_std=0.08),
     _nothing('ato/speed is stuck or follows nothing', Input.SPEED, asks=_SLIDES),
     _nothing('ato/speed and its position are stuck', Input.SPEED, Input.POSITION),
@@ -179,6 +195,8 @@ TABLE: Final[tuple[Row, ...]] = (
     Row('ato/force is in kN', _only(Input.FORCE), force=1e3, misread=True),
     Row('ato/force is in lbf', _only(Input.FORCE), force=_LBF, misread=True),
     Row('ato/force is in kgf or daN', _only(Input.FORCE), force=G, misread=True),
+    # Before the wrong sign, which looks like it while the train brakes.
+    Row('ato/force has no sign: that of a brake is positive', _only(Input.FORCE), signless=True, misread=True),
     Row('ato/force has the wrong sign', _only(Input.FORCE), force=-1.0, misread=True),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=2.0, unusual=((GAIN, 1.0, 0.2),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=1.35, unusual=((GAIN, 1.0, 0.1),)),

@@ -253,7 +253,7 @@ class InputCheck:
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
-        if prior.has_speed or prior.row.ignores:
+        if prior.has_speed or (prior.row.ignores and prior.row.speed == 1.0):
             is_line_off = prior.is_of_line and self._line_score < _START
             is_distance_off = (prior.has_speed or prior.ignores_position) and self._distance_score < _START
             is_braked_off = (prior.ignores_command or prior.ignores_braking) and self._mismatch > _START_MISMATCH
