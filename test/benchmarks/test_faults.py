@@ -20,9 +20,9 @@ SEED = 4001
 
 
 def rows(seconds: int = 60) -> list[Row]:
-    """Rows of all topics at 5 Hz, in the order of stamps; the values count up."""
+    """Rows of all topics at 5 Hz, in the order of stamps; the values count up, those of the force down."""
     return [
-        (topic, (k * 5 + topic) * SECOND // 25, float(k + 1), 10.0 * k, False)
+        (topic, (k * 5 + topic) * SECOND // 25, float(-k - 1 if topic == FORCE else k + 1), 10.0 * k, False)
         for k in range(seconds * 5)
         for topic in (SPEED, FORCE, GRADIENT, BRAKE, MASS)
     ]

@@ -326,17 +326,18 @@ class Gsma(BrakeRateEstimator):
         begin, acts_s, command = round(_BEFORE_S / SAMPLE_PERIOD), _BEFORE_S + state.timing.delay, run.manoeuvre.braking
         rng, v, target = np.random.default_rng(0), run.manoeuvre.start, 0.0
         for k in range(round(_MAX_BRAKING_S / SAMPLE_PERIOD)):
-            if v < self.config.min_speed:
-                return
+            is_standing = v < self.config.min_speed
             stamp_ns = start_ns + round(k * SAMPLE_PERIOD * NS_PER_S)
             # The holding brake is released at the start.
             given = {0: 0.0, begin: command}.get(k)
-            measured = v + std * float(rng.standard_normal())
+            measured = 0.0 if is_standing else v + std * float(rng.standard_normal())
             sample = coasting_sample(stamp_ns, math.nan if k == 0 else SAMPLE_PERIOD, measured)
             sample.brake_command = command if k >= begin else 0.0
             sample.brake_changes = () if given is None else (BrakeCommandChange(stamp_ns, given),)
             sample.curvature_mean = 0.0
             yield sample
+            if is_standing:
+                return
             acting_s = min(SAMPLE_PERIOD, max(0.0, (k + 1) * SAMPLE_PERIOD - acts_s))
             braked = factor * self._train_file.brake.shape_at(v) * lag_integral(target, command, lag, acting_s)
             target = lag_response(target, command, lag, acting_s)

@@ -175,6 +175,7 @@ TABLE: Final[tuple[Row, ...]] = (
             speed=factor,
             position=factor,
             ignores=_only(Input.LINE),
+            asks=_FOLLOWS_NOTHING,  # explains any force that is too small
             misread=True,
         )
         for size, factor in (
