@@ -258,7 +258,7 @@ def test_a_changeover_adds_its_shape_error_to_the_std(train_file: TrainFile, jou
     during, before = braked(train_file, samples[: slow + 1]), braked(train_file, samples[:fast])
     shape = BLEND_SHAPE * CONFIG.blend_std
     for estimator, blending in ((during, shape), (before, 0.0)):
-        state, e = estimator.state, estimator.estimate(0.0)
+        state, e = estimator.state, estimator.estimate(6.0)
         modelled = state.rate_variance + (CONFIG.scale_std * state.rate) ** 2
         assert e.brake_rate_std**2 - modelled == pytest.approx(blending**2, abs=1e-12)
 

@@ -440,9 +440,11 @@ class BrakeRateEstimator:
         """Innovation of the last update [m/s] and its variance before it [(m/s)^2], as in the estimate."""
         return self.state.innovation, self.state.innovation_variance
 
-    def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
-        """Return the brake rate, eq. (19), and the filtered train state, eq. (22); ``speed`` [m/s] is unused."""
+    def estimate(self, speed: float) -> BrakeRateEstimate:
+        """Return the brake rate, eq. (19), and the filtered train state, eq. (22), for a train at a speed [m/s]."""
         state, posterior = self.state, self.posterior
+        if speed < self._min_speed:  # also where samples were rejected on the way to the stop
+            self._conclude()
         return BrakeRateEstimate(
             brake_rate=min(max(0.0, state.rate), self._max_rate),
             brake_rate_std=self._std(),

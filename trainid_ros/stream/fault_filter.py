@@ -455,7 +455,7 @@ class Forces:
     def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
         """Correct force and brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
-        factor = -row.force if row.signless and command.brake < -BRAKES and force.force > 0.0 else row.force
+        factor = -row.force if row.signless and command.brake < -BRAKES else row.force
         F, dF = factor * force.force, factor * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
