@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, columns
-from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import typestore
 from trainid_ros.compiled import SWITCH, uses_sources
@@ -103,7 +103,7 @@ def paced(bag: Path) -> float:
     train = load_train_file(bag / 'train.yaml')
     began = time.process_time()
     with BagReader(bag) as reader:
-        replay(reader, train, _SETTINGS)
+        replay_through(Pipelines.of(train, _SETTINGS), reader)
     return time.process_time() - began
 
 
@@ -125,7 +125,7 @@ def _times(bag: Path) -> Times:
             run()
             spent[name] = min(spent[name], time.process_time() - began)
     with BagReader(bag) as reader:
-        duration_s = replay(reader, train, _SETTINGS).duration_s
+        duration_s = replay_through(Pipelines.of(train, _SETTINGS), reader).duration_s
     return Times(bag.name, len(raw), duration_s, spent, _by_sources(bag))
 
 

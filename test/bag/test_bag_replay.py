@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from test.own_bag import messages_of, write_bag
-from trainid_ros.bag.bag_replay import COLUMNS, EstimateTable, TableRow, estimate_table, replay
+from trainid_ros.bag.bag_replay import COLUMNS, EstimateTable, Pipelines, TableRow, estimate_table, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import definition, fields_of
-from trainid_ros.bag.writer import BagRecorder, BagWriter
+from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, ForceRecord, Record
 from trainid_ros.interface.results import AdhesionEstimate, Output, Reason, Status
@@ -69,7 +69,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory, drive: tuple[Record, ...]) -> 
 
 def run(bag: Path, *observers: Any, duration_s: float = float('inf')) -> Replay:
     with BagReader(bag) as reader:
-        return replay(reader, TRAIN, EstimatorSettings(), observers=observers, duration_s=duration_s)
+        return replay_through(
+            Pipelines.of(TRAIN, EstimatorSettings()), reader, observers=observers, duration_s=duration_s
+        )
 
 
 @pytest.fixture(scope='module')
@@ -77,7 +79,7 @@ def replayed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Repla
     """Return the outcome of a replay, its inputs and outputs, and the bag they were recorded to."""
     log, path = Log(), tmp_path_factory.mktemp('recorded') / 'out'
     with BagWriter(path) as writer:
-        return run(bag, log, BagRecorder(writer)), log, path
+        return run(bag, log, writer), log, path
 
 
 def test_outputs_are_those_of_the_pipelines_driven_by_hand(
@@ -119,7 +121,7 @@ def test_progress_adds_up_to_all_inputs_read(bag: Path, drive: tuple[Record, ...
     steps: list[float] = []
     taken = [r for r in drive if r.stamp_ns <= drive[0].stamp_ns + 60 * NS_PER_S]
     with BagReader(bag) as reader:
-        replay(reader, TRAIN, EstimatorSettings(), steps.append, duration_s=60.0)
+        replay_through(Pipelines.of(TRAIN, EstimatorSettings()), reader, steps.append, duration_s=60.0)
     assert sum(steps) == len(taken)
     assert len(steps) > 2
 
@@ -189,7 +191,7 @@ def test_why_nothing_was_learned_is_said_with_the_most_frequent_rejection(
 def test_settings_reach_the_estimators(bag: Path) -> None:
     strict = EstimatorSettings(resistance=RESISTANCE.choose(min_speed=50.0))
     with BagReader(bag) as reader:
-        outcome = replay(reader, TRAIN, strict, duration_s=40.0)
+        outcome = replay_through(Pipelines.of(TRAIN, strict), reader, duration_s=40.0)
     assert dict(outcome.resistance.rejections)[Reason.STANDSTILL] > 50
     assert outcome.resistance.output.used == 0
 

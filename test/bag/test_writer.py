@@ -71,8 +71,8 @@ def test_messages_and_summary_carry_their_checksums(bag: Path) -> None:
 
 def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
     with BagWriter(tmp_path / 'out') as writer:
-        writer.write_estimate(output(Status.CONVERGING))
-        writer.write_estimate(output(Status.VALID, STAMP + 1))
+        writer.on_output(output(Status.CONVERGING))
+        writer.on_output(output(Status.VALID, STAMP + 1))
     with AnyReader([tmp_path / 'out']) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
         latched = next(c for c in reader.connections if c.topic == '/trainid/last_valid/brake_rate')

@@ -15,7 +15,7 @@ import pytest
 from pyarrow import parquet
 
 from test.own_bag import messages_of
-from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
@@ -104,7 +104,7 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
 def test_json_numbers_are_those_of_the_replay(driven_bag: Path, printed: Printed) -> None:
     answer = json.loads(printed.out)
     with BagReader(driven_bag) as reader:
-        outcome = replay(reader, load_train_file(driven_bag / 'train.yaml'), EstimatorSettings())
+        outcome = replay_through(Pipelines.of(load_train_file(driven_bag / 'train.yaml'), EstimatorSettings()), reader)
     w, f = outcome.resistance.output.estimate, outcome.brake_rate.output.estimate
     assert [answer['resistance'][name] for name in 'abc'] == [w.a, w.b, w.c]
     assert answer['resistance']['std'] == [math.sqrt(w.covariance[i]) for i in (0, 4, 8)]

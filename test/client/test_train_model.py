@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from test.calls import count_in_sources
-from trainid_ros.bag.bag_replay import Replay, replay
+from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.client import train_model as limits
@@ -95,7 +95,7 @@ def heard() -> Listener:
 def replayed(heard: Listener) -> tuple[Replay, TrainFile]:
     train_file = load_train_file(BAG / 'train.yaml')
     with BagReader(BAG) as reader:
-        return replay(reader, train_file, EstimatorSettings(), observers=[heard]), train_file
+        return replay_through(Pipelines.of(train_file, EstimatorSettings()), reader, observers=[heard]), train_file
 
 
 def test_the_resistance_at_a_speed_has_the_covariance_of_all_parameters() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from test.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignBag
 from test.own_bag import write_bag
-from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
@@ -135,7 +135,7 @@ def estimates(path: Path, train: TrainFile, mapping: Mapping | None = None) -> l
     settings = EstimatorSettings()
     with BagReader(path, inputs=inputs) as reader:
         aligned = replace(settings, alignment=reader.mapping.alignment(settings.alignment))
-        outcome = replay(reader, train, aligned)
+        outcome = replay_through(Pipelines.of(train, aligned), reader)
     w, m, f = outcome.resistance.output, outcome.speed_model.output, outcome.brake_rate.output
     return [
         *(w.estimate.a, w.estimate.b, w.estimate.c, w.used),

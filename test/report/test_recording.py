@@ -19,7 +19,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.interface.results import Output, Reason, Rejection, Status
 from trainid_ros.report.recording import CAPACITY, CONTRADICTED, GAP, REJECTED, Recorder
-from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
@@ -128,7 +128,7 @@ def test_inputs_after_a_pause_are_shown(tmp_path: Path) -> None:
             later = record.stamp_ns + (900 * NS_PER_S if record.stamp_ns > end_ns else 0)
             writer.write_record(replace(record, stamp_ns=later), later)
     file, settings = load_train_file(BAG / 'train.yaml'), EstimatorSettings()
-    pipelines = Pipelines(*(kind.pipeline(file, settings) for kind in KINDS))
+    pipelines = Pipelines.of(file, settings)
     recorder = Recorder()
     with BagReader(tmp_path / 'paused') as reader:
         stamps = [record.stamp_ns for record in reader.records() if isinstance(record, SpeedRecord)]

@@ -22,7 +22,7 @@ import pytest
 from test.chromium import Chromium, find_chromium, ink
 from test.hang import HANG_S
 from test.report.conftest import BRAKE, START_NS
-from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay, replay_through
+from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.interface.records import SpeedRecord
@@ -37,7 +37,7 @@ from trainid_ros.report.recording import (
     switch_off_telemetry,
     time_range,
 )
-from trainid_ros.setup.pipelines import KINDS, EstimatorSettings
+from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.train.train_file import load_train_file
 
 switch_off_telemetry()
@@ -124,7 +124,7 @@ def test_the_axis_begins_with_the_earliest_stamp_although_stamps_jump_back() -> 
 @pytest.fixture(scope='module')
 def recorder() -> ViewRecorder:
     file, settings = load_train_file(BAG / 'train.yaml'), EstimatorSettings()
-    pipelines = Pipelines(*(kind.pipeline(file, settings) for kind in KINDS))
+    pipelines = Pipelines.of(file, settings)
     collected = ViewRecorder(pipelines)
     with BagReader(BAG) as reader:
         replay_through(pipelines, reader, None, (collected,))
@@ -136,7 +136,9 @@ def outputs() -> list[AnyOutput]:
     seen: list[AnyOutput] = []
     observer: Any = SimpleNamespace(on_record=lambda _: None, on_output=lambda output, _: seen.append(output))
     with BagReader(BAG) as reader:
-        replay(reader, load_train_file(BAG / 'train.yaml'), EstimatorSettings(), None, (observer,))
+        replay_through(
+            Pipelines.of(load_train_file(BAG / 'train.yaml'), EstimatorSettings()), reader, None, (observer,)
+        )
     return [output for output in seen if output.stamp_ns > 0]
 
 

@@ -13,9 +13,10 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import Consistency, EstimatorPipeline, PipelineGroup
@@ -45,14 +46,12 @@ from trainid_ros.interface.results import (
     quantities,
 )
 from trainid_ros.setup.pipelines import (
+    KINDS,
     BrakeRatePipeline,
     EstimatorSettings,
     ResistancePipeline,
     SpeedModelPipeline,
     brake_findings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
 )
 
 if TYPE_CHECKING:
@@ -129,11 +128,15 @@ class Pipelines(NamedTuple):
     speed_model: SpeedModelPipeline
     brake_rate: BrakeRatePipeline
 
+    @classmethod
+    def of(cls, train_file: TrainFile, settings: EstimatorSettings) -> Pipelines:
+        """Return those of a train file and settings."""
+        return cls(*(kind.pipeline(train_file, settings) for kind in KINDS))
 
-def replay(
+
+def replay_through(
+    pipelines: Pipelines,
     reader: BagReader,
-    train_file: TrainFile,
-    settings: EstimatorSettings,
     progress: Callable[[float], None] | None = None,
     observers: Sequence[Observer] = (),
     *,
@@ -145,23 +148,6 @@ def replay(
     nothing else is kept, so memory does not grow with the bag. InputError if a required topic has no messages, or the
     bag cannot be read.
     """
-    pipelines = Pipelines(
-        resistance_pipeline(train_file, settings),
-        speed_model_pipeline(train_file, settings),
-        brake_rate_pipeline(train_file, settings),
-    )
-    return replay_through(pipelines, reader, progress, observers, duration_s=duration_s)
-
-
-def replay_through(
-    pipelines: Pipelines,
-    reader: BagReader,
-    progress: Callable[[float], None] | None = None,
-    observers: Sequence[Observer] = (),
-    *,
-    duration_s: float = math.inf,
-) -> Replay:
-    """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
     group, records, log_ns = PipelineGroup(pipelines), 0, 0
@@ -220,13 +206,12 @@ TableRow: TypeAlias = list[Any]
 _COVARIANCE: Final = 'covariance'
 
 
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """A column: topic and field it holds, and its unit, '' without."""
+class TableColumn(NamedTuple):
+    """A column."""
 
-    topic: str
-    field: str
-    unit: str
+    topic: str  # Topic that it holds
+    field: str  # Field of its messages
+    unit: str  # Unit, '' without
 
     @property
     def name(self) -> str:
@@ -236,14 +221,13 @@ class TableColumn:
 
 def _columns(topic: OutputTopic) -> Iterator[TableColumn]:
     """Yield the fields of an estimate, with the standard deviations before their covariance, and the counters."""
-    known = quantities(topic.estimate)
-    for name, quantity in known.items():
+    units: dict[str, str] = {}
+    for name, quantity in quantities(topic.estimate).items():
         if name == _COVARIANCE:
-            for parameter in parameters(topic.estimate):
-                yield TableColumn(topic.name, f'{parameter}_std', known[parameter].unit)
-        yield TableColumn(topic.name, name, quantity.unit)
-    for name in ('status', *counters(topic.estimate), 'last_reject_reason'):
-        yield TableColumn(topic.name, name, '')
+            units |= {f'{parameter}_std': units[parameter] for parameter in parameters(topic.estimate)}
+        units[name] = quantity.unit
+    units |= dict.fromkeys(('status', *counters(topic.estimate), 'last_reject_reason'), '')
+    return (TableColumn(topic.name, name, unit) for name, unit in units.items())
 
 
 COLUMNS: Final = tuple(column for topic in OUTPUT_TOPICS for column in _columns(topic))
@@ -291,10 +275,8 @@ def _values(output: Output[Any]) -> dict[str, Any]:
     values: dict[str, Any] = output_values(output)
     values['status'] = Status(values['status']).name
     values['last_reject_reason'] = Reason(values['last_reject_reason']).name
-    if names := parameters(type(output.estimate)):
-        stds = deviations(values[_COVARIANCE])
-        values |= {f'{name}_std': std for name, std in zip(names, stds, strict=True)}
-    return values
+    stds = zip(parameters(type(output.estimate)), deviations(values.get(_COVARIANCE, ())), strict=True)
+    return values | {f'{name}_std': std for name, std in stds}
 
 
 @contextmanager
@@ -305,9 +287,7 @@ def _csv_file(path: Path) -> Iterator[Callable[[Sequence[TableRow]], None]]:
 
     def write(rows: Sequence[TableRow]) -> None:
         for row in rows:
-            seconds, rest = divmod(row[0], NS_PER_S)
-            time = f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z'
-            writer.writerow([time, *(_cell(row[place]) for place in places)])
+            writer.writerow([f'{np.datetime64(row[0], "ns")}Z', *(_cell(row[place]) for place in places)])
 
     with path.open('w', encoding='utf-8', newline='') as file:
         writer = csv.writer(file, lineterminator='\n')

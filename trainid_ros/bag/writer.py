@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import time
 import zlib
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, cast
 
@@ -39,15 +41,12 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.bag.reader import LoggedRecord
 
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 # Messages written at a time beside other threads: about 1 ms.
 _SLICE: Final = 32
-_LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
-
 
 # Of inputs and live estimates, and of last valid estimates.
 STREAM_QOS: Final = Qos(
@@ -82,12 +81,10 @@ class _Checksums:
     def store(self) -> None:
         """Write the checksums into the finished file."""
         path = self._storage.path
-        with path.open('r+b') as file:
+        with path.open('r+b', buffering=0) as file:
 
             def put(offset: int, value: int) -> None:
-                file.seek(offset)
-                file.write(value.to_bytes(4, 'little'))
-                file.flush()
+                os.pwrite(file.fileno(), value.to_bytes(4, 'little'), offset)
 
             for offset, crc in self._chunks:
                 put(offset, crc)
@@ -102,7 +99,7 @@ class _Checksums:
 
 
 class BagWriter:
-    """Writes one new bag; use as a context manager.
+    """Writes one new bag, as an observer of a replay too; use as a context manager.
 
     Chunks, data section and summary carry checksums. If the ``with`` block ends in an exception, the bag is removed.
     """
@@ -133,16 +130,17 @@ class BagWriter:
         writer, self._writer = self._writer, None
         if writer is None:
             return
-        finished = False
-        try:
+        with ExitStack() as stack:
+            stack.callback(shutil.rmtree, self.path, ignore_errors=True)
+            stack.callback(writer.abort)
             if kind is None:
                 writer.close()
                 self._checksums.store()
-                finished = True
-        finally:
-            if not finished:
-                writer.abort()
-                shutil.rmtree(self.path, ignore_errors=True)
+                stack.pop_all()
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """Write an input with its own log time, so that the new bag replays in the same order."""
+        self.write_record(entry.record, entry.log_ns)
 
     def write_record(self, record: Record, log_ns: int | None = None) -> None:
         """Write a record on its topic, logged at a time [ns] or at its stamp."""
@@ -150,7 +148,7 @@ class BagWriter:
         logged_ns = record.stamp_ns if log_ns is None else log_ns
         self.write_message(topic.name, topic.message, logged_ns, message_from_record(record))
 
-    def write_estimate(self, output: Output[Any], log_ns: int | None = None) -> None:
+    def on_output(self, output: Output[Any], log_ns: int | None = None) -> None:
         """Write an estimator output, and its latched copy if it is valid, logged at a time [ns] or at its stamp."""
         topic, message = output_topic(output.estimate), estimate_message(output)
         logged_ns = output.stamp_ns if log_ns is None else log_ns
@@ -175,7 +173,7 @@ class BagWriter:
 
     def _connect(self, writer: Writer, topic: str, name: str) -> Connection:
         full = topic if topic.startswith('/') else f'/{topic}'
-        latched = full.removeprefix('/') in _LATCHED
+        latched = any(full == f'/{item.last_valid}' for item in OUTPUT_TOPICS)
         profile = LATCHED_QOS if latched else STREAM_QOS
         package, _, message = name.partition('/msg/')
         # The definition in the typestore has no comments.
@@ -199,18 +197,3 @@ def write_rows(path: Path, rows: Iterable[tuple[int, Row]], files: Mapping[str, 
                 time.sleep(0.001)  # or else a thread that gets a message would wait for 5 ms
     for name, text in files.items():
         (path / name).write_text(text, encoding='utf-8')
-
-
-class BagRecorder:
-    """Writes inputs and estimates to a bag, logged when they arrived or would have been published."""
-
-    def __init__(self, writer: BagWriter) -> None:
-        self._writer = writer
-
-    def on_record(self, entry: LoggedRecord) -> None:
-        """Write an input with its own log time, so that the new bag replays in the same order."""
-        self._writer.write_record(entry.record, entry.log_ns)
-
-    def on_output(self, output: AnyOutput, log_ns: int) -> None:
-        """Write an estimate, and its latched copy if it is valid."""
-        self._writer.write_estimate(output, log_ns)

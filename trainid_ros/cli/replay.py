@@ -67,7 +67,7 @@ def _load_setups(
 
 
 def _pipelines(setups: Sequence[Setup], reader: BagReader) -> Pipelines:
-    return Pipelines(*(setup.realigned(reader.mapping.alignment).pipeline() for setup in setups))
+    return Pipelines(*(setup.pipeline(reader.mapping.alignment) for setup in setups))
 
 
 def _beside(bag: Path, name: str) -> Path:
@@ -187,7 +187,7 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     """Return what writes the new bag or table and what collects the columns of the report, and the latter alone."""
     if out is None and report is None:
         return [], None
-    from trainid_ros.bag.writer import BagRecorder, BagWriter  # noqa: PLC0415
+    from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
     from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
     recorder = None if report is None else Recorder()
@@ -195,7 +195,7 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     if out is not None and out.suffix in TABLE_SUFFIXES:
         observers.append(stack.enter_context(estimate_table(out)))
     elif out is not None:
-        observers.append(BagRecorder(stack.enter_context(BagWriter(out))))
+        observers.append(stack.enter_context(BagWriter(out)))
     return observers, recorder
 
 

@@ -164,7 +164,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     setups, inputs = prepared(setup)
     opening, reading = in_two(advance)
     with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
-        pipelines = Pipelines(*(item.realigned(reader.mapping.alignment).pipeline() for item in setups))
+        pipelines = Pipelines(*(item.pipeline(reader.mapping.alignment) for item in setups))
         before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count))

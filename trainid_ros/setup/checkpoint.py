@@ -18,7 +18,7 @@ import tempfile
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from trainid_ros import __version__
 from trainid_ros.interface.errors import InputError
@@ -141,19 +141,16 @@ def parse_checkpoint(text: str, source: str) -> Checkpoint:
     if end is None or end.end() != len(text) or _digest(text[: end.start()]) != end[1]:
         raise InputError(f'{source}: checkpoint is damaged: its content does not match its sha256')
     head, _, state = text[: end.start()].partition(f',\n{_STATE}')
+    kinds = {'version': str, 'estimate': str, 'algorithm': str, 'values': dict, 'saved_ns': int, 'stamp_ns': int}
     try:
-        return _checkpoint(json.loads(f'{head}}}'), state)
+        stated = json.loads(f'{head}}}')
+        version, estimate, algorithm, values, saved_ns, stamp_ns = (stated[name] for name in kinds)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f'{source}: checkpoint is invalid: {type(error).__name__} {error}') from None
-
-
-def _checkpoint(head: dict[str, Any], state: str) -> Checkpoint:
-    kinds = {'version': str, 'estimate': str, 'algorithm': str, 'values': dict, 'saved_ns': int, 'stamp_ns': int}
     for name, kind in kinds.items():
-        if type(head[name]) is not kind:
-            raise TypeError(f'{name} is not a {kind.__name__}')
-    provenance = Provenance(**{item.name: head[item.name] for item in fields(Provenance)})
-    return Checkpoint(provenance, head['saved_ns'], head['stamp_ns'], state)
+        if type(stated[name]) is not kind:
+            raise InputError(f'{source}: checkpoint is invalid: TypeError {name} is not a {kind.__name__}')
+    return Checkpoint(Provenance(version, estimate, algorithm, values), saved_ns, stamp_ns, state)
 
 
 class CheckpointFile:

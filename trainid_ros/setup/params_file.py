@@ -155,21 +155,15 @@ SEED: Final = on_configure('seed', EstimatorSettings().seed, 'seed of the random
 # Parameters of every estimator node.
 _OF_NODES: Final = (
     on_configure(
-        'time_jump_policy',
-        PipelineConfig().time_jump_policy.value,
-        'what to do when stamps or /clock jump back',
+        'time_jump_policy', PipelineConfig().time_jump_policy.value, 'what to do when stamps or /clock jump back',
         choices=tuple(policy.value for policy in TimeJumpPolicy),
     ),
     ParameterSpec(
         'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
     ),
     ParameterSpec(
-        'checkpoint_period',
-        5.0,
-        'time between checkpoints, at least 0.1, or 0: only when the node stops [s]',
-        0.0,
-        3600.0,
-        least=0.1,
+        'checkpoint_period', 5.0, 'time between checkpoints, at least 0.1, or 0: only when the node stops [s]',
+        0.0, 3600.0, least=0.1,
     ),
     ParameterSpec(
         'record_folder', '', 'folder of bags with the last inputs, written after faults and steps', read_only=True
@@ -180,7 +174,7 @@ _OF_NODES: Final = (
     AUTOSTART,
     TAKEN,
     *TRAIN_PARAMETERS,
-)
+)  # fmt: skip
 
 
 def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
@@ -322,12 +316,7 @@ def build_train_file(values: Values, given: frozenset[str], base: TrainFile | No
 # Number of sections that a message names.
 _MAX_NAMED: Final = 10
 # Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
-_BOOLS: Final = {
-    word: value
-    for value, words in ((True, ('y', 'yes', 'true', 'on')), (False, ('n', 'no', 'false', 'off')))
-    for plain in words
-    for word in (plain, plain.capitalize(), plain.upper())
-}
+_BOOLS: Final = dict.fromkeys(('y', 'yes', 'true', 'on'), True) | dict.fromkeys(('n', 'no', 'false', 'off'), False)
 _INTEGER: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _REAL: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 _NOT_FINITE: Final = re.compile(r'[-+]?\.?(nan|inf|infinity)', re.IGNORECASE)
@@ -416,8 +405,8 @@ def _value(node: yaml.Node) -> object:
 
 def _plain(text: str) -> object:
     """Return an unquoted scalar as the parser of ROS reads it."""
-    if text in _BOOLS:
-        return _BOOLS[text]
+    if (word := text.lower()) in _BOOLS and text in {word, word.capitalize(), word.upper()}:
+        return _BOOLS[word]
     if _INTEGER.fullmatch(text):
         digits = text.lstrip('+-')
         base = 16 if digits[:2].lower() == '0x' else 8 if digits[0] == '0' else 10
@@ -449,13 +438,12 @@ class Setup:
         """Name of the algorithm."""
         return str(getattr(self.settings, self.kind.name).algorithm)
 
-    def pipeline(self) -> EstimatorPipeline[Any]:
-        """Return the pipeline that the node would run."""
-        return self.kind.pipeline(self.train_file, self.settings)
-
-    def realigned(self, change: Callable[[AlignmentConfig], AlignmentConfig]) -> Setup:
-        """Return the setup with a changed alignment, such as that which fits a mapping."""
-        return replace(self, settings=replace(self.settings, alignment=change(self.settings.alignment)))
+    def pipeline(
+        self, align: Callable[[AlignmentConfig], AlignmentConfig] = lambda stated: stated
+    ) -> EstimatorPipeline[Any]:
+        """Return the pipeline that the node would run, with a changed alignment such as that which fits a mapping."""
+        settings = replace(self.settings, alignment=align(self.settings.alignment))
+        return self.kind.pipeline(self.train_file, settings)
 
 
 def node_setups(
@@ -468,19 +456,11 @@ def node_setups(
     foreign: Collection[str] = (),
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Setup, ...]:
-    """Return the train file and settings that the three nodes would run with.
+    """Return the train file and settings that the three nodes would run with in a namespace.
 
-    Args:
-        train_file: Train file of the nodes.
-        source: Its name, for messages.
-        params: Parameter file, None for defaults.
-        algorithms: Algorithms that replace those in the file, see :func:`chosen_algorithms`.
-        namespace: Namespace of the nodes.
-        foreign: Topics of their mapping.
-        warn: Called with each warning.
-
-    Raises:
-        InputError: The file cannot be read, or a node would fail to configure; the message names node and reason.
+    ``source`` names the train file in messages. ``algorithms`` replace those in the parameter file ``params``, see
+    :func:`chosen_algorithms`; ``foreign`` are the topics of the mapping. InputError if the file cannot be read, or a
+    node would fail to configure; the message names node and reason.
     """
     chosen, setups = chosen_algorithms(algorithms), []
     for kind in KINDS:
@@ -493,7 +473,10 @@ def node_setups(
         topics = qos_overrides(kind.topics, partial(_full, namespace=namespace), foreign)
         # ROS adds two parameters to every node.
         others = {'use_sim_time', 'start_type_description_service', *topics}
-        setups.append(_setup(kind, train_file, source, overrides, others))
+        try:
+            setups.append(_setup(kind, train_file, source, overrides, others))
+        except InputError as error:
+            raise InputError(f'{kind.node_name}: {error}') from None
     return tuple(setups)
 
 
@@ -531,14 +514,11 @@ def _setup(
     for name in find_taken(given):
         del given[name]
     fallback = {name: value for name, value in filed_values(train_file).items() if name not in given}
-    try:
-        check_problems(problems)
-        check_fallback(fallback, specs, source)
-        values = {name: spec.default for name, spec in specs.items()} | fallback | given
-        settings = build_settings(values, kind.algorithms, kind.name)
-        return Setup(kind, build_train_file(values, frozenset(given), train_file), settings)
-    except InputError as error:
-        raise InputError(f'{kind.node_name}: {error}') from None
+    check_problems(problems)
+    check_fallback(fallback, specs, source)
+    values = {name: spec.default for name, spec in specs.items()} | fallback | given
+    settings = build_settings(values, kind.algorithms, kind.name)
+    return Setup(kind, build_train_file(values, frozenset(given), train_file), settings)
 
 
 _WIDTH: Final = 108

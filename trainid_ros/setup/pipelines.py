@@ -146,13 +146,9 @@ brake_rate_pipeline: Final = BRAKE_RATE_KIND.pipeline
 
 
 def chosen_algorithms(wanted: Iterable[str]) -> dict[str, str]:
-    """Return the chosen algorithms by kind of estimator.
+    """Return algorithms by kind of estimator, each chosen as ``NAME``, or ``KIND=NAME`` where several kinds have it.
 
-    Args:
-        wanted: ``NAME``, or ``KIND=NAME`` where several kinds have an algorithm of that name.
-
-    Raises:
-        InputError: A kind or algorithm does not exist, a name is ambiguous, or a kind is given two algorithms.
+    InputError if a kind or algorithm does not exist, a name is ambiguous, or a kind is given two algorithms.
     """
     chosen: dict[str, str] = {}
     for text in wanted:
@@ -172,15 +168,11 @@ def _find(text: str) -> tuple[str, str]:
     found = found or [kind.name for kind in among if name in kind.algorithms]
     if len(found) == 1:
         return found[0], name
-    problem = next((kind.algorithms.problem for kind in among if kind.algorithms.problem), '')
     if found:
-        msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
-    elif problem:
-        msg = problem
-    else:
-        choices = '; '.join(f'{kind.name}: {", ".join(kind.algorithms.names)}' for kind in among)
-        msg = f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}'
-    raise InputError(msg)
+        raise InputError(f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}')
+    choices = '; '.join(f'{kind.name}: {", ".join(kind.algorithms.names)}' for kind in among)
+    problem = next((kind.algorithms.problem for kind in among if kind.algorithms.problem), '')
+    raise InputError(problem or f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}')
 
 
 def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
