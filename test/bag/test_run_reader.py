@@ -49,7 +49,7 @@ def test_times_count_from_the_earliest_sample_of_all(bags: list[Path]) -> None:
 def test_progress_counts_inputs(bags: list[Path]) -> None:
     steps: list[float] = []
     read_runs(bags, TRAIN, advance=steps.append)
-    total = sum(survey(bags).inputs)
+    total = sum(survey(bags)[0])
     assert total - 1000 <= sum(steps) <= total
 
 

@@ -27,7 +27,6 @@ _MESSAGES_AT_ONCE: Final = 5000  # from a sqlite3 file
 _OURS: Final = {full_type(topic.message): topic.message for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)}
 # SQLite stores any type in any column: texts compare above all numbers as times, and may stand for payloads.
 _TIMES: Final = 'SELECT timestamp FROM messages WHERE timestamp >= 0 AND typeof(timestamp) = "integer" ORDER BY 1'
-_COUNTS: Final = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
 _MESSAGES: Final = (
     'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
     'WHERE topic_id IN ({}) AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id'
@@ -50,7 +49,8 @@ class Db3File:
             self.channels, self.schemas = self._topics()
             self.segments = self._spans()
             self.last_ns = self.segments[-1].last_ns if self.segments else 0
-            found = dict(self._file.execute(_COUNTS, (self.last_ns,))) if self.segments else {}
+            counts = 'SELECT topic_id, count(*) FROM messages WHERE timestamp BETWEEN 0 AND ? GROUP BY 1'
+            found = dict(self._file.execute(counts, (self.last_ns,))) if self.segments else {}
             total = self._file.execute('SELECT count(*) FROM messages').fetchone()[0]
         except sqlite3.Error as error:
             self._fail(error)

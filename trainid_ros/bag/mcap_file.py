@@ -49,8 +49,6 @@ _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', 
 _START: Final = struct.Struct('<BQHIQ')
 _INDEX: Final = struct.Struct('<BQHI')
 _FOOTER: Final = struct.Struct('<BQQQI')
-_CHUNK: Final = struct.Struct('<QQQII')  # log times, unpacked size, checksum, length of the name of the compression
-_SIZE: Final = struct.Struct('<Q')
 # Shortest content of each kind of record [bytes].
 _MIN_BYTES: Final[dict[int, int]] = {
     Opcode.HEADER: 8, Opcode.FOOTER: 20, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: _MESSAGE.itemsize,
@@ -181,18 +179,16 @@ class RecordFile:
 
     def chunk_head(self, chunk: Record) -> ChunkHead | None:
         """Return the head of a chunk, None if it does not fit; the end of the stored records may be missing."""
-        content = self.read(chunk.start, min(64, chunk.end - chunk.start))
-        if len(content) < _CHUNK.size:
+        stream = ReadDataStream(BytesIO(self.read(chunk.start, min(64, chunk.end - chunk.start))))
+        try:
+            stream.read(16)  # log times
+            size, crc, name = stream.read8(), stream.read4(), stream.read_prefixed_string()
+            stored = stream.read8()
+        except _UNREADABLE:
             return None
-        _, _, size, crc, name_length = _CHUNK.unpack_from(content)
-        end = _CHUNK.size + name_length
-        name = content[_CHUNK.size : end].decode('ascii', errors='replace')
-        if name not in {'', 'lz4', 'zstd'} or len(content) < end + _SIZE.size:
-            return None
-        (stored,) = _SIZE.unpack_from(content, end)
-        start = end + _SIZE.size
-        (length,) = _SIZE.unpack(self.read(chunk.start - _SIZE.size, _SIZE.size))
-        return ChunkHead(size, crc, name, start, stored) if start + stored <= length else None
+        length = int.from_bytes(self.read(chunk.start - 8, 8), 'little')
+        fits = name in {'', 'lz4', 'zstd'} and stream.count + stored <= length
+        return ChunkHead(size, crc, name, stream.count, stored) if fits else None
 
     def search(self, offset: int, *, chunked: bool) -> int:
         """Return the start of the first record from an offset on that others follow, the end if there is none.

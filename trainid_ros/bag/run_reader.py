@@ -37,17 +37,6 @@ _MAX_CONTRADICTORY: Final = 0.25  # share of contradictory samples above which f
 # middle of a bag on by 0.1 to 0.5.
 _MAX_MISREAD: Final = 0.1
 _LEAST_MISREAD: Final = 150  # samples, 30 s: the check keeps a finding for 10 s at least, even a wrong one
-_POSITIVE: Final = 'ato/brake_command has the wrong sign: it is positive while ato/force brakes'
-_NEGATIVE: Final = 'ato/speed has the wrong sign: it is negative'
-_NAMED: Final = 3  # number of bags whose contradictions are named
-
-
-@dataclass(frozen=True, slots=True)
-class Survey:
-    """Summary of the bags before they are read."""
-
-    inputs: tuple[int, ...]  # Number of input messages in each bag
-    warnings: tuple[str, ...]  # Faults of the bags that do not prevent reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +55,17 @@ def survey(
     max_chunk: int = MAX_CHUNK,
     inputs: Callable[[], MappedInputs] | None = None,
     advance: Callable[[float], None] = lambda _: None,
-) -> Survey:
-    """Check that all bags can be used, and summarise them; ``advance`` is called with the number of bags opened since.
+) -> tuple[list[int], list[str]]:
+    """Check that all bags can be used; ``advance`` is called with the number of bags opened since.
 
-    InputError if one is given twice, cannot be read, or lacks a required topic.
+    Return the number of input messages in each, and faults that do not prevent reading. InputError if one is given
+    twice, cannot be read, or lacks a required topic.
     """
     places = [path.resolve() for path in paths]
     for i, place in enumerate(places):
         if place in places[:i]:
             raise InputError(f'{paths[i]}: given twice; its data would count twice')
-    counts, warnings = [], []
+    counts, warnings = list[int](), list[str]()
     for path in paths:
         opening, rest = in_two(advance, opening_share=1.0)
         with BagReader(path, namespace, max_chunk, inputs, opening=opening) as reader:
@@ -83,7 +73,7 @@ def survey(
             counts.append(reader.input_count)
             warnings += reader.warnings
         rest(1.0)
-    return Survey(tuple(counts), tuple(warnings))
+    return counts, warnings
 
 
 def read_runs(
@@ -116,7 +106,7 @@ def read_runs(
             warn(line)
     if contradictions := [reading.contradiction for reading in readings if reading.contradiction]:
         raise NoAnswerError(
-            f'{listed(contradictions, _NAMED)}; correct what publishes it, or state its unit and sign with --map'
+            f'{listed(contradictions, 3)}; correct what publishes it, or state its unit and sign with --map'
         )
     known = [reading for reading in readings if reading.origin_ns]
     first_ns = min((reading.origin_ns for reading in known), default=0)
@@ -166,7 +156,7 @@ def _read(
                 is_positive = is_positive or event.value > 0.0
                 is_negative = event.value < -STANDING
                 samples += is_negative
-                misread[_NEGATIVE] += is_negative
+                misread['ato/speed has the wrong sign: it is negative'] += is_negative
         warnings = reader.warnings[known:]
 
     def told(share: float, said: str, of: str = 'time') -> str:
@@ -174,7 +164,8 @@ def _read(
 
     contradiction = ''
     if braked[True] > _MAX_CONTRADICTORY * sum(braked):
-        contradiction = told(braked[True] / sum(braked), _POSITIVE, 'braking')
+        said = 'ato/brake_command has the wrong sign: it is positive while ato/force brakes'
+        contradiction = told(braked[True] / sum(braked), said, 'braking')
     elif 2 * misread.total() - contradictory > max(_MAX_MISREAD * samples, _LEAST_MISREAD):
         contradiction = told(misread.total() / samples, misread.most_common(1)[0][0])
     elif contradictory > _MAX_CONTRADICTORY * samples:

@@ -66,7 +66,7 @@ _SAME_IDL: Final = (
     (re.compile(r'\bconst\s+wstring\b'), 'const string'),
     (re.compile(r'\bwstring\b(?:\s*<[^>]*>)?'), _WIDE_NAME.replace('/', '::')),
     (re.compile(r'\bwchar\b'), 'wide_text::msg::WideCharacter'),
-    (re.compile(r'(?:\[\s*\d+\s*\]\s*){2,}'), lambda found: f'[{_product(found[0])}]'),
+    (re.compile(r'(?:\[\s*\d+\s*\]\s*){2,}'), lambda found: f'[{math.prod(map(int, re.findall("[0-9]+", found[0])))}]'),
 )
 _CONSTANT: Final = re.compile(r'^[ \t]*\S+[ \t]+[A-Z][A-Z0-9_]*[ \t]*=[^\n]*$', re.MULTILINE)
 
@@ -93,11 +93,7 @@ def is_packaged(text: str, message: str) -> bool:
 
     Other texts may mean the same: compare their digest.
     """
-    first, *others = _RULER.split(text)
-    bodies = dict(part.removeprefix('MSG: ').split('\n', 1) for part in others if '\n' in part)
-    contained = {name: fields_of(body) for name, body in bodies.items()}
-    expected = {name: fields_of(body) for name, body in _CONTAINED.items()}
-    return fields_of(first) == fields_of(definition(message)) and contained == expected
+    return fields_of(text) == fields_of(full_definition(message))
 
 
 def plain_text(data: bytes) -> str:
@@ -237,11 +233,6 @@ def _parse(text: str, name: str, encoding: str) -> Typesdict:
             if type_name(contained) == name:
                 raise
     return types
-
-
-def _product(text: str) -> int:
-    """Return the product of the whole numbers in a text."""
-    return math.prod(int(digits) for digits in re.findall(r'\d+', text))
 
 
 def _complete(types: Typesdict, name: str) -> bool:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
 
 ItemT = TypeVar('ItemT')
@@ -105,7 +104,7 @@ def _finished(
 ) -> Iterator[tuple[int, ResultT]]:
     """Yield the results by number until all are done or a process was killed; all others are then stopped too."""
     import multiprocessing  # noqa: PLC0415
-    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
+    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait  # noqa: PLC0415
     from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
 
     # A fork would copy the threads of a progress bar in whatever state they are.
@@ -115,29 +114,19 @@ def _finished(
     with ProcessPoolExecutor(min(workers, len(items)), context, _start_worker, shared) as pool:
         try:
             submitted = ((pool.submit(_work, work, number, item), number) for number, item in items.items())
-            # For each worker one item that it works on, and three that wait for it.
-            for future, number in _ended(submitted, 4 * workers, progress):
-                yield number, future.result()
+            most = 4 * workers  # for each worker one item that it works on, and three that wait for it
+            pending = dict(islice(submitted, most))
+            while pending:
+                ended = wait(pending, 0.1, FIRST_COMPLETED).done  # at least ten reports of progress a second
+                progress.report()
+                for future in sorted(ended, key=lambda future: future.exception() is not None):
+                    yield pending.pop(future), future.result()
+                pending.update(islice(submitted, most - len(pending)))
         except BrokenProcessPool:
             pass
         finally:
             stop.value = 1
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _ended(
-    submitted: Iterator[tuple[Future[ResultT], int]], most: int, progress: _Progress
-) -> Iterator[tuple[Future[ResultT], int]]:
-    """Yield futures and numbers as they end, and report progress meanwhile; at most ``most`` are under way at once."""
-    from concurrent.futures import FIRST_COMPLETED, wait  # noqa: PLC0415
-
-    pending = dict(islice(submitted, most))
-    while pending:
-        ended = wait(pending, 0.1, FIRST_COMPLETED).done  # at least ten reports of progress a second
-        progress.report()
-        for future in sorted(ended, key=lambda future: future.exception() is not None):
-            yield future, pending.pop(future)
-        pending.update(islice(submitted, most - len(pending)))
 
 
 def _start_worker(parent: int, amounts: Any, begun: Any, stop: Any) -> None:

@@ -90,11 +90,11 @@ def explain_bags(
     inputs = mapped_inputs(args.map, train_file)
     name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
     with progress(f'open {name}', total=len(bags)) as advance:
-        found = survey(bags, args.namespace, args.max_chunk, inputs, advance)
-    for line in found.warnings:
+        counts, warnings = survey(bags, args.namespace, args.max_chunk, inputs, advance)
+    for line in warnings:
         note(line)
-    with progress(f'read {name}', total=sum(found.inputs)) as advance:
-        workers = worker_count(found.inputs)
+    with progress(f'read {name}', total=sum(counts)) as advance:
+        workers = worker_count(counts)
         runs = read_runs(
             bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
         )
