@@ -22,9 +22,7 @@ from trainid_ros.inputs.mapping import (
     load_mapping,
     load_table_mapping,
     parse_mapping,
-    user_function,
 )
-from trainid_ros.inputs.units import find_unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.stream.alignment import AlignmentConfig
 
@@ -49,7 +47,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 def function(folder: Path, text: str, unit: str = 'kN') -> UserFunction:
-    return user_function(folder, text, find_unit(unit, 'force'))
+    top = f'force: {{function: "{text}", of: [{{topic: a, field: x}}], unit: {unit}}}'
+    signal = parse_mapping(top, str(folder / 'map.yaml')).force
+    assert signal is not None
+    assert signal.function is not None
+    return signal.function
 
 
 def test_columns_and_single_numbers_give_the_same_in_the_unit_of_the_interface(folder: Path) -> None:
@@ -74,13 +76,13 @@ def test_columns_and_single_numbers_give_the_same_in_the_unit_of_the_interface(f
     ],
 )
 def test_only_files_of_the_folder_are_taken(folder: Path, text: str, error: str) -> None:
-    with pytest.raises(ValueError, match=error):
+    with pytest.raises(InputError, match=error):
         function(folder, text)
 
 
 def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
     (folder / 'link.py').symlink_to(folder / 'sub' / 'other.py')
-    with pytest.raises(ValueError, match='must lie in the folder'):
+    with pytest.raises(InputError, match='must lie in the folder'):
         function(folder, 'link.py:double')
 
 

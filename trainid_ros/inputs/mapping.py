@@ -76,22 +76,6 @@ class UserFunction:
         return float(self.of_columns([np.array([number]) for number in numbers])[0])
 
 
-def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
-    """Return the function that a mapping in a folder names, such as ``force.py:wheel_force``, which returns a unit.
-
-    ValueError if the text is not of this form, or the file does not lie in the folder itself.
-    """
-    file, _, name = text.partition(':')
-    if not (file.endswith('.py') and name.isidentifier()):
-        raise ValueError('must be a Python file and a function in it, like force.py:wheel_force')
-    path = (folder / file).resolve()
-    if Path(file).name != file or path.parent != folder.resolve():
-        raise ValueError('must lie in the folder of the mapping itself')
-    if not path.is_file():
-        raise ValueError(f'is not there: no file {path}')
-    return UserFunction(path, name, unit)
-
-
 @cache
 def _names_of(path: Path) -> dict[str, Any]:
     """Run a file and return its names; unlike an import this writes no bytecode and finds no files beside it."""
@@ -381,7 +365,7 @@ def _signal(top: Section, key: str, *more: str) -> Signal | None:
     section, is_table = top.section(key, required=True), 'time' in top.data
     if 'function' in section.data:
         section.only(('function', 'of', 'unit', *more))
-        sources = tuple(_raw(part, is_table=is_table) for part in _parts(section, 'of'))
+        sources = tuple(_source(part, '', is_table=is_table) for part in _parts(section, 'of'))
         return Signal(sources, _function(section, _unit(section, key)))
     if 'sum' not in section.data:
         return Signal((_source(section, key, *more, is_table=is_table),))
@@ -404,10 +388,19 @@ def _parts(section: Section, key: str) -> list[Section]:
 
 
 def _function(section: Section, unit: Unit) -> UserFunction:
-    try:
-        return user_function(Path(section.source).parent, section.text('function'), unit)
-    except ValueError as error:
-        section.fail('function', f'= {shown(section.data["function"])} {error}')
+    """Return the function that a section names, such as ``force.py:wheel_force``, which returns a unit."""
+    text, folder = section.text('function'), Path(section.source).parent
+    file, _, name = text.partition(':')
+    path, problem = (folder / file).resolve(), ''
+    if not (file.endswith('.py') and name.isidentifier()):
+        problem = 'must be a Python file and a function in it, like force.py:wheel_force'
+    elif Path(file).name != file or path.parent != folder.resolve():
+        problem = 'must lie in the folder of the mapping itself'
+    elif not path.is_file():
+        problem = f'is not there: no file {path}'
+    if problem:
+        section.fail('function', f'= {shown(text)} {problem}')
+    return UserFunction(path, name, unit)
 
 
 def _unit(section: Section, key: str) -> Unit:
@@ -418,28 +411,17 @@ def _unit(section: Section, key: str) -> Unit:
         section.fail('unit', f'= {shown(section.data["unit"])} {error}')
 
 
-def _raw(section: Section, *, is_table: bool) -> Source:
-    """Return a source of an argument of a function: the number as it is."""
-    if is_table:
-        return Source('', (section.only(('field',)).text('field'),), RAW)
-    section.only(('topic', 'field', 'stamp'))
-    return Source(_topic(section), _path(section), RAW, has_stamps=_has_stamps(section))
-
-
 def _topic(section: Section) -> str:
     if 'topic' not in section.data:
         section.fail('topic', 'is missing; where the field is a column of a table, time: {field: ...} is missing')
     return section.text('topic')
 
 
-def _has_stamps(section: Section) -> bool:
-    return section.choice('stamp', ('header', 'receive'), 'header') == 'header'
-
-
 def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
+    """Return a source of a quantity; without a key that of an argument of a function: the number as it is."""
     places = () if is_table else ('topic', 'stamp')
-    section.only(('field', 'unit', 'sign', 'gain', 'offset', 'table', *places, *more))
-    unit = _unit(section, key)
+    section.only(('field', *places, *(('unit', 'sign', 'gain', 'offset', 'table', *more) if key else ())))
+    unit = _unit(section, key) if key else RAW
     sign = section.number('sign', '', 1.0)
     if abs(sign) != 1.0:
         section.fail('sign', f'= {sign:g} must be 1 or -1; other factors are a gain')
@@ -451,7 +433,7 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
         gain=section.number('gain', '', 1.0),
         offset=section.number('offset', unit.name, 0.0),
         table=_table(section, unit.name),
-        has_stamps=_has_stamps(section),
+        has_stamps=section.choice('stamp', ('header', 'receive'), 'header') == 'header',
     )
     if key == 'brake_command':
         for raw, _ in source.table:
@@ -512,7 +494,7 @@ def _time(top: Section) -> TimeColumn | None:
         section.only(('field', 'unit', 'start', 'format', 'zone'))
         return TimeColumn((section.text('field'),), unit, start_ns, None, form, zone)
     section.only(('function', 'of', 'unit', 'start'))
-    columns = tuple(_raw(part, is_table=True).field for part in _parts(section, 'of'))
+    columns = tuple(_source(part, '', is_table=True).field for part in _parts(section, 'of'))
     return TimeColumn(columns, unit, start_ns, _function(section, unit))
 
 

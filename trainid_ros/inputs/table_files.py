@@ -38,7 +38,6 @@ NaN or NaT where a cell is blank."""
 ROWS_AT_ONCE: Final = 10_000
 VBOX_SUFFIX: Final = '.vbo'
 CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log', VBOX_SUFFIX)
-_PARQUET_SUFFIXES: Final = ('.parquet', '.pq')
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,15 +92,12 @@ def open_table(path: Path, mapping: Mapping) -> Table:
     """Return the table in a file, by its suffix; InputError if there is no such file, or the suffix is not known."""
     if not path.is_file():
         raise InputError(f'{path}: is not a file' if path.exists() else f'{path}: no such file')
-    suffix = path.suffix.lower()
-    if suffix in CSV_SUFFIXES:
-        return CsvTable(path, mapping)
-    if suffix in _PARQUET_SUFFIXES:
-        return ParquetTable(path, mapping)
-    if suffix == '.npz':
-        return NpzTable(path, mapping)
+    kinds: dict[str, type[Table]] = dict.fromkeys(CSV_SUFFIXES, CsvTable)
+    kinds |= {'.parquet': ParquetTable, '.pq': ParquetTable, '.npz': NpzTable}
+    if (suffix := path.suffix.lower()) in kinds:
+        return kinds[suffix](path, mapping)
     hint = '; a spreadsheet must be saved as CSV' if suffix in {'.xlsx', '.xls', '.ods'} else ''
-    raise InputError(f'{path}: not a table: {", ".join((*CSV_SUFFIXES, *_PARQUET_SUFFIXES, ".npz"))} expected{hint}')
+    raise InputError(f'{path}: not a table: {", ".join(kinds)} expected{hint}')
 
 
 def joined(blocks: Iterable[Block], names: Iterable[str]) -> dict[str, Column]:
@@ -205,10 +201,6 @@ def _sign_in(cell: str) -> str:
     return ''.join(signs)
 
 
-_COMMENT: Final = '#'
-_ROWS_FOR_SIGN: Final = 1000  # that show which columns are numbers, and how they are written
-
-
 class DecimalSign(NamedTuple):
     """The decimal sign of columns."""
 
@@ -252,7 +244,7 @@ class CsvTable(Table):
     def decimal_sign(self, names: Sequence[str]) -> DecimalSign:
         """Return the decimal sign of the columns that hold numbers; UnclearError where a comma may be either."""
         _, rows, _ = next(self._rows(self._layout(names)), ((), (), 0.0))
-        some = zip(names, zip(*rows[:_ROWS_FOR_SIGN], strict=True), strict=False)
+        some = zip(names, zip(*rows[:1000], strict=True), strict=False)
         columns = {name: [cell.strip() for cell in column if not self.is_missing(cell)] for name, column in some}
         numbers = {name: cells for name, cells in columns.items() if cells and all(map(_may_be_number, cells))}
         sign = self._decimal(self._layout(tuple(numbers) or names))
@@ -312,7 +304,7 @@ class CsvTable(Table):
         return ['' if self.is_missing(cell) else cell for cell in cells] if self._mapping.missing else cells
 
     def _is_comment(self, row: list[str]) -> bool:
-        return self._form.comments is not False and row[0].startswith(_COMMENT) and not _is_blank(row[0])
+        return self._form.comments is not False and row[0].startswith('#') and not _is_blank(row[0])
 
     def _holds_numbers(self, line: int, row: list[str], places: Sequence[int]) -> bool:
         """Return False for a comment; one with numbers where they are read is an error until the mapping says so."""
@@ -340,7 +332,7 @@ class CsvTable(Table):
             raise InputError(f'{self.path}: no numbers below the names of its columns {which}')
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         stated = _vbox_units(text, known) if self._is_vbox else {}
-        in_names = [stated.get(name) or _in_brackets(name) for name in columns]
+        in_names = [stated.get(name) or ''.join(_IN_BRACKETS.findall(name)) for name in columns]
         for row in (in_names, *(() if self._is_vbox else cells[named:skipped])):
             self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
         return _Layout(encoding, separator, len(known), places, above + skipped, rows[place])
@@ -454,13 +446,7 @@ def _width(row: Sequence[str]) -> int:
 
 def _names(row: list[str]) -> list[str]:
     """Return the names of the columns in a row, which some programs write as a comment."""
-    return [row[0].lstrip(_COMMENT).strip(), *map(str.strip, row[1:])]
-
-
-def _in_brackets(name: str) -> str:
-    """Return the text in brackets at the end of a name, such as a unit."""
-    found = _IN_BRACKETS.search(name)
-    return found[1] if found else ''
+    return [row[0].lstrip('#').strip(), *map(str.strip, row[1:])]
 
 
 def _unit_rows(rows: list[list[str]]) -> int:

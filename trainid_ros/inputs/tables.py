@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from trainid_ros.inputs.mapping import QUANTITIES, UNKNOWN_EFFORT, Source, TimeColumn
 from trainid_ros.inputs.table_files import ROWS_AT_ONCE, Block, Column, joined, open_table
-from trainid_ros.inputs.times import CLOCK, DAY_NS, EXCEL, LocalClock
+from trainid_ros.inputs.times import CLOCK, EXCEL, LocalClock
 from trainid_ros.inputs.units import unit_factors, written_unit
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.records import DAY_NS, NS_PER_S, Record
 from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import DAY_NS, NS_PER_S
 from trainid_ros.train.fields import did_you_mean, shown
 
 Times: TypeAlias = NDArray[Any]
@@ -24,7 +24,6 @@ EXCEL: Final = 'excel'
 """Name of the form of days since 1899-12-30, as spreadsheets count."""
 CLOCK: Final = 'HHMMSS'
 """Name of the form of numbers like 231320.25."""
-DAY_NS: Final = 86400 * NS_PER_S
 _QUARTER_NS: Final = 900 * NS_PER_S  # at which offsets of zones change
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 # After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
@@ -85,7 +84,7 @@ def _part_ns(fraction: Iterable[str | None]) -> int:
 
 def _since_1970(when: datetime) -> int:
     since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
-    return (since.days * 86400 + since.seconds) * NS_PER_S + since.microseconds * 1000
+    return since // timedelta(microseconds=1) * 1000
 
 
 _DATE: Final = re.compile(r'\d{1,4}([./-])\w{1,3}\1\d{1,4} ')
