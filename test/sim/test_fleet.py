@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, SpeedRecord
-from trainid_ros.sim.fleet import DAY_S, Fleet, draw_day, draw_train, drive, parse_fault
+from trainid_ros.interface.records import DAY_NS, NS_PER_S, SpeedRecord
+from trainid_ros.sim.fleet import Fleet, draw_day, draw_train, drive, parse_fault
 from trainid_ros.sim.scenario import Simulation
 from trainid_ros.sim.worlds import WORLDS, world_train
 
@@ -40,7 +40,7 @@ def test_a_train_is_the_same_each_day_and_a_fault_comes_on_top() -> None:
     assert first == pytest.approx(train.unknowns.wheel_ratio, abs=2e-3)
     assert second == pytest.approx(first, abs=2e-3)
     assert broken / second == pytest.approx(1.03, abs=2e-3)
-    days = [simulation.records[0].stamp_ns // (DAY_S * NS_PER_S) for simulation in drives]
+    days = [simulation.records[0].stamp_ns // DAY_NS for simulation in drives]
     assert days[1] - days[0] == 1
     # The same fleet gives the same records.
     assert drive(fleet(), train, draw_day(3, 0), runs=1).records == drives[0].records

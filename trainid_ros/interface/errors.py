@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import Field, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -27,9 +27,6 @@ class NoAnswerError(TrainIdError):
     """The command ran, but the data do not determine a result (exit code 1 on the command line)."""
 
 
-_KEY: Final = 'setting'
-
-
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
     """Description, unit and closed range of one setting."""
@@ -40,20 +37,15 @@ class SettingInfo:
     high: float
 
 
-def setting(default: float | int, description: str, unit: str, low: float, high: float) -> Any:
-    """Declare a numeric dataclass field with its description, unit and closed range."""
-    return field(default=default, metadata=stated(description, unit, low, high))
-
-
-def stated(description: str, unit: str, low: float, high: float) -> dict[str, SettingInfo]:
-    """Return the metadata of a numeric dataclass field: its description, unit and closed range."""
-    return {_KEY: SettingInfo(description, unit, low, high)}
+def setting(default: Any, description: str, unit: str, low: float, high: float) -> Any:
+    """Declare a numeric dataclass field: default (MISSING without), description, unit and closed range."""
+    return field(default=default, metadata={SettingInfo: SettingInfo(description, unit, low, high)})
 
 
 def setting_info(item: Field[Any]) -> SettingInfo | None:
     """Return the metadata that :func:`setting` attached to a dataclass field, None for other fields."""
-    info = item.metadata.get(_KEY)
-    return info if isinstance(info, SettingInfo) else None
+    info: SettingInfo | None = item.metadata.get(SettingInfo)
+    return info
 
 
 def check_settings(config: DataclassInstance) -> None:

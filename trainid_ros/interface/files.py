@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from trainid_ros.interface.errors import InputError
@@ -13,25 +12,15 @@ from trainid_ros.interface.errors import InputError
 
 def shared_path(relative: str) -> Path:
     """Return a file or folder of the package, in the source tree or the share directory; InputError without it."""
-    places = [Path(__file__).parents[2], *_share()]
+    places = [Path(__file__).parents[2]]
+    with suppress(ImportError, KeyError):  # without ROS, or not installed there
+        from ament_index_python.packages import get_package_share_directory  # noqa: PLC0415
+
+        places.append(Path(get_package_share_directory('trainid_ros')))
     for place in places:
         if (place / relative).exists():
             return place / relative
     raise InputError(f'{relative}: not found (looked in {", ".join(map(str, places))})')
-
-
-def _share() -> list[Path]:
-    if find_spec('ament_index_python') is None:
-        return []
-    from ament_index_python.packages import (  # noqa: PLC0415
-        PackageNotFoundError,
-        get_package_share_directory,
-    )
-
-    try:
-        return [Path(get_package_share_directory('trainid_ros'))]
-    except PackageNotFoundError:
-        return []
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

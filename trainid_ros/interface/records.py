@@ -29,6 +29,7 @@ from trainid_ros.interface.results import (
 Value = float | bool | int | str | list[float]
 
 NS_PER_S: Final = 1_000_000_000
+DAY_NS: Final = 86_400 * NS_PER_S
 KM_H: Final = 3.6
 """A speed of 1 m/s [km/h]."""
 
@@ -180,7 +181,6 @@ MAY_BE_UNKNOWN: Final = frozenset(
 )
 """NaN where an algorithm does not estimate them; the position may be unknown."""
 _OUTPUT_OF: Final[dict[type[Any], OutputTopic]] = {topic.estimate: topic for topic in OUTPUT_TOPICS}
-_STATUSES: Final = frozenset(map(int, Status))
 
 
 def _casts(kind: type[Any]) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
@@ -208,7 +208,7 @@ def stamp_of(message: Any) -> int:
 
 def status_of(message: Any) -> Status:
     """Return the status of a message of an estimate; one that is not known is a fault."""
-    return Status(message.status) if message.status in _STATUSES else Status.FAULT
+    return Status(message.status) if message.status in tuple(Status) else Status.FAULT
 
 
 def record_from_message(topic: InputTopic, message: Any) -> Record:

@@ -10,13 +10,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import DAY_NS, NS_PER_S
 from trainid_ros.sim.scenario import SensorModel, Simulation, simulate
 from trainid_ros.sim.worlds import Unknowns, World, case_of, stated_train
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Effect, TrainFile
 
-DAY_S: Final = 86_400
 FIRST_DAY_S: Final = 1_767_225_600
 """Time of the first day [s], 2026-01-01."""
 # What the train files of all trains state, and what is the same on all trains.
@@ -130,7 +129,7 @@ def drive(
         scenario,
         train_file=replace(true, line=line, effects=_together((*true.effects, *weather, *faults))),
         sensors=replace(scenario.sensors, map_error=SensorModel().map_error),
-        start_ns=(FIRST_DAY_S + day.number * DAY_S + 6 * 3600 + 1800 * number) * NS_PER_S,
+        start_ns=(FIRST_DAY_S + 6 * 3600 + 1800 * number) * NS_PER_S + day.number * DAY_NS,
     )
     return simulate(scenario, rng)
 

@@ -14,7 +14,6 @@ from operator import attrgetter
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainid_ros.interface.errors import InputError, check_settings, setting
 from trainid_ros.interface.records import (
@@ -72,7 +71,10 @@ class Sensors:
         self.model, self._dt, self._rng, self._map_start = model, dt, rng, extent[0]
         count = max(2, math.ceil((extent[1] - extent[0]) / MAP_STEP_M) + 1)
         rho = math.exp(-MAP_STEP_M / model.map_error_length)
-        self._map: list[float] = ar1_path(count, model.map_error, rho, rng).tolist()
+        # A stationary AR(1) sequence with correlation rho between adjacent values.
+        (first, *rest), noise_std = rng.standard_normal(count).tolist(), math.sqrt(1.0 - rho * rho)
+        path = accumulate(rest, lambda value, noise: rho * value + noise_std * noise, initial=first)
+        self._map: list[float] = [model.map_error * value for value in path]
         self._position_error, self._last_position = 0.0, math.nan
         self._slip = self._slip_left_s = 0.0
         self._running_count = self._forced_count = 0
@@ -162,14 +164,6 @@ class Sensors:
 
     def _lost(self) -> bool:
         return float(self._rng.random()) < self.model.dropout
-
-
-def ar1_path(count: int, std: float, rho: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a stationary AR(1) sequence, shape (count,), with correlation rho between adjacent values."""
-    first, *rest = rng.standard_normal(count).tolist()
-    noise_std = math.sqrt(1.0 - rho * rho)
-    path = accumulate(rest, lambda value, noise: rho * value + noise_std * noise, initial=first)
-    return std * np.array(list(path))
 
 
 DEFAULT_START_NS: Final = 1_700_000_000 * NS_PER_S

@@ -92,7 +92,7 @@ def parse_truth(text: str, source: str) -> Truth:
     """Read a truth file from its text; ``source`` is the name shown in the InputError of an invalid field."""
     top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
-    brake_rate = top.rows('brake_rate', ('time s', 'rate'))
+    brake_rate = top.pairs('brake_rate', ('time s', 'rate'))
     if not resistance:
         top.fail('resistance', 'is missing: at least one row [time s, a, b, c] is required')
     for key, rows in (('resistance', resistance), ('brake_rate', brake_rate)):
@@ -100,7 +100,7 @@ def parse_truth(text: str, source: str) -> Truth:
     return Truth(
         start_ns=top.integer('start_ns', 0, low=0, high=2**63 - 1),
         resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
-        brake_rate=tuple((t, rate) for t, rate in brake_rate),
+        brake_rate=brake_rate,
         unknowns=top.named_numbers('unknowns'),
     )
 

@@ -133,18 +133,10 @@ def make_case(
     rng: np.random.Generator,
     extra: tuple[Effect, ...] = (),
 ) -> Case:
-    """Draw a case of a number of runs from stop to stop.
+    """Draw a case of a number of runs from stop to stop, with the unknowns of :func:`unknowns_of`.
 
-    Args:
-        world: Type of railway, with its load and driver.
-        file: The train as described by an engineer.
-        names: The unknowns to draw, see :func:`unknowns_of`.
-        runs: Number of runs.
-        rng: Random generator.
-        extra: Further effects of the true train that are missing from the train file.
-
-    Raises:
-        InputError: The scenario cannot be driven, or an effect already exists; the message names it.
+    ``file`` is the train as described by an engineer, ``extra`` are further effects of the true train that it lacks.
+    InputError, naming it, if an effect already exists, or the scenario cannot be driven.
     """
     return case_of(world, file, draw_unknowns(names, rng), runs, extra)
 
@@ -153,9 +145,9 @@ def case_of(world: World, file: TrainFile, unknowns: Unknowns, runs: int, extra:
     """Return the case of known differences from the train file; arguments and errors as of :func:`make_case`."""
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
     known = {effect.name for effect in true.effects}
-    for name in (effect.name for effect in extra if effect.name in known):
+    if twice := [effect.name for effect in extra if effect.name in known]:
         source = 'from its train file or from the unknowns drawn'
-        raise InputError(f'effect {name}: the true train has it already, {source}')
+        raise InputError(f'effect {twice[0]}: the true train has it already, {source}')
     true = replace(true, effects=(*true.effects, *extra))
     scenario = Scenario(
         train_file=true,
@@ -180,8 +172,7 @@ def case_of(world: World, file: TrainFile, unknowns: Unknowns, runs: int, extra:
 def unknowns_of(realism: str, names: Iterable[str], stated: TrainFile) -> frozenset[str]:
     """Return the unknowns of a realism level and those named in addition.
 
-    Raises:
-        InputError: The realism or a name is unknown, or a named unknown does not apply to this train file.
+    InputError if the realism or a name is unknown, or a named unknown does not apply to this train file.
     """
     if realism not in REALISMS:
         raise InputError(f'realism {realism!r} is not known; {did_you_mean(realism, REALISMS)}')
@@ -223,9 +214,8 @@ def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
         else effect
         for effect in file.effects
     ]
-    for name, ratio in (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio)):
-        if ratio != 1.0:
-            effects.append(Effect(name, (('ratio', ratio),)))
+    ratios = (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio))
+    effects += [Effect(name, (('ratio', ratio),)) for name, ratio in ratios if ratio != 1.0]
     davis, brake, (a, b, c) = file.resistance, file.brake, unknowns.davis_ratios
     return replace(
         file,
@@ -249,14 +239,13 @@ def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change,
 
 
 def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:
-    curve = _curve_coefficient(true)
+    curve, brake = _curve_coefficient(true), true.brake
     drawn = ('map_std', 'map_length', 'wheel_ratio', 'gust_std', 'gust_time_constant', 'speed_quantum')
     return (
         *((name, getattr(unknowns, name)) for name in ('mass_ratio', 'force_ratio', 'force_delay')),
         *((('curve_coefficient', curve),) if curve > 0.0 else ()),
         *((name, getattr(unknowns, name)) for name in drawn),
-        ('brake_delay', true.brake.delay),
-        ('brake_time_constant', true.brake.time_constant),
+        *(('brake_delay', brake.delay), ('brake_time_constant', brake.time_constant)),
     )
 
 

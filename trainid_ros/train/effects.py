@@ -102,10 +102,9 @@ def check_effects(effects: Sequence[Effect]) -> None:
         if kind is None:
             raise InputError(f'effect {effect.name} is not known; {did_you_mean(effect.name, EFFECTS)}')
         values = dict(effect.parameters)
-        for key in values:
-            if key not in kind.parameters:
-                hint = did_you_mean(key, kind.parameters)
-                raise InputError(f'effect {effect.name}:{key} is not a parameter; {hint}')
+        if unknown := [key for key in values if key not in kind.parameters]:
+            hint = did_you_mean(unknown[0], kind.parameters)
+            raise InputError(f'effect {effect.name}:{unknown[0]} is not a parameter; {hint}')
         for key, limits in kind.parameters.items():
             _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
         start, end = values.get('start', -math.inf), values.get('end', math.inf)
@@ -126,11 +125,7 @@ def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
     """
     check_effects(effects)
     kinds = ((EFFECTS[effect.name], effect) for effect in effects)
-    return tuple(
-        _bind(kind, kind.resistance, effect)
-        for kind, effect in kinds
-        if kind.resistance is not None and not kind.on_records
-    )
+    return tuple(_bind(kind.resistance, effect) for kind, effect in kinds if kind.resistance and not kind.on_records)
 
 
 def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
@@ -141,7 +136,7 @@ def effect_value(effects: Sequence[Effect], name: str, key: str, default: float)
     return default
 
 
-def _bind(kind: EffectKind, function: Resistance, effect: Effect) -> Term:
+def _bind(function: Resistance, effect: Effect) -> Term:
     """Return the resistance of an effect with its parameters; InputError where it cannot be evaluated."""
     parameters, runs = dict(effect.parameters), frozenset(effect.runs)
 
@@ -151,13 +146,11 @@ def _bind(kind: EffectKind, function: Resistance, effect: Effect) -> Term:
         try:
             value = float(function(parameters, davis, point))
         except Exception as error:  # the effect may be a user's
-            raise InputError(
-                f'effect {kind.name}: its resistance cannot be evaluated: {type(error).__name__}: {error}'
-            ) from error
+            problem = f'its resistance cannot be evaluated: {type(error).__name__}: {error}'
+            raise InputError(f'effect {effect.name}: {problem}') from error
         if not math.isfinite(value):
-            raise InputError(
-                f'effect {kind.name}: its resistance = {value:g} N/kN at {point.speed:g} m/s must be finite'
-            )
+            problem = f'its resistance = {value:g} N/kN at {point.speed:g} m/s must be finite'
+            raise InputError(f'effect {effect.name}: {problem}')
         return value
 
     return evaluate
@@ -180,24 +173,18 @@ def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
     """
     found: list[tuple[str, dict[str, float]]] = []
     for text in texts:
-        name, colon, rest = text.partition(':')
-        if not (name and colon and rest):
-            raise InputError(f'effect {text!r} must have the form NAME:key=value')
+        name, _, rest = text.partition(':')
         for assignment in rest.split(','):
-            key, value = _assignment(text, assignment)
-            if not (found and found[-1][0] == name and key not in found[-1][1]):
+            key, equals, value = assignment.partition('=')
+            if not (name and key and equals):
+                raise InputError(f'effect {text!r} must have the form NAME:key=value')
+            try:
+                number = float(value)
+            except ValueError:
+                raise InputError(f'effect {text!r}: {key} = {value!r} is not a number') from None
+            if not (found and found[-1][0] == name and key.strip() not in found[-1][1]):
                 found.append((name, {}))
-            found[-1][1][key] = value
+            found[-1][1][key.strip()] = number
     effects = tuple(Effect(name, tuple(values.items()), (), 'command line') for name, values in found)
     check_effects(effects)
     return effects
-
-
-def _assignment(text: str, assignment: str) -> tuple[str, float]:
-    key, equals, value = assignment.partition('=')
-    if not (key and equals):
-        raise InputError(f'effect {text!r} must have the form NAME:key=value')
-    try:
-        return key.strip(), float(value)
-    except ValueError:
-        raise InputError(f'effect {text!r}: {key} = {value!r} is not a number') from None

@@ -180,6 +180,10 @@ class Section:
             out.append(tuple(finite_number(self.source, f'{name}[{j}]', x, unit) for j, (x, unit) in cells))
         return tuple(out)
 
+    def pairs(self, key: str, units: tuple[str, str]) -> tuple[tuple[float, float], ...]:
+        """Return a list of rows of two finite numbers."""
+        return tuple((x, y) for x, y in self.rows(key, units))
+
 
 def finite_number(source: str, name: str, value: object, unit: str) -> float:
     """Return a value as a float; raise InputError if it is not a number (as a boolean is not), or not finite."""

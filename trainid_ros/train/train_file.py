@@ -15,7 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from trainid_ros.interface.errors import setting, setting_info, stated
+from trainid_ros.interface.errors import setting, setting_info
 from trainid_ros.train.fields import Section, as_section, parse_yaml, read_text, shown
 
 Pairs = tuple[tuple[float, float], ...]
@@ -37,7 +37,7 @@ _MAX_SPEED, _MAX_POSITION = 1000.0, 1e8
 class Train:
     """Parameters of the vehicle; only the mass has no default."""
 
-    mass: float = field(metadata=stated('train mass at its usual load', 'kg', 1.0, 1e9))
+    mass: float = setting(MISSING, 'train mass at its usual load', 'kg', 1.0, 1e9)
     rotary_mass: float = setting(0.08, 'rotating mass as a fraction of the train mass', '1', 0.0, 1.0)
     length: float = setting(118.0, 'length of the train', 'm', 0.1, 1e4)
     cars: int = _CARS  # Number of cars
@@ -61,10 +61,10 @@ class Train:
 class Davis:
     """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s."""
 
-    a: float = field(metadata=stated('prior Davis a', 'N/kN', 0.0, 100.0))
+    a: float = setting(MISSING, 'prior Davis a', 'N/kN', 0.0, 100.0)
     # Only b may be negative: published fits of real rolling stock have such values, and w(v) stays positive.
-    b: float = field(metadata=stated('prior Davis b', 'N/kN per m/s', -10.0, 10.0))
-    c: float = field(metadata=stated('prior Davis c', 'N/kN per (m/s)^2', 0.0, 1.0))
+    b: float = setting(MISSING, 'prior Davis b', 'N/kN per m/s', -10.0, 10.0)
+    c: float = setting(MISSING, 'prior Davis c', 'N/kN per (m/s)^2', 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,23 +162,20 @@ def parse_train_file(text: str, source: str) -> TrainFile:
 
 def dump_train_file(train_file: TrainFile) -> str:
     """Return a train file as YAML text that reads back as exactly the same values."""
-    brake = _plain(train_file.brake)
-    if brake.pop('rate_table'):
-        brake['rate'] = [[float(v), train_file.brake.rate * rate] for v, rate in train_file.brake.rate_table]
-    effects = [
+    document: dict[str, Any] = {
+        name: _plain(getattr(train_file, name)) for name in ('train', 'resistance', 'brake', 'line')
+    }
+    if document['brake'].pop('rate_table'):
+        document['brake']['rate'] = [[float(v), train_file.brake.rate * x] for v, x in train_file.brake.rate_table]
+    if document['train'].pop('consist'):
+        document['train']['cars'] = [dict(zip(_OF_CAR, car, strict=True)) for car in train_file.train.consist]
+    document['effects'] = [
         {
             'name': effect.name, 'parameters': plain_numbers(effect.parameters), 'std': plain_numbers(effect.std),
             'provenance': effect.provenance, **({'runs': [*effect.runs]} if effect.runs else {}),
         }
         for effect in train_file.effects
     ]  # fmt: skip
-    train = _plain(train_file.train)
-    if train.pop('consist'):
-        train['cars'] = [dict(zip(_OF_CAR, car, strict=True)) for car in train_file.train.consist]
-    document = {
-        'train': train, 'resistance': _plain(train_file.resistance), 'brake': brake,
-        'line': _plain(train_file.line), 'effects': effects,
-    }  # fmt: skip
     import yaml  # noqa: PLC0415 (slow to load)
 
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
@@ -234,7 +231,7 @@ def _brake(section: Section) -> Brake:
 
 
 def _rate_table(section: Section) -> Pairs:
-    rows = section.rows('rate', ('speed m/s', 'rate'))
+    rows = section.pairs('rate', ('speed m/s', 'rate'))
     if not rows:
         section.fail('rate', '= [] must be a number or have at least one row')
     if len(rows) > _MAX_ROWS:
@@ -244,7 +241,7 @@ def _rate_table(section: Section) -> Pairs:
         if not MIN_RATE <= rate <= MAX_RATE:
             section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{MIN_RATE:g}, {MAX_RATE:g}]')
     section.check_rising('rate[{}][0]', (speed for speed, _ in rows), 'm/s', what='speeds')
-    return tuple((speed, rate) for speed, rate in rows)
+    return rows
 
 
 def _line(section: Section) -> Line:
@@ -267,15 +264,15 @@ def _line(section: Section) -> Line:
 
 
 def _profile(section: Section, key: str, unit: str, *, low: float = -math.inf, **limits: float) -> Pairs:
-    rows = section.rows(key, ('m', unit))
+    rows = section.pairs(key, ('m', unit))
     _check_positions(section, key, tuple(row[0] for row in rows))
     for i, (_, value) in enumerate(rows):
         section.check(f'{key}[{i}][1]', value, unit, low=low, **limits)
-    return tuple((position, value) for position, value in rows)
+    return rows
 
 
 def _tunnels(section: Section) -> Pairs:
-    rows = section.rows('tunnel', ('start m', 'end m'))
+    rows = section.pairs('tunnel', ('start m', 'end m'))
     for i, (start, end) in enumerate(rows):
         section.check(f'tunnel[{i}][0]', start, 'm', low=-_MAX_POSITION)
         section.check(f'tunnel[{i}][1]', end, 'm', high=_MAX_POSITION)
@@ -284,7 +281,7 @@ def _tunnels(section: Section) -> Pairs:
     for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
         if start < end:
             section.fail(f'tunnel[{i + 1}][0]', f'= {start:g} m is before the end of the previous tunnel, {end:g} m')
-    return tuple((start, end) for start, end in rows)
+    return rows
 
 
 def _check_positions(section: Section, key: str, positions: tuple[float, ...]) -> None:
