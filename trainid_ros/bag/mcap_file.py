@@ -368,23 +368,19 @@ class McapFile:
         self.warnings += [f'{self.path}: {loss}' for loss in self._losses[:_MAX_NAMED]]
         if (more := len(self._losses) - _MAX_NAMED) > 0:
             self.warnings.append(f'{self.path}: {more} more losses, of {self._lost_bytes} bytes with those named')
-        if not file.is_closed:
-            self._report_cut(file.size - reached, finished=last is not None)
+        if not file.is_closed and last is not None:
+            self.warnings.append(f'{self.path}: the index at the end is damaged, all messages before it were read')
+        elif not file.is_closed:
+            if not self.segments:
+                self._fail('was cut off before the first complete message, nothing can be recovered')
+            self.warnings.append(
+                f'{self.path}: the recording was cut off: {sum(self.counts.values())} messages were recovered, '
+                f'the last {file.size - reached} bytes {"are incomplete" if self._ends_cut else "are lost"}'
+            )
         elif not (self._all_checked or self._losses or last is None) and (
             (stated := int.from_bytes(file.read(last.start, 4), 'little')) and file.crc(0, last.offset) != stated
         ):
             self.warnings.append(f'{self.path}: checksum of the file does not fit, some messages may be wrong')
-
-    def _report_cut(self, lost: int, *, finished: bool) -> None:
-        if finished:
-            self.warnings.append(f'{self.path}: the index at the end is damaged, all messages before it were read')
-            return
-        if not self.segments:
-            self._fail('was cut off before the first complete message, nothing can be recovered')
-        self.warnings.append(
-            f'{self.path}: the recording was cut off: {sum(self.counts.values())} messages were recovered, '
-            f'the last {lost} bytes {"are incomplete" if self._ends_cut else "are lost"}'
-        )
 
     def _lose(self, start: int, end: int, why: str) -> None:
         self._losses.append(f'{end - start} bytes from byte {start} on are lost: {why}')

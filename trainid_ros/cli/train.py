@@ -7,10 +7,9 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
-from trainid_ros.train.draft import Draft, doubts
+from trainid_ros.train.draft import Draft, doubts, read_osrd
 from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
-from trainid_ros.train.osrd import read_osrd
 from trainid_ros.train.railml import read_railml
 from trainid_ros.train.train_file import load_train_file, parse_train_file
 

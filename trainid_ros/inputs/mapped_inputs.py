@@ -282,17 +282,17 @@ class JoinedSeries:
             insort(self._open, (stamp_ns, value))
         newest_ns = max(series[-1][0] for series in self._series if series)
         ready = []
-        while self._open and self._is_ready(self._open[0][0], newest_ns):
-            at_ns, first = self._open.pop(0)
+        while self._open:
+            at_ns, first = self._open[0]
+            reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
+            if not reached and newest_ns - at_ns <= _MAX_GAP_NS:
+                break
+            del self._open[0]
             ready.append((at_ns, [first, *(_interpolated(series, at_ns) for series in self._series[1:])]))
         needed_ns = newest_ns - _MAX_GAP_NS  # older ones are not open any more, and newer ones may still come
         for series in self._series:
             del series[: max(0, bisect_left(series, (needed_ns, -math.inf)) - 1)]
         return ready
-
-    def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
-        reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
-        return reached or newest_ns - at_ns > _MAX_GAP_NS
 
 
 def _interpolated(series: list[tuple[int, float]], at_ns: int) -> float:

@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from itertools import chain
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.inputs.mapped_inputs import MappedInputs
-
-_IS_NUMBER: Final = re.compile(r'[+-]?\d+(\.\d*)?')
 
 
 class Clock:
@@ -119,12 +117,8 @@ def numbers(column: Column) -> NDArray[np.float64]:
     return np.where(np.isnat(column), np.nan, seconds)
 
 
-class _Feed(NamedTuple):
-    """Values of one source of a quantity, or with place -1 of the quantity itself, shape (n,)."""
-
-    quantity: str
-    place: int
-    values: NDArray[np.float64]
+_Feed: TypeAlias = tuple[str, int, NDArray[np.float64]]
+"""Quantity, place of a source of it, or -1 for the quantity itself, and values, shape (n,)."""
 
 
 class TableRecords:
@@ -147,7 +141,8 @@ class TableRecords:
         signals = self._mapping.signals
         # A position at the stamp of a speed must be known before that.
         self._signals = {name: signals[name] for name in ('position', *signals) if name in signals}
-        self._codes = [float(text) for text in self._mapping.missing if _IS_NUMBER.fullmatch(text)]  # of no value
+        # Numbers that hold no value.
+        self._codes = [float(x) for x in self._mapping.missing if re.fullmatch(r'[+-]?\d+(\.\d*)?', x)]
         self._held = math.nan
         self._newest_ns = self._speed_ns = 0
         self._speeds = 0
@@ -196,7 +191,7 @@ class TableRecords:
 
     def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
         """Count speeds at the time of the one before; InputError if they are many: the times are too coarse."""
-        speeds = [feed.values for feed in feeds if feed.quantity == 'speed' and feed.place <= 0]
+        speeds = [values for quantity, place, values in feeds if quantity == 'speed' and place <= 0]
         known = rows[np.isfinite(speeds[0][rows])] if speeds else rows
         repeats = known[np.diff(stamps[known], prepend=self._speed_ns) == 0]
         if not known.size:
@@ -217,7 +212,7 @@ class TableRecords:
         self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]
     ) -> list[tuple[int, Record]]:
         records: list[tuple[int, Record]] = []
-        columns = [(feed.quantity, feed.place, feed.values[rows].tolist()) for feed in feeds]
+        columns = [(quantity, place, values[rows].tolist()) for quantity, place, values in feeds]
         for place, stamp_ns in enumerate(stamps[rows].tolist()):
             self.steps_back += stamp_ns < self._newest_ns
             # Records are logged in the order of the rows, so that a clock that was set back stays visible.
@@ -241,11 +236,12 @@ class TableRecords:
             if self._codes:
                 raw = [np.where(np.isin(column, self._codes), np.nan, column) for column in raw]
             if signal.function is not None:
-                made = [_Feed(quantity, -1, signal.function.of_columns(raw))]
+                made = [(quantity, -1, signal.function.of_columns(raw))]
             else:
                 pairs = enumerate(zip(signal.sources, raw, strict=True))
-                made = [_Feed(quantity, index, self._values(quantity, *pair)) for index, pair in pairs]
-            blank = ~np.isfinite(made[0].values) & (made[0].values != UNKNOWN_EFFORT)
+                made = [(quantity, index, self._values(quantity, *pair)) for index, pair in pairs]
+            first = made[0][2]
+            blank = ~np.isfinite(first) & (first != UNKNOWN_EFFORT)
             self.blank[quantity] += int(np.count_nonzero(blank & known))
             feeds += made
         return feeds

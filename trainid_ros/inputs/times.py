@@ -25,7 +25,6 @@ EXCEL: Final = 'excel'
 CLOCK: Final = 'HHMMSS'
 """Name of the form of numbers like 231320.25."""
 _QUARTER_NS: Final = 900 * NS_PER_S  # at which offsets of zones change
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 # After the seconds of a time, not of a zone; some loggers write milliseconds after a colon.
 _FRACTION: Final = re.compile(
     r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
@@ -83,7 +82,7 @@ def _part_ns(fraction: Iterable[str | None]) -> int:
 
 
 def _since_1970(when: datetime) -> int:
-    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
+    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
     return since // timedelta(microseconds=1) * 1000
 
 
@@ -186,13 +185,6 @@ def find_zone(text: str) -> tzinfo:
 _RUNS_ON_NS: Final = 60 * NS_PER_S  # between rows of a clock that runs on, at most; far less than an hour
 
 
-def _pieces(local_ns: NDArray[np.int64], unclear: NDArray[np.bool_]) -> list[slice]:
-    """Return the rows whose times may be several, in pieces in which the clock is not set back."""
-    rows = np.flatnonzero(unclear)
-    breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(local_ns[rows]) < -2 * _QUARTER_NS)) + 1
-    return [slice(int(piece[0]), int(piece[-1]) + 1) for piece in np.split(rows, breaks) if piece.size]
-
-
 class LocalClock:
     """Turns the local times of rows, in their order, into UTC.
 
@@ -221,7 +213,11 @@ class LocalClock:
         quarters, place = np.unique(local_ns // _QUARTER_NS, return_inverse=True)
         early, late = (np.array([self._offset_ns(x, fold) for x in quarters.tolist()])[place] for fold in (0, 1))
         found = local_ns - early
-        for piece in _pieces(local_ns, early != late):
+        # Rows whose times may be several, in pieces in which the clock is not set back.
+        rows = np.flatnonzero(early != late)
+        breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(local_ns[rows]) < -2 * _QUARTER_NS)) + 1
+        for unclear in (piece for piece in np.split(rows, breaks) if piece.size):
+            piece = slice(int(unclear[0]), int(unclear[-1]) + 1)
             found[piece] -= self._correction(piece, found, local_ns - late, where)
         self._last_ns = int(found[-1])
         return np.asarray(found)

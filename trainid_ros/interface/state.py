@@ -35,7 +35,6 @@ from trainid_ros.interface.vectors import vec
 T = TypeVar('T')
 # Far above any stamp [ns] or count; compiled modules keep some of them in 64 bits.
 _MAX_INT: Final = 2**62
-_MAX_SHOWN: Final = 60
 # Numbers of arrays as bytes: eight of each, little-endian, on every machine.
 _BYTES: Final = '<f8'
 _DECLARED: Final = 'STATE'
@@ -345,7 +344,7 @@ def _check_is(data: Any, kind: Any, name: str) -> None:
 
 def _shown(data: Any) -> str:
     text = repr(data)
-    return text if len(text) <= _MAX_SHOWN else f'{text[:_MAX_SHOWN]}...'
+    return text if len(text) <= 60 else f'{text[:60]}...'
 
 
 def _unfit(name: str, reason: str) -> InputError:

@@ -124,7 +124,9 @@ def drive(
     )
     true = scenario.train_file
     # The map is wrong by the same on each day; what it is read wrong by is drawn anew.
-    line = replace(true.line, gradient=_true_gradient(fleet.seed, true))
+    errors = np.random.default_rng((fleet.seed, 4)).standard_normal(len(true.line.gradient)).tolist()
+    pairs = zip(true.line.gradient, errors, strict=True)
+    line = replace(true.line, gradient=tuple((x, permille + _USUAL.map_std * error) for (x, permille), error in pairs))
     scenario = replace(
         scenario,
         train_file=replace(true, line=line, effects=_together((*true.effects, *weather, *faults))),
@@ -143,10 +145,3 @@ def _together(effects: Iterable[Effect]) -> tuple[Effect, ...]:
         ratio = value * found[key].parameters[0][1] if key in found else value
         found[key] = replace(effect, parameters=((name, ratio), *more))
     return tuple(found.values())
-
-
-def _true_gradient(seed: int, file: TrainFile) -> tuple[tuple[float, float], ...]:
-    """Return the gradients of the line: those of the map and its errors, the same on each day."""
-    errors = np.random.default_rng((seed, 4)).standard_normal(len(file.line.gradient))
-    pairs = zip(file.line.gradient, errors.tolist(), strict=True)
-    return tuple((at, permille + _USUAL.map_std * error) for (at, permille), error in pairs)

@@ -319,12 +319,16 @@ class Driver:
 
     def decide(self, time_s: float, train: Plant) -> Decision:
         """Return the demands until the next tick; the time is in s since the start."""
-        if self.phase is not Phase.DWELL and self._is_at_stop(train):
+        model, left = self._model, (self.stop - train.position) * train.direction
+        is_there = (train.speed < 0.3 and left < 0.2) or (train.speed == 0.0 and left < model.stop_window)
+        if self.phase is not Phase.DWELL and is_there:
             self.phase, self._rolling = Phase.DWELL, True
         if self.phase is Phase.DWELL:
             if self._rolling and train.speed == 0.0:
-                self._arrive(time_s, train)
-            return Decision(0.0, self._slew(-self._model.holding))
+                self._rolling = False
+                self._depart_s = time_s + self._draw(model.dwell_low, model.dwell_high)
+                self.arrivals.append(StopEvent(time_s, self.stop, (train.position - self.stop) * train.direction))
+            return Decision(0.0, self._slew(-model.holding))
         allowed, slope = self._allowed(train)
         excess = max(0.0, train.speed + self._lead * train.acceleration) - allowed
         self._choose_phase(train, allowed, excess)
@@ -332,16 +336,6 @@ class Driver:
             return Decision(0.0, self._slew(-self._brake_effort(train, excess, slope)))
         traction = self._traction(train, allowed) if self.phase is Phase.POWER else 0.0
         return Decision(traction, self._slew(0.0))
-
-    def _is_at_stop(self, train: Plant) -> bool:
-        left = (self.stop - train.position) * train.direction
-        return (train.speed < 0.3 and left < 0.2) or (train.speed == 0.0 and left < self._model.stop_window)
-
-    def _arrive(self, time_s: float, train: Plant) -> None:
-        self._rolling = False
-        self._depart_s = time_s + self._draw(self._model.dwell_low, self._model.dwell_high)
-        error = (train.position - self.stop) * train.direction
-        self.arrivals.append(StopEvent(time_s, self.stop, error))
 
     def _allowed(self, train: Plant) -> tuple[float, float]:
         """Return the lowest reference speed [m/s] when the brake acts, and the deceleration [m/s^2] of its curve."""
@@ -355,17 +349,13 @@ class Driver:
             curve = math.sqrt(end * end + 2.0 * model.deceleration * max(0.0, distance - run))
             if curve < lowest:
                 lowest, slope = curve, model.deceleration
-        left = (self.stop - train.position) * train.direction - run
-        return min((lowest, slope), self._stop_curve(left), key=itemgetter(0))
-
-    def _stop_curve(self, left: float) -> tuple[float, float]:
-        b = self._model.deceleration
+        left, b = (self.stop - train.position) * train.direction - run, model.deceleration
         if left > 1.0:
-            return math.sqrt(2.0 * b * left), b
-        # The square root has infinite slope at the stop: the last metre follows a straight line.
-        slope = math.sqrt(2.0 * b)
-        speed = slope * max(0.0, left)
-        return speed, slope * speed
+            at_stop = math.sqrt(2.0 * b * left), b
+        else:  # the square root has infinite slope at the stop: the last metre follows a straight line
+            speed = math.sqrt(2.0 * b) * max(0.0, left)
+            at_stop = speed, math.sqrt(2.0 * b) * speed
+        return min((lowest, slope), at_stop, key=itemgetter(0))
 
     def _choose_phase(self, train: Plant, allowed: float, excess: float) -> None:
         model = self._model

@@ -149,10 +149,16 @@ def case_of(world: World, file: TrainFile, unknowns: Unknowns, runs: int, extra:
         source = 'from its train file or from the unknowns drawn'
         raise InputError(f'effect {twice[0]}: the true train has it already, {source}')
     true = replace(true, effects=(*true.effects, *extra))
+    duration, start = usual_duration(world, true.line.stops, runs), true.resistance
+    changes = [
+        Change(share * duration, resistance=replace(start, a=a * start.a, c=c * start.c))
+        for share, a, c in unknowns.resistance_changes
+    ]
+    changes += [Change(share * duration, brake_rate=rate) for share, rate in unknowns.brake_changes]
     scenario = Scenario(
         train_file=true,
         runs=runs,
-        changes=_changes(unknowns, true.resistance, usual_duration(world, true.line.stops, runs)),
+        changes=tuple(sorted(changes, key=attrgetter('time_s'))),
         passengers=world.passengers,
         sensors=SensorModel(
             speed_quantum=unknowns.speed_quantum,
@@ -227,15 +233,6 @@ def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
         ),
         effects=tuple(effects),
     )
-
-
-def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change, ...]:
-    changes = [
-        Change(share * duration, resistance=replace(start, a=a * start.a, c=c * start.c))
-        for share, a, c in unknowns.resistance_changes
-    ]
-    changes += [Change(share * duration, brake_rate=rate) for share, rate in unknowns.brake_changes]
-    return tuple(sorted(changes, key=attrgetter('time_s')))
 
 
 def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:

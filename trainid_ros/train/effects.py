@@ -56,22 +56,17 @@ EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
 
 @lru_cache(maxsize=8)
 def _kinds(folders: str) -> Mapping[str, EffectKind]:
-    found = {kind.name: kind for kind in KINDS}
-    for path in _user_files(folders):
+    found, files = {kind.name: kind for kind in KINDS}, list[Path]()
+    for folder in filter(None, folders.split(os.pathsep)):
+        if not Path(folder).is_dir():
+            raise InputError(f'{FOLDERS_VARIABLE}: {folder} is not a folder')
+        files += sorted(path for path in Path(folder).glob('*.py') if not path.name.startswith('_'))
+    for path in files:
         kind = _user_kind(path)
         if kind.name in found:
             raise InputError(f'{path}: effect {kind.name} already exists')
         found[kind.name] = kind
     return MappingProxyType(found)
-
-
-def _user_files(folders: str) -> list[Path]:
-    files: list[Path] = []
-    for folder in filter(None, folders.split(os.pathsep)):
-        if not Path(folder).is_dir():
-            raise InputError(f'{FOLDERS_VARIABLE}: {folder} is not a folder')
-        files += sorted(path for path in Path(folder).glob('*.py') if not path.name.startswith('_'))
-    return files
 
 
 def _user_kind(path: Path) -> EffectKind:

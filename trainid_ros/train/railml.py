@@ -77,7 +77,16 @@ def read_railml(text: str, source: str, formation: str, track: str, draft: Draft
     Raises:
         InputError: The file cannot be used; the message names the element.
     """
-    root = _parse(text, source)
+    if '<!DOCTYPE' in text:
+        raise InputError(f'{source}: has a document type definition, which is not read')
+    try:
+        tree = ElementTree.fromstring(text.removeprefix('\ufeff'))
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f'{source}: is not valid XML: {error}') from None
+    for item in tree.iter():
+        item.tag = item.tag.rpartition('}')[2]
+        item.attrib = {name.rpartition('}')[2]: value for name, value in item.attrib.items()}
+    root = _Element(source, tree, set())
     vehicles, tracks = (
         {name: one for one in root.each(tag) if (name := one.text('id'))} for tag in ('vehicle', 'track')
     )
@@ -94,19 +103,6 @@ def read_railml(text: str, source: str, formation: str, track: str, draft: Draft
             if (one, name) not in root.read and not name.endswith('Ref'):
                 rest.setdefault(one.tag, {})[f'{name}={one.attrib[name]}'] = None
     draft.left_out += [f'{tag} {", ".join(sorted(values)[:4])}' for tag, values in rest.items()]
-
-
-def _parse(text: str, source: str) -> _Element:
-    if '<!DOCTYPE' in text:
-        raise InputError(f'{source}: has a document type definition, which is not read')
-    try:
-        root = ElementTree.fromstring(text.removeprefix('\ufeff'))
-    except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(f'{source}: is not valid XML: {error}') from None
-    for one in root.iter():
-        one.tag = one.tag.rpartition('}')[2]
-        one.attrib = {name.rpartition('}')[2]: value for name, value in one.attrib.items()}
-    return _Element(source, root, set())
 
 
 def _read_train(root: _Element, vehicles: dict[str, _Element], name: str, draft: Draft) -> list[_Element]:

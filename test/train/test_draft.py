@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.draft import Draft
+from trainid_ros.train.draft import Draft, read_osrd
 from trainid_ros.train.forces import G, davis
-from trainid_ros.train.osrd import read_osrd
 from trainid_ros.train.train_file import parse_train_file
 
 STOCK_OSRD = {
