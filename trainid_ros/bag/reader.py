@@ -60,7 +60,6 @@ _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
 }
 _INPUTS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 PROGRESS_EVERY: Final = 500  # records from one report of progress to the next
-_ROWS_AT_ONCE: Final = 5000
 
 
 class LoggedRecord(NamedTuple):
@@ -326,7 +325,7 @@ class BagReader:
                 except InputError as error:
                     raise InputError(f'{self.path}: {error}') from None
             logged += [(log_ns, record.row()) for record in records]
-            if len(logged) >= _ROWS_AT_ONCE:
+            if len(logged) >= 5000:
                 yield table_of(logged)
                 logged = []
         yield table_of(logged)

@@ -271,9 +271,6 @@ def _standard() -> Typestore:
 
 _CDR_START: Final = 4  # bytes; alignment counts from here
 _STAMP: Final = np.dtype([('sec', '<i4'), ('nanosec', '<u4'), ('frame', '<u4')])
-_NUMBER: Final = np.dtype('<f8')
-_FORMS: Final = ((_STAMP.newbyteorder('>'), _NUMBER.newbyteorder('>')), (_STAMP, _NUMBER))
-"""Types of stamps and numbers by the second byte, which gives the byte order."""
 _ROWS_AT_ONCE: Final = 10_000
 # Columns of a table of records, with their types.
 _COLUMNS: Final[dict[str, type[np.generic]]] = {
@@ -362,9 +359,9 @@ def decode(block: MessageBlock, messages: NDArray[np.intp], topic: int) -> tuple
     decoded = np.zeros(count, np.bool_)
     whole = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
     whole = whole[data[start[whole]] == 0]
-    for order, (stamp, number) in enumerate(_FORMS):
-        rows = whole[data[start[whole] + 1] == order]
-        when = values_at(data, start[rows] + _CDR_START, stamp)
+    for order, sign in enumerate('><'):  # by the second byte
+        rows, number = whole[data[start[whole] + 1] == order], np.dtype(f'{sign}f8')
+        when = values_at(data, start[rows] + _CDR_START, _STAMP.newbyteorder(sign))
         body = -(-(_STAMP.itemsize + when['frame'].astype(np.int64)) // 8) * 8
         excess = end[rows] - start[rows] - (_CDR_START + body + 8 * floats + flags)
         fits = (excess >= 0) & (excess <= 3)  # a serializer may pad to a multiple of four bytes

@@ -39,7 +39,6 @@ _AFTER_NS: Final = 30 * NS_PER_S
 """Time recorded after an event, which shows what came of it [ns]."""
 # Change of an estimate that counts as a step [std]: one in two million by chance.
 _STEP_STD: Final = 5.0
-_FIT: Final = frozenset({Status.VALID, Status.HOLDING})
 # Log time, then a row.
 _ENTRY: Final = Struct('<qBqdd?')
 _NAME: Final = re.compile(r'\d{8}T\d{6}Z_\w+_(fault|contradiction|step|request)')
@@ -85,7 +84,7 @@ class Watch:
         if finding and not self._had_finding:
             yield 'contradiction', f'inputs contradict each other: {finding}'
         self._was_fault, self._had_finding = is_fault, bool(finding)
-        if pipeline.status not in _FIT or pipeline.samples == self._samples:
+        if pipeline.status not in (Status.VALID, Status.HOLDING) or pipeline.samples == self._samples:
             return
         self._samples, estimate = pipeline.samples, pipeline.current().estimate
         step = '' if self._reference is None else step_of(self._reference, estimate)

@@ -313,8 +313,6 @@ def build_train_file(values: Values, given: frozenset[str], base: TrainFile | No
 
 # Parameter files
 
-# Number of sections that a message names.
-_MAX_NAMED: Final = 10
 # Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
 _BOOLS: Final = dict.fromkeys(('y', 'yes', 'true', 'on'), True) | dict.fromkeys(('n', 'no', 'false', 'off'), False)
 _INTEGER: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
@@ -344,7 +342,7 @@ def check_sections(path: Path, node: str, usual_name: str, warn: Callable[[str],
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         raise InputError(f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?')
-    warn(f'{path}: no section for {node!r}; its sections are {listed(list(names), _MAX_NAMED)}')
+    warn(f'{path}: no section for {node!r}; its sections are {listed(list(names), 10)}')
 
 
 def read_overrides(path: Path, node: str) -> dict[str, object]:

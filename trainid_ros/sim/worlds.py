@@ -36,32 +36,26 @@ class World:
     mean_speed: float  # Typical mean speed from stop to stop, without dwell [m/s]
 
 
-_EMU: Final = DriverModel(
-    acceleration=0.8, deceleration=0.6, dwell_low=30.0, dwell_high=60.0, cruise_low=15.0, cruise_high=80.0
-)
-_HIGH_SPEED: Final = DriverModel(
-    acceleration=0.5, deceleration=0.5, max_deceleration=1.0, jerk=0.5,
-    dwell_low=60.0, dwell_high=120.0, cruise_low=30.0, cruise_high=200.0,
-)  # fmt: skip
-# A brake with 7 s of dead time and lag allows only low gains and stops less accurately.
-_FREIGHT: Final = DriverModel(
-    acceleration=0.3, deceleration=0.15, max_deceleration=0.6, jerk=0.3,
-    dwell_low=60.0, dwell_high=120.0, cruise_low=40.0, cruise_high=200.0, coast_floor=0.85,
-    holding=0.4, brake_gain=0.15, brake_integral=0.005, stop_window=4.0,
-)  # fmt: skip
-_TRAM: Final = DriverModel(
-    acceleration=1.1, deceleration=0.9, max_deceleration=1.6, jerk=1.2, speed_margin=0.5,
-    dwell_low=15.0, dwell_high=30.0, cruise_low=2.0, cruise_high=12.0, coast_floor=0.75,
-)  # fmt: skip
-WORLDS: Final[Mapping[str, World]] = MappingProxyType(
-    {
-        'metro': World('yizhuang', 0.25, DriverModel(), 14.0),
-        'emu': World('emu', 0.15, _EMU, 21.0),
-        'high_speed': World('high_speed', 0.08, _HIGH_SPEED, 37.0),
-        'freight': World('freight', 0.05, _FREIGHT, 16.0),
-        'tram': World('tram', 0.3, _TRAM, 7.7),
-    }
-)
+WORLDS: Final[Mapping[str, World]] = MappingProxyType({
+    'metro': World('yizhuang', 0.25, DriverModel(), 14.0),
+    'emu': World('emu', 0.15, DriverModel(
+        acceleration=0.8, deceleration=0.6, dwell_low=30.0, dwell_high=60.0, cruise_low=15.0, cruise_high=80.0,
+    ), 21.0),
+    'high_speed': World('high_speed', 0.08, DriverModel(
+        acceleration=0.5, deceleration=0.5, max_deceleration=1.0, jerk=0.5,
+        dwell_low=60.0, dwell_high=120.0, cruise_low=30.0, cruise_high=200.0,
+    ), 37.0),
+    # A brake with 7 s of dead time and lag allows only low gains and stops less accurately.
+    'freight': World('freight', 0.05, DriverModel(
+        acceleration=0.3, deceleration=0.15, max_deceleration=0.6, jerk=0.3,
+        dwell_low=60.0, dwell_high=120.0, cruise_low=40.0, cruise_high=200.0, coast_floor=0.85,
+        holding=0.4, brake_gain=0.15, brake_integral=0.005, stop_window=4.0,
+    ), 16.0),
+    'tram': World('tram', 0.3, DriverModel(
+        acceleration=1.1, deceleration=0.9, max_deceleration=1.6, jerk=1.2, speed_margin=0.5,
+        dwell_low=15.0, dwell_high=30.0, cruise_low=2.0, cruise_high=12.0, coast_floor=0.75,
+    ), 7.7),
+})  # fmt: skip
 
 
 def find_world(name: str) -> World:
