@@ -165,6 +165,6 @@ def test_a_brake_that_acts_sooner_than_stated_is_a_warning(tmp_path: Path, state
 
 
 def test_the_bag_whose_process_is_killed_is_named(bags: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_reader, 'map_bags', lambda _work, items, _workers, _advance, killed: killed(items[1]))
+    monkeypatch.setattr(run_reader, 'each_bag', lambda _work, items, _workers, _advance, killed: killed(items[1]))
     with pytest.raises(InputError, match=rf'^{bags[1]}: the process that worked on it was killed'):
         read_runs(bags, TRAIN)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from trainid_ros.bag.worker_pool import each_bag, map_bags
+from trainid_ros.bag.worker_pool import each_bag
 from trainid_ros.interface.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,13 +53,17 @@ def killed(item: object) -> Any:
     return f'{item} is left'
 
 
+def results_of(do: Any, items: list[Any], workers: int, advance: Any) -> list[Any]:
+    return [result for _, result in sorted(each_bag(do, items, workers, advance, killed))]
+
+
 def test_results_and_progress_are_those_of_one_process(work: Any) -> None:
     steps: list[float] = []
-    here = map_bags(work.square, [3, 1, 2], 1, steps.append, killed)
+    here = results_of(work.square, [3, 1, 2], 1, steps.append)
     assert here == [(9, os.getpid()), (1, os.getpid()), (4, os.getpid())]
     assert sum(steps) == 3.0
     steps.clear()
-    there = map_bags(work.square, [3, 1, 2], 2, steps.append, killed)
+    there = results_of(work.square, [3, 1, 2], 2, steps.append)
     assert [value for value, _ in there] == [9, 1, 4]
     assert os.getpid() not in {process for _, process in there}
     assert sum(steps) == 3.0
@@ -72,13 +76,13 @@ def test_results_of_many_items_come_as_they_are_done(work: Any) -> None:
 
 def test_an_error_in_a_process_is_raised(work: Any) -> None:
     with pytest.raises(InputError, match='-1: is negative'):
-        map_bags(work.square, [1, -1], 2, lambda _: None, killed)
+        results_of(work.square, [1, -1], 2, lambda _: None)
 
 
 def test_only_an_item_whose_own_process_is_killed_again_has_no_result(work: Any, tmp_path: Path) -> None:
     items = [tmp_path / name for name in ('four', 'one', 'two', 'three')]
     steps: list[float] = []
-    results = map_bags(work.end_once, items, 2, steps.append, killed)
+    results = results_of(work.end_once, items, 2, steps.append)
     assert results == ['four', 'one', 'two', f'{tmp_path}/three is left']
     assert min(steps) > 0.0
     assert sum(steps) == 3.5  # half of the last one

@@ -45,14 +45,7 @@ from trainid_ros.interface.results import (
     parameters,
     quantities,
 )
-from trainid_ros.setup.pipelines import (
-    KINDS,
-    BrakeRatePipeline,
-    EstimatorSettings,
-    ResistancePipeline,
-    SpeedModelPipeline,
-    brake_findings,
-)
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -124,9 +117,9 @@ class Replay:
 class Pipelines(NamedTuple):
     """The three estimators, before the first record."""
 
-    resistance: ResistancePipeline
-    speed_model: SpeedModelPipeline
-    brake_rate: BrakeRatePipeline
+    resistance: EstimatorPipeline[ResistanceEstimate]
+    speed_model: EstimatorPipeline[SpeedModelEstimate]
+    brake_rate: EstimatorPipeline[BrakeRateEstimate]
 
     @classmethod
     def of(cls, train_file: TrainFile, settings: EstimatorSettings) -> Pipelines:

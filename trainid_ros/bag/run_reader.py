@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, in_two, require_topics
-from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
+from trainid_ros.bag.worker_pool import each_bag, killed_message, processors
 from trainid_ros.explain.dataset import BRAKING, Run, RunCollector, numbered
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import NS_PER_S
@@ -100,7 +100,7 @@ def read_runs(
         raise InputError(killed_message(item[1]))
 
     work = partial(_read, train_file, (namespace, max_chunk, inputs))
-    readings = map_bags(work, list(enumerate(paths)), workers, advance, killed)
+    readings = [reading for _, reading in sorted(each_bag(work, list(enumerate(paths)), workers, advance, killed))]
     for reading in readings:
         for line in reading.warnings:
             warn(line)

@@ -41,18 +41,6 @@ def killed_message(bag: Path) -> str:
     return f'{bag}: the process that worked on it was killed (out of memory?)'
 
 
-def map_bags(
-    work: Work[ItemT, ResultT],
-    items: Sequence[ItemT],
-    workers: int,
-    advance: Report,
-    killed: Callable[[ItemT], ResultT],
-) -> list[ResultT]:
-    """Return the result of work on each item, in their order; see :func:`each_bag` for the arguments."""
-    results = dict(each_bag(work, items, workers, advance, killed))
-    return [results[number] for number in range(len(items))]
-
-
 def each_bag(
     work: Work[ItemT, ResultT],
     items: Sequence[ItemT],

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
+from trainid_ros.bag.worker_pool import each_bag, killed_message, processors
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.text import in_ascii, in_step, printable
 from trainid_ros.report import HTML_START
@@ -191,10 +191,11 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
     bags: Sequence[Path] = args.bags
     name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
     with progress(f'{text} {name}', total=len(bags)) as advance:
-        results = map_bags(
+        finished = each_bag(
             partial(_attempt, work, args), bags, args.jobs or processors(), advance,
             killed=lambda bag: BagResult(None, error=killed_message(bag)),
         )  # fmt: skip
+        results = [result for _, result in sorted(finished)]
     for line in dict.fromkeys(line for result in results for line in result.warnings):
         warn(line)
     shown = [result.shown for result in results if result.shown is not None]

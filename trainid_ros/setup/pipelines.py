@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Final, Generic, TypeAlias
+from typing import Any, Final, Generic
 
 import numpy as np
 
@@ -137,9 +137,6 @@ SPEED_MODEL_KIND: Final = EstimatorKind(SPEED_MODEL, SPEED_MODEL_TOPIC)
 BRAKE_RATE_KIND: Final = EstimatorKind(BRAKE_RATE, BRAKE_RATE_TOPIC, ADHESION_TOPIC)
 KINDS: Final[tuple[EstimatorKind[Any], ...]] = (RESISTANCE_KIND, SPEED_MODEL_KIND, BRAKE_RATE_KIND)
 
-ResistancePipeline: TypeAlias = EstimatorPipeline[ResistanceEstimate]
-SpeedModelPipeline: TypeAlias = EstimatorPipeline[SpeedModelEstimate]
-BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
 resistance_pipeline: Final = RESISTANCE_KIND.pipeline
 speed_model_pipeline: Final = SPEED_MODEL_KIND.pipeline
 brake_rate_pipeline: Final = BRAKE_RATE_KIND.pipeline
