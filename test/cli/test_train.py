@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from test.train.test_osrd import STOCK_OSRD, TRACK_OSRD
+from test.train.test_draft import STOCK_OSRD, TRACK_OSRD
 from test.train.test_railml import FORMULA, STOCK_3, TRACK_2
 from trainid_ros.cli.main import main
 from trainid_ros.train.train_file import load_train_file

@@ -359,9 +359,10 @@ def decode(block: MessageBlock, messages: NDArray[np.intp], topic: int) -> tuple
     decoded = np.zeros(count, np.bool_)
     whole = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
     whole = whole[data[start[whole]] == 0]
-    for order, sign in enumerate('><'):  # by the second byte
-        rows, number = whole[data[start[whole] + 1] == order], np.dtype(f'{sign}f8')
-        when = values_at(data, start[rows] + _CDR_START, _STAMP.newbyteorder(sign))
+    # The second byte gives the byte order.
+    for order, (stamp, number) in enumerate(((_STAMP.newbyteorder('>'), np.dtype('>f8')), (_STAMP, np.dtype('<f8')))):
+        rows = whole[data[start[whole] + 1] == order]
+        when = values_at(data, start[rows] + _CDR_START, stamp)
         body = -(-(_STAMP.itemsize + when['frame'].astype(np.int64)) // 8) * 8
         excess = end[rows] - start[rows] - (_CDR_START + body + 8 * floats + flags)
         fits = (excess >= 0) & (excess <= 3)  # a serializer may pad to a multiple of four bytes

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
@@ -201,14 +201,6 @@ def _sign_in(cell: str) -> str:
     return ''.join(signs)
 
 
-class DecimalSign(NamedTuple):
-    """The decimal sign of columns."""
-
-    sign: str  # '' if no number shows one
-    others: tuple[str, ...]  # Columns that show another one, or may on their own
-    grouped: tuple[str, ...]  # Columns of numbers that are all like 1.250, where the sign is ''
-
-
 @dataclass(frozen=True, slots=True)
 class _Layout:
     """How a file is written: encoding, separator, number of its columns, those read, and rows before the numbers."""
@@ -241,8 +233,12 @@ class CsvTable(Table):
         counts = Counter(_names(rows[place]))
         return tuple(name for name, count in counts.items() if name and count == 1)
 
-    def decimal_sign(self, names: Sequence[str]) -> DecimalSign:
-        """Return the decimal sign of the columns that hold numbers; UnclearError where a comma may be either."""
+    def decimal_sign(self, names: Sequence[str]) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+        """Return the decimal sign of the columns that hold numbers, '' if none shows one, and columns in doubt.
+
+        With a sign those that show another one, or may on their own, then without one those whose numbers are all like
+        1.250. UnclearError where a comma may be either.
+        """
         _, rows, _ = next(self._rows(self._layout(names)), ((), (), 0.0))
         some = zip(names, zip(*rows[:1000], strict=True), strict=False)
         columns = {name: [cell.strip() for cell in column if not self.is_missing(cell)] for name, column in some}
@@ -252,7 +248,7 @@ class CsvTable(Table):
         grouped = [name for name, signs in shown_by.items() if signs == {_THOUSANDS}]
         read = {'', _THOUSANDS} if sign == '.' else {''}
         others = [name for name, signs in shown_by.items() if sign not in signs and signs - read]
-        return DecimalSign(sign, tuple(others) if sign else (), () if sign else tuple(grouped))
+        return (sign, tuple(others), ()) if sign else ('', (), tuple(grouped))
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
