@@ -99,11 +99,11 @@ def draw_train(seed: int, number: int) -> FleetTrain:
     return FleetTrain(number, own, rate)
 
 
-def draw_day(seed: int, number: int, *, wet_share: float = 0.2) -> FleetDay:
-    """Draw a day: temperature and air density; rain makes the rails wet for all trains."""
+def draw_day(seed: int, number: int) -> FleetDay:
+    """Draw a day: temperature and air density; on one in five rain makes the rails wet for all trains."""
     rng = np.random.default_rng((seed, 2, number))
     warm, air, wind, rain = rng.standard_normal(4)
-    is_wet = bool(rng.random() < wet_share)
+    is_wet = bool(rng.random() < 0.2)
     wet = 0.1 + 0.03 * float(rain) if is_wet else 0.0
     return FleetDay(
         number, 1.0 + 0.03 * float(warm) + wet, 1.0 + 0.03 * float(air), 1.0 - 0.3 * wet, 2.0 * float(wind), is_wet
