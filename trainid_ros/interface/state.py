@@ -157,8 +157,7 @@ def unpacked(data: Any) -> NDArray[np.float64]:
 def restore(state: object, text: str) -> None:
     """Restore an object whose class declares its state, from the text that :func:`encode` has made of another.
 
-    Raises:
-        InputError: The text does not fit; the message names the field, and the object is unchanged.
+    InputError, naming the field, if the text does not fit; the object is then unchanged.
     """
     restoring = _Restoring()
     restoring.read(text, type(state).__name__, partial(restoring.fill, state))
@@ -360,8 +359,7 @@ _UNDERFLOW: Final = 1e-140
 def is_covariance(numbers: Any) -> bool:
     """Return True if finite numbers are a covariance: symmetric, positive semidefinite.
 
-    Args:
-        numbers: A matrix of shape (n, n), its n^2 numbers row by row, or the n (n + 1) / 2 of its upper triangle.
+    They are a matrix of shape (n, n), its n^2 numbers row by row, or the n (n + 1) / 2 of its upper triangle.
     """
     P = np.asarray(numbers)
     if P.ndim == 1 and math.isqrt(P.size) ** 2 == P.size:

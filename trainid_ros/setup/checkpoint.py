@@ -127,11 +127,9 @@ def _digest(content: str) -> str:
 
 
 def parse_checkpoint(text: str, source: str) -> Checkpoint:
-    """Return the checkpoint in the content of a file.
+    """Return the checkpoint in the content of a file; ForeignFileError if it is something else.
 
-    Raises:
-        ForeignFileError: It is something else.
-        InputError: It is damaged, or of another format; the message starts with the source.
+    InputError, which starts with the source, if it is damaged, or of another format.
     """
     end = _END.search(text, max(len(text) - _HEAD, 0))
     if not (_PACKAGE in text[:_HEAD] or end or not text.strip('\0 \n')):
@@ -190,11 +188,9 @@ class CheckpointFile:
             raise InputError(f'{self.path}: checkpoint cannot be read: {error.strerror or error}') from error
 
     def read(self, provenance: Provenance) -> Checkpoint | None:
-        """Return the checkpoint; None if there is no file.
+        """Return the checkpoint; None if there is no file. ForeignFileError if it is that of another estimate.
 
-        Raises:
-            ForeignFileError: It is that of another estimate.
-            InputError: The file cannot be read, is damaged or does not fit; the message says why.
+        InputError, which says why, if the file cannot be read, is damaged or does not fit.
         """
         checkpoint = self._content()
         if checkpoint is None:

@@ -234,10 +234,8 @@ def simulate(scenario: Scenario, rng: np.random.Generator, make_driver: MakeDriv
     """Simulate a scenario; the same scenario and generator state give the same records.
 
     Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not change the driving.
-    ``make_driver`` makes who drives, if it is not the driver of the scenario.
-
-    Raises:
-        InputError: The scenario cannot be driven; the message names the field.
+    ``make_driver`` makes who drives, if it is not the driver of the scenario. InputError, naming the field, if the
+    scenario cannot be driven.
     """
     check_scenario(scenario)
     return _Day(scenario, rng, make_driver).drive()

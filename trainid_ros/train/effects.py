@@ -115,8 +115,7 @@ def check_effects(effects: Sequence[Effect]) -> None:
 def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
     """Return one function for each effect that adds to the balance [N/kN]; none for those ``on_records``.
 
-    Raises:
-        InputError: As :func:`check_effects`; parameters are checked once, here.
+    InputError as by :func:`check_effects`; parameters are checked once, here.
     """
     check_effects(effects)
     kinds = ((EFFECTS[effect.name], effect) for effect in effects)

@@ -89,12 +89,9 @@ class CommandHistory:
     changes: tuple[BrakeCommandChange, ...] = stored((), kind=BrakeCommandChange)
 
     def push(self, change: BrakeCommandChange) -> None:
-        """Add a change; a repeat of the last value is dropped.
+        """Add a change; a repeat of the last value is dropped, and one with the stamp of the last one replaces it.
 
-        A change with the stamp of the last one replaces it.
-
-        Raises:
-            InputError: The change is older than the last one, or its value is not finite or is positive.
+        InputError if the change is older than the last one, or its value is not finite or is positive.
         """
         value = change.target_acceleration
         if not (is_finite(value) and value <= 0.0):
@@ -132,8 +129,7 @@ class CommandHistory:
     def segments(self, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
         """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end] [ns].
 
-        Raises:
-            InputError: The end is before the start.
+        InputError if the end is before the start.
         """
         if end_ns < start_ns:
             raise InputError(f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns')

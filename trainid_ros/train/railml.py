@@ -74,8 +74,7 @@ class _Element:
 def read_railml(text: str, source: str, formation: str, track: str, draft: Draft) -> None:
     """Add what a file states to a draft: a formation, or vehicle, and the line along one track.
 
-    Raises:
-        InputError: The file cannot be used; the message names the element.
+    InputError, naming the element, if the file cannot be used.
     """
     if '<!DOCTYPE' in text:
         raise InputError(f'{source}: has a document type definition, which is not read')

@@ -65,8 +65,7 @@ for _name, _pattern in _NUMBERS.items():
 def load(text: str, source: str) -> object:
     """Return the content of a YAML text; ``source`` is the file named in errors.
 
-    Raises:
-        InputError: The text is not YAML, a key is given twice, or the values are too many or too deeply nested.
+    InputError if the text is not YAML, a key is given twice, or the values are too many or too deeply nested.
     """
     return _checked(text, source, lambda: StrictLoader(text).get_single_data())
 
