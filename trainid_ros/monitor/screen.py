@@ -32,8 +32,6 @@ from trainid_ros.monitor.trains import (
 )
 
 BAND_STD: Final = 2.0
-# Bands that are wider than this many of the narrowest one are cut off [1].
-_WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
 _MIN_SPAN: Final = 1e-3
 # Larger values are not drawn: messages may hold any number.
@@ -87,7 +85,7 @@ def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
     """Return the lower and upper edge: all values, and their bands unless much wider than the narrowest."""
     values = [point.value for point in drawn]
     if with_band:
-        widest = _WIDEST * min(map(_deviation, drawn))
+        widest = 3.0 * min(map(_deviation, drawn))  # wider ones are cut off
         for point in drawn:
             half = BAND_STD * min(_deviation(point), widest)
             values += [point.value - half, point.value + half]
@@ -163,10 +161,6 @@ def _input_lines(inputs: Iterable[InputView]) -> Iterable[str]:
             yield f'{item.name} never'
 
 
-_SPAN_S: Final = 120.0
-"""Time that the charts cover [s]."""
-_COLUMN_S: Final = 1.2
-"""Least time of a column, longer than the time between past values [s]: 1 s, where estimates come that seldom."""
 _STYLES: Final = {
     Status.VALID: 'bold green',
     Status.HOLDING: 'cyan',
@@ -179,26 +173,14 @@ _LEVEL_STYLES: Final = {Level.ERROR: _BAD, Level.STALE: _BAD, Level.WARN: 'yello
 _SILENT_S: Final = 1.5
 
 
-class _Layout(NamedTuple):
-    """What is shown of a train: rows of a chart, gaps between parts, details, counts of samples, inputs."""
-
-    rows: int
-    has_gaps: bool
-    has_details: bool
-    has_counts: bool
-    has_inputs: bool
-
-
-# The first one that leaves room for findings is drawn: the status of each estimate is always shown.
+# Rows of the charts and what else is shown of a train: gaps between parts, details, counts of samples, inputs. The
+# first one that leaves room for findings is drawn: the status of each estimate is always shown.
 _LAYOUTS: Final = (
-    _Layout(5, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
-    _Layout(3, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
-    _Layout(1, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
-    _Layout(1, has_gaps=False, has_details=True, has_counts=True, has_inputs=True),
-    _Layout(1, has_gaps=False, has_details=False, has_counts=True, has_inputs=True),
-    _Layout(0, has_gaps=False, has_details=False, has_counts=True, has_inputs=True),
-    _Layout(0, has_gaps=False, has_details=False, has_counts=False, has_inputs=True),
-    _Layout(0, has_gaps=False, has_details=False, has_counts=False, has_inputs=False),
+    *((rows, frozenset({'inputs', 'counts', 'details', 'gaps'})) for rows in (5, 3, 1)),
+    (1, frozenset({'inputs', 'counts', 'details'})),
+    *((rows, frozenset({'inputs', 'counts'})) for rows in (1, 0)),
+    (0, frozenset({'inputs'})),
+    (0, frozenset()),
 )
 
 
@@ -247,13 +229,13 @@ def _train(view: TrainView, size: _Size, console: Console) -> RenderableType:
     findings = _findings(view, size, console)
     # With little room, the worst one in full and how many more there are.
     wanted = min(sum(map(len, findings)), max(len(findings[0]) + 1, size.height // 4))
-    for layout in _LAYOUTS:
-        estimates = _estimates(view.estimates, size, layout)
-        used = 1 + (1 + len(view.inputs)) * layout.has_inputs + len(estimates) + layout.has_gaps
+    for rows, shown in _LAYOUTS:
+        estimates = _estimates(view.estimates, size, rows, shown)
+        used = 1 + (1 + len(view.inputs)) * ('inputs' in shown) + len(estimates) + ('gaps' in shown)
         if used + wanted < size.height:
             break
-    inputs = [_inputs(view.inputs, size)] if layout.has_inputs else []
-    gap = [Text()] if layout.has_gaps else []
+    inputs = [_inputs(view.inputs, size)] if 'inputs' in shown else []
+    gap = [Text()] * ('gaps' in shown)
     return Group(_head(view, size), *inputs, *estimates, *gap, *_shortened(findings, size.height - used - 1, size))
 
 
@@ -293,7 +275,7 @@ def _age(item: InputView) -> str:
     return f'{number(item.age_s, 2)} s' if math.isfinite(item.age_s) else 'other clock'
 
 
-def _estimates(items: Sequence[EstimateView], size: _Size, layout: _Layout) -> list[Text]:
+def _estimates(items: Sequence[EstimateView], size: _Size, rows: int, shown: frozenset[str]) -> list[Text]:
     """Return the lines of all estimates: status and value, chart, details and samples."""
     lines: list[Text] = []
     states = [_state(item, size) for item in items]
@@ -302,13 +284,13 @@ def _estimates(items: Sequence[EstimateView], size: _Size, layout: _Layout) -> l
         # The end of a line may be cut: the status comes first, then the value.
         state.pad_right(max(map(len, states)) - len(state))
         value = '' if item.status is None else f'  {with_band(item)}  {item.quantity}'
-        lines += [Text()] * layout.has_gaps
+        lines += [Text()] * ('gaps' in shown)
         lines.append(Text.assemble(name, state, size.text(value), no_wrap=True, overflow=size.overflow))
         if item.status is None:
             continue
-        lines += _chart(item, size, layout.rows)
-        lines += [size.text(f'  {item.details}', 'dim')] * layout.has_details
-        lines += [size.text(f'  {rejections(item)}', 'dim')] * layout.has_counts
+        lines += _chart(item, size, rows)
+        lines += [size.text(f'  {item.details}', 'dim')] * ('details' in shown)
+        lines += [size.text(f'  {rejections(item)}', 'dim')] * ('counts' in shown)
     return lines
 
 
@@ -320,9 +302,10 @@ def _state(item: EstimateView, size: _Size) -> Text:
 def _chart(item: EstimateView, size: _Size, rows: int) -> list[Text]:
     if not rows:
         return []
-    columns = min(max(size.width - 12, 8), round(_SPAN_S / _COLUMN_S))
+    # The chart covers at most 120 s. A column is longer than the time between past values: 1 s at most.
+    columns = min(max(size.width - 12, 8), 100)
     oldest_s = item.history[0].ago_s if item.history else 0.0
-    span_s = max(min(oldest_s, _SPAN_S), _COLUMN_S * columns)
+    span_s = max(min(oldest_s, 120.0), 1.2 * columns)
     drawn = chart(item.history, columns, rows, span_s, ASCII if size.ascii_only else UNICODE)
     labels = [''] * rows
     labels[-1], labels[0] = number(drawn.low), number(drawn.high)
@@ -330,7 +313,6 @@ def _chart(item: EstimateView, size: _Size, rows: int) -> list[Text]:
 
 
 def _findings(view: TrainView, size: _Size, console: Console) -> list[Sequence[Text]]:
-    """Return the lines of each finding."""
     if not view.findings:
         nothing = 'nothing to report' if view.has_diagnostics else 'none have arrived'
         return [[size.text(f'diagnostics: {nothing}', 'dim')]]

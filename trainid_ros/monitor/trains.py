@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 from itertools import pairwise
@@ -262,28 +262,23 @@ def value_text(values: Sequence[tuple[float, str, int]]) -> str:
     return '  '.join(f'{value:.{digits}f} {unit}' for value, unit, digits in values if math.isfinite(value))
 
 
-_WINDOW_S: Final = 5.0  # over which messages are counted
-# An active node publishes at least once a second. No message for this time [s] is late, and where messages are slower
-# than 2 Hz, none for this many of their usual intervals [1].
-_LATEST_S: Final = 1.4
-_INTERVALS: Final = 2.5
-
-
 class Arrivals:
-    """Arrivals on one topic, by a clock that never jumps [s]."""
+    """Arrivals on one topic, by a clock that never jumps [s], and what came last, None before the first."""
 
     def __init__(self) -> None:
+        self.newest: Any = None
         self._times: deque[float] = deque(maxlen=512)
 
-    def add(self, now_s: float) -> None:
+    def add(self, now_s: float, newest: Any = None) -> None:
         """Record a message."""
+        self.newest = newest
         self._times.append(now_s)
 
     def rate(self, now_s: float) -> float:
-        """Return the messages in a second over the last seconds [Hz], NaN while unknown."""
+        """Return the messages in a second over the last five seconds [Hz], NaN while unknown."""
         if len(self._times) < 2:  # one message has no rate
             return math.nan
-        begin_s = max(now_s - _WINDOW_S, self._times[0])
+        begin_s = max(now_s - 5.0, self._times[0])
         recent = sum(time > begin_s for time in self._times)
         return recent / (now_s - begin_s) if now_s > begin_s else math.nan
 
@@ -294,18 +289,15 @@ class Arrivals:
     def is_late(self, now_s: float) -> bool:
         """Return whether messages came, and another one should have come by now."""
         steps = [after - before for before, after in pairwise(list(self._times)[-8:])]
-        usual_s = _INTERVALS * median(steps) if steps else 0.0
-        return bool(self._times) and self.silent_s(now_s) > max(_LATEST_S, usual_s)
+        # An active node publishes at least once a second; slower messages may be late by as much of their interval.
+        latest_s = max(1.4, 2.5 * median(steps)) if steps else 1.4
+        return bool(self._times) and self.silent_s(now_s) > latest_s
 
 
 ESTIMATOR: Final = 'estimator'
 INPUT: Final = 'input '
-OTHER_CLOCK_S: Final = 3600.0
-"""Stamps that differ more from this clock are of another one, as those of a bag [s]."""
 # A node reports once a second; older reports of it no longer hold [s].
 _REPORT_S: Final = 3.5
-# An input whose count of messages has not grown for this time is silent [s], whatever the clock of its node says.
-_GROWS_S: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,7 +337,6 @@ class Reports:
         self._grew_s: dict[tuple[str, str], float] = {}
 
     def __bool__(self) -> bool:
-        """Return whether any node has reported."""
         return bool(self._newest)
 
     def add(self, node: str, subject: str, report: Report) -> None:
@@ -393,65 +384,42 @@ class Reports:
 def _input(name: str, report: Report, unchanged_s: float) -> InputView:
     """Return an input that a node reports, whose count of messages has been the same for some time [s]."""
     silent_s, heard = report.number('time since last message [s]'), report.values.get('heard', '')
-    grows = unchanged_s < _GROWS_S
+    grows = unchanged_s < 1.5  # [s]; if not, it is silent, whatever the clock of its node says
     rate = report.number('rate [Hz]') if grows else math.nan
     silent_s = math.inf if math.isnan(silent_s) else silent_s if grows else max(silent_s, unchanged_s)
     return InputView(name, '', rate, _known_age_s(report.number('age [s]')), silent_s, (heard,), optional=False)
 
 
 def _known_age_s(age_s: float) -> float:
-    """Return the age of a stamp [s], NaN if another clock set it."""
-    return age_s if abs(age_s) < OTHER_CLOCK_S else math.nan
+    # Stamps that differ more from this clock are of another one, as those of a bag.
+    return age_s if abs(age_s) < 3600.0 else math.nan
 
 
-# Past values are kept at this step [s], as many as cover more than any chart.
-_STEP_S: Final = 0.5
-# Trains that are silent for longer and have no publisher any more are no longer shown beside others [s].
-_ENDED_S: Final = 60.0
+class _Estimate(Arrivals):
+    """Estimates that arrived, the last one at a time of the clock of the stamps."""
 
+    def __init__(self, shown: ShownEstimate) -> None:
+        super().__init__()
+        self.shown, self.arrived_ns = shown, 0
+        self.status_since_s, self.is_longer = 0.0, True
+        self.history: deque[tuple[float, Any]] = deque(maxlen=400)  # more than any chart shows
 
-@dataclass(slots=True)
-class _Input:
-    """What arrived on the topic of an input."""
-
-    topic: InputTopic
-    arrivals: Arrivals = field(default_factory=Arrivals)
-    record: Record | None = None
-
-
-@dataclass(slots=True)
-class _Estimate:
-    """What arrived on the topic of an estimate, the last one at a time of the clock of the stamps."""
-
-    shown: ShownEstimate
-    arrivals: Arrivals = field(default_factory=Arrivals)
-    message: Any = None
-    arrived_ns: int = 0
-    status_since_s: float = 0.0
-    is_longer: bool = True
-    history: deque[tuple[float, Any]] = field(default_factory=lambda: deque(maxlen=400))
-
-    def add(self, message: Any, now_s: float, clock_ns: int) -> None:
-        is_first = self.message is None or self.arrivals.is_late(now_s)
-        if is_first or message.status != self.message.status:
+    def take(self, message: Any, now_s: float, clock_ns: int) -> None:
+        is_first = self.newest is None or self.is_late(now_s)
+        if is_first or message.status != self.newest.status:
             self.status_since_s, self.is_longer = now_s, is_first
-        self.arrivals.add(now_s)
-        self.message, self.arrived_ns = message, clock_ns
-        if not self.history or now_s - self.history[-1][0] >= _STEP_S:
+        self.add(now_s, message)
+        self.arrived_ns = clock_ns
+        if not self.history or now_s - self.history[-1][0] >= 0.5:  # [s]
             self.history.append((now_s, message))
 
 
 class Train:
-    """What is known of the train of one namespace.
-
-    Attributes:
-        reports: What its nodes have reported.
-    """
+    """What is known of the train of one namespace, '/' for the root."""
 
     def __init__(self, namespace: str) -> None:
-        """Set the namespace, '/' for the root."""
         self.namespace = namespace
-        self._inputs = {topic.name: _Input(topic) for topic in INPUT_TOPICS}
+        self._inputs = {topic.name: Arrivals() for topic in INPUT_TOPICS}
         self._estimates = {item.topic.name: _Estimate(item) for item in SHOWN}
         self.reports = Reports()
         self._publishers: Mapping[str, tuple[str, ...]] = {}
@@ -459,14 +427,12 @@ class Train:
 
     def on_input(self, topic: InputTopic, record: Record, now_s: float) -> None:
         """Take in an input that arrived now [s]."""
-        item = self._inputs[topic.name]
-        item.arrivals.add(now_s)
-        item.record = record
+        self._inputs[topic.name].add(now_s, record)
 
     def on_estimate(self, topic: OutputTopic, message: Any, now_s: float, clock_ns: int) -> None:
         """Take in an estimate that arrived now, by both clocks; the message is any object with its fields."""
         if (item := self._estimates.get(topic.name)) is not None:
-            item.add(message, now_s, clock_ns)
+            item.take(message, now_s, clock_ns)
 
     def on_publishers(self, publishers: Mapping[str, tuple[str, ...]]) -> None:
         """Take in the nodes that publish each topic, by its name without the namespace."""
@@ -475,8 +441,7 @@ class Train:
 
     def silent_s(self, now_s: float) -> float:
         """Return the time since the last message on any topic [s], infinite before the first."""
-        inputs = (item.arrivals.silent_s(now_s) for item in self._inputs.values())
-        return min((*inputs, *(item.arrivals.silent_s(now_s) for item in self._estimates.values())))
+        return min(item.silent_s(now_s) for item in (*self._inputs.values(), *self._estimates.values()))
 
     def view(self, now_s: float, clock_ns: int) -> TrainView:
         """Return what to show at a time of the steady clock [s] and of that of the stamps [ns]."""
@@ -495,12 +460,12 @@ class Train:
     def _speed(self, now_s: float) -> float:
         """Return the present speed [m/s], as an estimator states it where it is measured on another topic."""
         measured = self._inputs[SPEED_TOPIC.name]
-        if isinstance(measured.record, SpeedRecord):
-            return math.nan if measured.arrivals.is_late(now_s) else measured.record.speed
+        if isinstance(measured.newest, SpeedRecord):
+            return math.nan if measured.is_late(now_s) else measured.newest.speed
         current = (Status.CONVERGING, Status.VALID, Status.HOLDING)
         for item in self._estimates.values():
-            stated = getattr(item.message, 'speed', None)
-            if stated is not None and not item.arrivals.is_late(now_s) and status_of(item.message) in current:
+            stated = getattr(item.newest, 'speed', None)
+            if stated is not None and not item.is_late(now_s) and status_of(item.newest) in current:
                 return float(stated)
         return math.nan
 
@@ -510,20 +475,18 @@ class Train:
         foreign = [item for name, item in reported.items() if name not in self._inputs]
         for name, item in self._inputs.items():
             if not foreign or name in reported:
-                yield self._input(item, now_s, clock_ns)
+                yield self._input(name, item, now_s, clock_ns)
         yield from foreign
 
-    def _input(self, item: _Input, now_s: float, clock_ns: int) -> InputView:
-        record, name = item.record, item.topic.name
-        age_s = math.nan if record is None else (clock_ns - record.stamp_ns) / NS_PER_S
-        value, publishers = '' if record is None else _value(record), self._publishers.get(name, ())
-        rate, silent_s = item.arrivals.rate(now_s), item.arrivals.silent_s(now_s)
-        return InputView(
-            name, value, rate, _known_age_s(age_s), silent_s, publishers, optional=item.topic is MASS_TOPIC
-        )
+    def _input(self, name: str, item: Arrivals, now_s: float, clock_ns: int) -> InputView:
+        value, age_s = '', math.nan
+        if item.newest is not None:
+            value, age_s = _value(item.newest), _known_age_s((clock_ns - item.newest.stamp_ns) / NS_PER_S)
+        publishers, optional = self._publishers.get(name, ()), name == MASS_TOPIC.name
+        return InputView(name, value, item.rate(now_s), age_s, item.silent_s(now_s), publishers, optional)
 
     def _estimate(self, item: _Estimate, now_s: float) -> EstimateView:
-        shown, newest = item.shown, item.message
+        shown, newest = item.shown, item.newest
         value, std = (math.nan, math.nan) if newest is None else shown.value(newest, newest)
         status = None if newest is None else status_of(newest)
         report = self.reports.estimator(self._node(shown.topic), now_s)
@@ -541,8 +504,8 @@ class Train:
             status_s=status_s,
             is_longer=is_longer,
             idle='' if state == 'active' else state,
-            silent_s=item.arrivals.silent_s(now_s),
-            is_silent=item.arrivals.is_late(now_s),
+            silent_s=item.silent_s(now_s),
+            is_silent=item.is_late(now_s),
             is_published=bool(self._publishers.get(shown.topic.name)),
             used=0 if newest is None else int(newest.used),
             # Reasons come more seldom than estimates: shown with them is their sum.
@@ -594,7 +557,7 @@ class Trains:
         If no other train is left, they stay: what has ended is the news.
         """
         trains = self.by_namespace.items()
-        ended = [name for name, train in trains if train.silent_s(now_s) > _ENDED_S and name not in published]
+        ended = [name for name, train in trains if train.silent_s(now_s) > 60.0 and name not in published]
         if len(ended) == len(trains):
             return []
         for name in ended:
@@ -611,8 +574,8 @@ def _status_s(item: _Estimate, report: Report | None, now_s: float) -> tuple[flo
 
     A change that was seen here comes first: the clock of the node, by which it reports, may stand still.
     """
-    if item.is_longer and report is not None and item.message is not None:
-        reported_s = report.status_s(status_of(item.message), now_s)
+    if item.is_longer and report is not None and item.newest is not None:
+        reported_s = report.status_s(status_of(item.newest), now_s)
         if not math.isnan(reported_s):
             return reported_s, False
     return now_s - item.status_since_s, item.is_longer
