@@ -53,7 +53,7 @@ ALL = r'line(?P<line>\d+)/(?P<train>\w+)/(?P<day>[-\d]+)_(?P<weather>\w+)'
 def test_labels_come_from_pattern_recording_namespace_and_folder(
     pattern: str | None, namespace: str, custom: dict[str, str], found: dict[str, str]
 ) -> None:
-    assert label_rule(pattern, namespace).labels(PATH, custom) == {**dict.fromkeys(LABELS, ''), **found}
+    assert label_rule(pattern, namespace)(PATH, custom) == {**dict.fromkeys(LABELS, ''), **found}
 
 
 def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> None:
@@ -62,8 +62,8 @@ def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> No
     link = tmp_path / 'depot/tram_5'
     link.symlink_to(tmp_path / 'disk7/T042')
     for pattern, train in ((r'depot/(?P<train>\w+)/', 'tram_5'), (r'disk7/(?P<train>\w+)/', 'T042')):
-        assert label_rule(pattern).labels(link / 'bag', {})['train'] == train
-    assert label_rule(None).labels(link / 'bag', {})['train'] == 'tram_5'
+        assert label_rule(pattern)(link / 'bag', {})['train'] == train
+    assert label_rule(None)(link / 'bag', {})['train'] == 'tram_5'
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> No
 )
 def test_a_pattern_that_cannot_be_used_is_an_error(pattern: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem):
-        label_rule(pattern).labels(Path('/x'), {})
+        label_rule(pattern)(Path('/x'), {})
 
 
 def test_days_have_one_form() -> None:

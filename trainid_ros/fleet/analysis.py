@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from trainid_ros.bag.run_reader import read_runs
+from trainid_ros.explain.result import Explanation, FoundEffect
+from trainid_ros.fleet import mixed_model as mixed
 from trainid_ros.fleet.changes import (
     MIN_AFTER,
     Cause,
@@ -29,18 +32,12 @@ from trainid_ros.fleet.changes import (
     find_changes,
     usual_days,
 )
-from trainid_ros.fleet.mixed_model import CHANNELS, ROUNDS, cells_of, fit, has_estimate, labels_of, robust_std
+from trainid_ros.fleet.mixed_model import CHANNELS, Array, Cells, Channel, Flags, Labels, MixedFit, has_estimate
+from trainid_ros.fleet.table_file import FleetRun, Row
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError, TrainIdError
 from trainid_ros.interface.text import listed
 from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from trainid_ros.explain.result import Explanation, FoundEffect
-    from trainid_ros.fleet.mixed_model import Array, Cells, Channel, Flags, Labels, MixedFit
-    from trainid_ros.fleet.table_file import FleetRun, Row
 
 _MIN_CELLS: Final = 4  # Days of trains, all trains together, for a channel to be compared
 
@@ -124,8 +121,8 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
 
     NoAnswerError if too few runs of known trains and days have an estimate.
     """
-    labels = labels_of(rows)
-    cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
+    labels = mixed.labels_of(rows)
+    cells = [(channel, mixed.cells_of(rows, channel, labels)) for channel in CHANNELS]
     cells = [(channel, found) for channel, found in cells if found.value.size >= _MIN_CELLS]
     if not cells:
         usable = sum(has_estimate(row) and not row['contradiction'] for row in rows)
@@ -206,12 +203,12 @@ def _fit(
     labels: Labels,
     cells: Sequence[tuple[Channel, Cells]],
     used: Sequence[Flags | None],
-    rounds: int = ROUNDS,
+    rounds: int = mixed.ROUNDS,
 ) -> tuple[ChannelView, ...]:
     views = []
     for (channel, found), mine in zip(cells, used, strict=True):
         usual = 0.25 * channel.change * float(np.median(np.abs(found.value)))  # std among trains
-        views.append(ChannelView(channel, found, fit(found, labels, usual, mine, rounds)))
+        views.append(ChannelView(channel, found, mixed.fit(found, labels, usual, mine, rounds)))
     return tuple(views)
 
 
@@ -245,7 +242,7 @@ def _train(
 def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     """Return by how much a train differs, in robust standard deviations among trains; None if it does not."""
     effects = view.fit.train
-    spread = max(robust_std(effects), view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
+    spread = max(mixed.robust_std(effects), view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
     sigmas = float(effects[number] - np.median(effects)) / spread
     # Five standard deviations; the spread of few trains is not well known: Student's t.
     if abs(sigmas) < stdtrit(max(1, effects.size - 1), ndtr(5.0)):
@@ -275,7 +272,7 @@ def name_cause(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> C
         return CauseByBags(0, problem=str(error))
     by_name: dict[str, list[FoundEffect]] = defaultdict(list)
     for new in found:
-        if not any(_are_equal(new, old) for old in known):
+        if not any(are_equal(new, old, 3.0) for old in known):
             by_name[new.name].append(new)
     ranked = sorted(by_name.values(), key=lambda effects: -sum(effect.evidence for effect in effects))
     named = ((max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
@@ -296,13 +293,13 @@ def _bags(view: FleetView, train: TrainView, runs: Sequence[FleetRun]) -> tuple[
     return before[-1:] or after[:1], away[:3]  # effects that hold are in the first ones already
 
 
-def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
-    """Return whether two effects have one name and, within three standard deviations, the same parameters."""
+def are_equal(one: FoundEffect, other: FoundEffect, stds: float) -> bool:
+    """Return whether two effects have one name and, within some standard deviations, the same parameters."""
     if one.name != other.name:
         return False
-    values, stds = dict(other.parameters), (dict(one.std), dict(other.std))
+    values, known = dict(other.parameters), (dict(one.std), dict(other.std))
     return all(
-        abs(value - values[name]) <= 3.0 * math.hypot(*(std.get(name, 0.0) for std in stds))
+        abs(value - values[name]) <= stds * math.hypot(*(std.get(name, 0.0) for std in known))
         for name, value in one.parameters
     )
 

@@ -32,7 +32,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from trainid_ros.fleet.mixed_model import Array, log_t
+from trainid_ros.fleet.mixed_model import CHANNELS, Array, log_t
 
 OTHER: Final = 'other'
 """Name of an unknown cause."""
@@ -255,12 +255,12 @@ _KINDS: Final = (
         'traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0,
         'compare reported force and motor currents; check for isolated motors and new software of the drive',
     ),
+    # The last one changes each channel on its own.
+    _Kind(
+        OTHER, 'no single known cause', {}, 0.0, 0,
+        'look at its bags first: trainid fleet report --explain 1 names a cause from them',
+    ),
 )  # fmt: skip
-_OTHER_CHECK: Final = 'look at its bags first: trainid fleet report --explain 1 names a cause from them'
-# Standard deviation of a change by 'other' in each channel, as a share of the mean [1].
-_OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
-# Standard deviation of a change beside the direction of a cause, as a share of the mean [1].
-_SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_ratio': 0.0005}
 
 
 def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, ...]:
@@ -268,20 +268,16 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
 
     ``steps`` holds step and standard deviation as shares of the mean of the fleet by channel, None without data.
     """
-    known = {name: step for name, step in steps.items() if step is not None}
-    names = tuple(known)
-    step, std = np.array([known[name] for name in names]).reshape(-1, 2).T
-    noise = np.diag(std**2 + np.array([_SLACK[name] for name in names]) ** 2)
-    found = [_log_evidence(kind, names, step, noise) for kind in _KINDS]
-    other = noise + np.diag([_OTHER_SIZE[name] ** 2 for name in names])
+    channels = [channel for channel in CHANNELS if steps.get(channel.name) is not None]
+    names = tuple(channel.name for channel in channels)
+    step, std = np.array([steps[name] for name in names]).reshape(-1, 2).T
+    noise = np.diag(std**2 + np.array([channel.slack for channel in channels]) ** 2)
+    found = [_log_evidence(kind, names, step, noise) for kind in _KINDS[:-1]]
+    other = noise + np.diag([channel.change**2 for channel in channels])
     log_p = np.array([*found, _log_normal(step, other)])
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
-    named = [
-        *((kind.effect, kind.title, kind.check) for kind in _KINDS),
-        (OTHER, 'no single known cause', _OTHER_CHECK),
-    ]
-    causes = (Cause(name, title, float(x), check) for (name, title, check), x in zip(named, p, strict=True))
+    causes = (Cause(kind.effect, kind.title, float(x), kind.check) for kind, x in zip(_KINDS, p, strict=True))
     return tuple(sorted((c for c in causes if c.probability >= 0.05), key=lambda cause: -cause.probability))
 
 

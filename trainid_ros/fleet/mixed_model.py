@@ -53,13 +53,14 @@ class Channel(NamedTuple):
     title: str  # What it is
     unit: str  # Its unit, '' for ratios
     change: float  # Standard deviation of a change that matters, as a share of the mean of the fleet [1]
+    slack: float  # Standard deviation of a change beside the direction of its cause, as the same share [1]
 
 
 CHANNELS: Final = (
-    Channel('w15', 'resistance at 15 m/s', 'N/kN', 0.2),
-    Channel('brake_rate', 'brake rate', '', 0.08),
-    Channel('force_scale', 'force scale', '', 0.06),
-    Channel('wheel_ratio', 'wheel ratio', '', 0.02),
+    Channel('w15', 'resistance at 15 m/s', 'N/kN', 0.2, 0.04),
+    Channel('brake_rate', 'brake rate', '', 0.08, 0.004),
+    Channel('force_scale', 'force scale', '', 0.06, 0.004),
+    Channel('wheel_ratio', 'wheel ratio', '', 0.02, 0.0005),
 )
 
 

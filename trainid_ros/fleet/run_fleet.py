@@ -17,38 +17,34 @@ import json
 import math
 import re
 import socket
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
+from trainid_ros.bag.types import RecordTable
 from trainid_ros.bag.worker_pool import each_bag, killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.fleet import table_file as files
-from trainid_ros.inputs.mapped_inputs import mapped_inputs
+from trainid_ros.fleet.table_file import Plan, PlannedBag, Row, Setup
+from trainid_ros.inputs.mapped_inputs import MappedInputs, mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.files import write_whole
 from trainid_ros.interface.records import NS_PER_S, SPEED
 from trainid_ros.interface.results import Status, deviations
-from trainid_ros.resistance.davis_posterior import resistance_std
+from trainid_ros.monitor.trains import resistance_at
+from trainid_ros.setup.params_file import Setup as NodeSetup
 from trainid_ros.setup.params_file import node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.train.train_file import load_train_file
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
-
-    from trainid_ros.bag.types import RecordTable
-    from trainid_ros.fleet.table_file import Plan, PlannedBag, Row, Setup
-    from trainid_ros.inputs.mapped_inputs import MappedInputs
-    from trainid_ros.setup.params_file import Setup as NodeSetup
-
-    Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
-    """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
+Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
+"""Yields number and row of each bag as they come; calls the function with the number of bags done since."""
 
 
 class Odometer:
@@ -108,7 +104,6 @@ class OdometerReader(BagReader):
     """A bag whose records an odometer takes in as they are read."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        """Name the bag; arguments as of :class:`BagReader`."""
         super().__init__(*arguments, **options)
         self.odometer = Odometer()
 
@@ -206,7 +201,7 @@ def _resistance(outcome: Replay) -> Row:
     row |= {name: getattr(w, name) for name in ('a', 'b', 'c', 'speed_min', 'speed_max')}
     row |= {f'{name}_std': std for name, std in zip('abc', deviations(w.covariance), strict=True)}
     for v in files.SPEEDS:
-        row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
+        row[f'w{v}'], row[f'w{v}_std'] = resistance_at(w, v)
     for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
         row[name] = _known(getattr(w, name))
     return row

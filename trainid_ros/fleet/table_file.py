@@ -68,7 +68,6 @@ _REASONS: Final = tuple(reason for reason in Reason if reason not in (Reason.NON
 
 
 def _field(kind: type[Estimate], *names: str) -> Iterator[Column]:
-    """Yield columns that hold fields of an estimate."""
     known = quantities(kind)
     return (Column(name, 'float', known[name].unit, known[name].text) for name in names)
 
@@ -322,29 +321,17 @@ def _revision() -> str:
     return f'{trainid_ros.__version__}+{total.hexdigest()[:12]}'
 
 
-@dataclass(frozen=True, slots=True)
-class LabelRule:
-    """How labels are found."""
-
-    pattern: re.Pattern[str]  # Searched in the absolute path as given, else with links resolved; groups are labels
-    is_given: bool  # True if the user gave it: then it comes before the custom data, else after
-    namespace: str  # The train unless the user's pattern or the custom data name another, '' without one
-
-    def labels(self, path: Path, custom: Mapping[str, str]) -> dict[str, str]:
-        """Return the labels of a bag, '' where unknown; InputError if the user's pattern does not fit the path."""
-        places = (path.absolute(), path.resolve())
-        match = next(filter(None, (self.pattern.search(place.as_posix()) for place in places)), None)
-        if match is None and self.is_given:
-            raise InputError(f"{path}: --label '{self.pattern.pattern}' does not fit the path")
-        found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
-        if self.namespace:
-            custom = {'train': self.namespace, **custom}
-        both = {**custom, **found} if self.is_given else {**found, **custom}
-        return {name: both.get(name, '') for name in LABELS}
+LabelRule = Callable[[Path, Mapping[str, str]], dict[str, str]]
+"""Gives the labels of a bag by its path and its custom data, '' where unknown."""
 
 
 def label_rule(pattern: str | None, namespace: str = '/') -> LabelRule:
-    """Return the rule of a pattern or the default one, for the train in a namespace; InputError for a bad pattern."""
+    """Return the rule of a pattern or the default one, for the train in a namespace; InputError for a bad pattern.
+
+    Groups of the pattern are labels, searched in the absolute path as given, else with links resolved. A pattern of the
+    user comes before the custom data, the default one after. The namespace is the train unless they name another. The
+    rule raises InputError if a pattern of the user does not fit the path.
+    """
     try:
         # Without a pattern and a namespace, the train has the name of the folder that holds the bag.
         compiled = re.compile(pattern or r'(?P<train>[^/]+)/[^/]+$')
@@ -354,7 +341,19 @@ def label_rule(pattern: str | None, namespace: str = '/') -> LabelRule:
     if unknown or not compiled.groupindex:
         problem = f'has a group {unknown[0]!r}' if unknown else 'has no named group such as (?P<train>[^/]+)'
         raise InputError(f"--label '{pattern}': {problem}; the labels are " + ', '.join(LABELS))
-    return LabelRule(compiled, is_given=pattern is not None, namespace=namespace.strip('/'))
+
+    def labels(path: Path, custom: Mapping[str, str]) -> dict[str, str]:
+        places = (path.absolute(), path.resolve())
+        match = next(filter(None, (compiled.search(place.as_posix()) for place in places)), None)
+        if match is None and pattern is not None:
+            raise InputError(f"{path}: --label '{compiled.pattern}' does not fit the path")
+        found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
+        if train := namespace.strip('/'):
+            custom = {'train': train, **custom}
+        both = {**custom, **found} if pattern is not None else {**found, **custom}
+        return {name: both.get(name, '') for name in LABELS}
+
+    return labels
 
 
 def day_of(label: str, start_s: float | None, where: Path) -> str | None:
@@ -404,7 +403,7 @@ def _list(path: Path, rule: LabelRule) -> PlannedBag:
         stats = [file.stat() for file in located.files]
         size, modified_ns = sum(stat.st_size for stat in stats), max(stat.st_mtime_ns for stat in stats)
         start_s, messages = _statistics(located.files)
-        labels = rule.labels(path, dict(located.custom_data))
+        labels = rule(path, dict(located.custom_data))
         labels['day'] = day_of(labels['day'], start_s, path) or ''
     except InputError as error:
         return PlannedBag(str(path), error=str(error))
