@@ -17,14 +17,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainid_ros.bag.mcap_file import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, in_namespaces, in_two, missing_topics
 from trainid_ros.bag.types import EMPTY, RecordTable, joined
+from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inspection.number_series import (
     PER_MILLE,
     USUAL_ROTARY,
@@ -58,27 +62,12 @@ from trainid_ros.train.forces import G
 from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from trainid_ros.inputs.mapped_inputs import MappedInputs
-
 _GAP_S: Final = 1.0  # time that a value holds, unless it is known
-_MAX_DISTANCE_ERROR: Final = 0.05  # share by which distances by speed and by position may differ [1]
-_MAX_INTERVAL_S: Final = AlignmentConfig().max_interval
-# Topic, field and unit of the ranges that are reported.
-_QUANTITIES: Final = (
-    (SPEED_TOPIC.name, 'speed', 'm/s'),
-    (SPEED_TOPIC.name, 'position', 'm'),
-    (FORCE_TOPIC.name, 'force', 'N'),
-    (GRADIENT_TOPIC.name, 'gradient', 'per mille'),
-    (GRADIENT_TOPIC.name, 'curve_radius', 'm'),
-    (BRAKE_TOPIC.name, 'target_acceleration', 'm/s^2'),
-    (MASS_TOPIC.name, 'mass', 'kg'),
-)
+_UNITS: Final = {
+    'speed': 'm/s', 'position': 'm', 'force': 'N', 'gradient': 'per mille', 'curve_radius': 'm',
+    'target_acceleration': 'm/s^2', 'mass': 'kg',
+}  # fmt: skip
+"""Units of the fields of the inputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +134,7 @@ class _Column:
     def __init__(self, topic: InputTopic, table: RecordTable, hold_s: float, end_ns: int) -> None:
         self.hold_s = hold_s
         self.end_ns = end_ns
-        numbers = [item.name for item in fields(topic.record) if item.type in {'float', float}]
+        numbers = [item.name for item in fields(topic.record) if item.name in _UNITS]
         self.stamps = table.stamp_ns
         self.logs = np.minimum(table.log_ns, 2**63 - 1).astype(np.int64)  # log times are unsigned
         self.values = dict(zip(numbers, (table.x, table.y), strict=False))
@@ -191,7 +180,7 @@ def inspect(
             duration_s=(last - first) / NS_PER_S,
             messages=reader.message_count,
             topics=topics,
-            ranges=tuple(_range(columns, *item) for item in _QUANTITIES if item[0] in columns),
+            ranges=tuple(_ranges(columns)),
             moving_share=moving,
             braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
             missing=missing,
@@ -269,11 +258,12 @@ def _median(values: NDArray[np.float64] | NDArray[np.int64]) -> float:
     return 0.5 * (float(ordered[(ordered.size - 1) // 2]) + float(ordered[ordered.size // 2]))
 
 
-def _range(columns: dict[str, _Column], topic: str, field: str, unit: str) -> ValueRange:
-    values = columns[topic].values[field]
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
-    return ValueRange(topic, field, unit, low, high)
+def _ranges(columns: dict[str, _Column]) -> Iterator[ValueRange]:
+    for topic, column in columns.items():
+        for field, values in column.values.items():
+            finite = values[np.isfinite(values)]
+            low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
+            yield ValueRange(topic, field, _UNITS[field], low, high)
 
 
 def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
@@ -302,10 +292,11 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
         problems.append('the stamps of the required topics do not overlap')
     if not moving > 0.0:
         problems.append('the train does not move')
+    slowest_s = AlignmentConfig().max_interval
     problems += [
-        f'{name}: comes every {1.0 / topic.stamps.rate:.3g} s, and slower than {_MAX_INTERVAL_S:g} s is not used'
+        f'{name}: comes every {1.0 / topic.stamps.rate:.3g} s, and slower than {slowest_s:g} s is not used'
         for name, topic in required.items()
-        if name != BRAKE_TOPIC.name and topic.stamps is not None and topic.stamps.rate * _MAX_INTERVAL_S < 1.0
+        if name != BRAKE_TOPIC.name and topic.stamps is not None and topic.stamps.rate * slowest_s < 1.0
     ]
     return problems
 
@@ -338,9 +329,9 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     # Positions are unknown, or corrected at a balise by 100 m or more.
     known = (elapsed > 0.0) & (elapsed < _GAP_S) & np.isfinite(by_speed + by_position) & (by_position < 100.0)
     distance = float(by_position[known].sum())
-    if distance < 500.0 or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
+    if distance < 500.0 or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < 0.05:
         return []
-    unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < _MAX_DISTANCE_ERROR * KM_H else ''
+    unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < 0.05 * KM_H else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
 
 
@@ -357,11 +348,8 @@ def _topic_warnings(topic: TopicInfo) -> list[str]:
     return [f'{topic.name}: {count} {what}' for count, what in found if count]
 
 
-_MAX_OPPOSITE: Final = -0.5  # correlation of a force whose sign is wrong [1]
 # Units that a gradient may have instead of per mille, as people call them.
 _OTHER_UNITS: Final = {'percent': 'per cent', 'deg': 'degrees', 'rad': 'a ratio or radians'}
-# Any train: then only checks that do not depend on the train file apply.
-_ANY_TRAIN: Final = TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
 
 
 class Findings(NamedTuple):
@@ -455,9 +443,10 @@ class _GradientCheck:
 
 class _Check:
     def __init__(self, alignment: AlignmentConfig, train_file: TrainFile | None) -> None:
-        self._known = KnownForce(train_file or _ANY_TRAIN)
-        config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)
-        self._stream = SampleStream(config)
+        # With any train only checks that do not depend on the train file apply.
+        given = train_file or TrainFile(Train(mass=1e9), Davis(0.0, 0.0, 0.0))
+        self._known = KnownForce(given)
+        self._stream = SampleStream(StreamConfig(given, alignment, rejects_faults=train_file is not None))
         self._line = None if train_file is None else profile_of(train_file)
         self._off_line = 0
         self.contradiction = Contradiction()
@@ -526,9 +515,9 @@ class _Check:
             found.append(_wrong_brake(self._out_of_range[BRAKE]))
         if self.is_most(Reason.CONTRADICTION):
             return found
-        if _correlation(self._released) < _MAX_OPPOSITE:
+        if _correlation(self._released) < -0.5:
             found.append(f'{FORCE_TOPIC.name} has the wrong sign: it is against the acceleration')
-        elif _correlation(self._braked, about_zero=True) < _MAX_OPPOSITE:
+        elif _correlation(self._braked, about_zero=True) < -0.5:
             found.append(f'{FORCE_TOPIC.name} drives while {BRAKE_TOPIC.name} brakes: its sign is missing or wrong')
         return found
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All numbers in the messages of a bag over time, whatever their topics and types, and how they go together.
+"""All numbers in the messages of a bag over time, whatever their topics and types, and what they may be.
+
+Names of topics, fields and columns say something of the quantity in them, and of its unit.
 
 The balance of forces tells which number is what, and in which unit:
 
@@ -25,6 +27,8 @@ from numpy.typing import NDArray
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.types import PACKAGE, WIDE_CHARACTERS, StoredType, full_type
 from trainid_ros.inputs.mapping import RAW, Mapping, Signal, Source
+from trainid_ros.inputs.table_files import bare
+from trainid_ros.inputs.units import written_unit
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -32,8 +36,6 @@ from trainid_ros.stream.alignment import AlignmentConfig
 Array: TypeAlias = NDArray[np.float64]
 MAX_S: Final = 3600.0  # part of a bag that is read [s]
 _MAX_SAMPLES: Final = 20_000  # of a topic with more messages, each k-th is read
-_MAX_BYTES: Final = 4096  # larger messages are images and the like
-_IMAGES: Final = ('Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo')
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,7 @@ def read_numbers(
     ours = {topic.name: full_type(topic.message) for topic in INPUT_TOPICS}
     is_root = not namespace.strip('/')
     own, wanted, left_out = set(), {}, []
+    images = {'Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo'}
     trains = {train for topic in topics if topic.count and (train := _train_of(topic.name, topic.type))}
     for topic in topics:
         is_own, name = topic.type == ours.get(topic.name), f'/{topic.name}' if is_root else topic.name
@@ -100,11 +103,11 @@ def read_numbers(
         if is_own:
             own.add(name)
         is_message = re.fullmatch(r'[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+', topic.type)
-        if not is_message or topic.type.rpartition('/')[2] in _IMAGES:
+        if not is_message or topic.type.rpartition('/')[2] in images:
             left_out.append((name, topic.type or 'no type'))
         else:
             wanted[name] = topic.count
-    readable = _readable(path, namespace, max_chunk, wanted)
+    readable = _readable(path, namespace, max_chunk, [*wanted])
     left_out += [(name, 'its definition cannot be read') for name in wanted if name not in readable]
     collectors = {name: _Collector(name, max(1, wanted[name] // _MAX_SAMPLES)) for name in readable}
     end_ns = min(span[1], span[0] + round(MAX_S * NS_PER_S))
@@ -129,18 +132,14 @@ def _naming(topics: Iterable[str]) -> Mapping:
     return Mapping(speed=named, force=none, gradient=none, brake_command=none, mass=none)
 
 
-def _readable(path: Path, namespace: str, max_chunk: int, topics: Iterable[str]) -> list[str]:
-
-    def opens(names: list[str]) -> bool:
-        try:
-            with BagReader(path, namespace, max_chunk, mapping=_naming(names)) as reader:
-                reader.mapped_types()
-        except InputError:
-            return False
-        return True
-
-    names = list(topics)
-    return names if opens(names) else [name for name in names if opens([name])]
+def _readable(path: Path, namespace: str, max_chunk: int, topics: list[str]) -> list[str]:
+    try:
+        with BagReader(path, namespace, max_chunk, mapping=_naming(topics)) as reader:
+            reader.mapped_types()
+    except InputError:
+        one_by_one = [[name] for name in topics] if len(topics) > 1 else []
+        return [name for one in one_by_one for name in _readable(path, namespace, max_chunk, one)]
+    return topics
 
 
 def _collect(
@@ -173,7 +172,7 @@ class _Collector:
         self._count += 1
         if self.is_large or (self._count - 1) % self._every:
             return
-        if len(payload) > _MAX_BYTES:
+        if len(payload) > 4096:  # images and the like
             self.is_large = True
             return
         try:
@@ -284,8 +283,9 @@ def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
     distance = np.concatenate(([0.0], np.cumsum(np.where(steps < _SPAN_S[0], mean * steps, 0.0))))
     inside = (position.time >= speed.time[0]) & (position.time <= speed.time[-1]) & np.isfinite(position.value)
     time, value = position.time[inside], position.value[inside]
+    none = Travel(0.0, math.nan)
     if time.size == 0:
-        return Travel(0.0, math.nan)
+        return none
     bins = np.floor((time - time[0]) / _SPAN_S[0])
     first = np.concatenate(([True], np.diff(bins) > 0.0))
     time, value = time[first], value[first]
@@ -293,12 +293,12 @@ def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
     change = np.abs(np.diff(value))
     usable = (elapsed < _SPAN_S[1]) & (gone > 0.0)
     if np.count_nonzero(usable) < _HALF or not change[usable].any():
-        return Travel(0.0, math.nan)
+        return none
     # Positions are set anew now and then.
     usual = float(np.median(change[usable] / gone[usable]))
     usable &= np.abs(change - usual * gone) <= 0.3 * usual * gone + 1e-3 * float(change[usable].max())
     if np.count_nonzero(usable) < _HALF or np.ptp(gone[usable]) == 0.0 or np.ptp(change[usable]) == 0.0:
-        return Travel(0.0, math.nan)
+        return none
     share = float(np.mean(usable[gone > 0.0]))
     ratio = float(change[usable] @ gone[usable]) / float(gone[usable] @ gone[usable])
     return Travel(float(np.corrcoef(gone[usable], change[usable])[0, 1]) * share, ratio)
@@ -369,3 +369,73 @@ def nearest_unit(size: float, units: dict[str, float]) -> str:
     """Return the unit with a factor near a slope, '' if none is."""
     name = min(units, key=lambda item: abs(math.log(size / units[item])))
     return name if is_near(size, units[name]) else ''
+
+
+# Words in names that speak for a quantity.
+_WORDS: Final = {quantity: frozenset(words.split()) for quantity, words in {
+    'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v 速度 车速',
+    'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg strecke pk 里程'
+    ' 位置 公里标 距离',
+    'force': 'force effort traction tractive wrench thrust kn te zugkraft bremskraft kraft 牵引力 制动力',
+    'gradient': 'gradient grade slope incline inclination permille steigung neigung pente déclivité rampe 坡度',
+    'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe bremsvorgabe'
+    ' bremsanforderung bremsstellung frein freinage 制动 制动级位',
+    'mass': 'mass load weight payload masse gewicht charge 质量 载重 重量',
+    'acceleration': 'acceleration accel acc beschleunigung accélération 加速度',
+    'time': 'time timestamp stamp utc t zeit uhrzeit zeitstempel temps heure horodatage date datum 时间 时刻',
+}.items()}  # fmt: skip
+_LETTERS: Final = {'s': 'position', 'x': 'position', 'f': 'force', 'i': 'gradient', 'm': 'mass', 'a': 'acceleration'}
+"""Symbols that are the whole name of a column."""
+# Words of other measurements.
+_OTHER: Final = frozenset(
+    {'temperature', 'temp', 'voltage', 'volt', 'current', 'ampere', 'pressure', 'humidity', 'battery', 'fuel'}
+    | {'angular', 'orientation', 'latitude', 'longitude', 'altitude', 'heading', 'yaw', 'roll', 'rpm', 'torque'}
+    | {'lat', 'lon', 'long', 'height', 'bearing', 'sats', 'engine', 'throttle'}
+)
+# Words of a speed that is demanded or allowed, or of statistics.
+_DEMANDS: Final = frozenset(
+    {'target', 'limit', 'permitted', 'setpoint', 'soll', 'sollgeschwindigkeit', 'consigne', 'average', 'mean', 'max'}
+    | {'目标速度', '目标', '限速', '限制速度'}
+)
+# Words that are parts of longer ones, the longest first.
+_PARTS: Final = re.compile(
+    '|'.join(sorted((word for word in _DEMANDS.union(*_WORDS.values()) if len(word) > 5 or ord(word[0]) > 0x2E80),
+                    key=len, reverse=True))
+)  # fmt: skip
+_NUMBERS: Final = re.compile(r'\d+|(?<![a-z])(?:front|rear|left|right|leading|trailing|[a-f])(?![a-z])')
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Return the words of a name in lower case: ``/car1/tractionForce_kN`` has car, 1, traction, force and kn."""
+    text = re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', name.replace('kN', 'kn').replace('km/h', 'kmh')).lower()
+    text = re.sub(r'km_?(?:per_?)?h(?![a-z])', 'kmh', text).replace('per_mille', 'permille')
+    words = re.findall(r'[^\W\d_]+|\d+', text)
+    return tuple(dict.fromkeys((*(word for word in words if ord(word[0]) < 0x2E80), *_PARTS.findall(text))))
+
+
+def score(quantity: str, topic: str, field: str) -> float:
+    """Return how much a name says for a quantity [1]: up to 1 for the topic and for the field, less for other words."""
+    known, topic_words, field_words = _WORDS[quantity], words_of(topic), words_of(field)
+    points = float(not known.isdisjoint(topic_words)) + float(not known.isdisjoint(field_words))
+    if not topic and _LETTERS.get(bare(field).rstrip('0123456789').lower()) == quantity:
+        points += 1.0
+    words = {*topic_words, *field_words}
+    is_across = not words.isdisjoint({'y', 'z', 'w', 'lateral', 'vertical', 'vert'})  # a component across the train
+    is_demand = quantity != 'brake_command' and not words.isdisjoint(_DEMANDS)
+    return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * is_across - 0.5 * is_demand
+
+
+def is_nameless(series: NumberSeries) -> bool:
+    """Return whether a name speaks for no quantity."""
+    return all(score(quantity, series.topic, series.field) == 0.0 for quantity in _WORDS)
+
+
+def unit_in(series: NumberSeries, quantity: str) -> str:
+    """Return the unit of a quantity that the file or the name states; '' if they state none."""
+    texts = (series.type, *reversed(words_of(series.name)))
+    return next((unit for text in texts if (unit := written_unit(text, quantity))), '')
+
+
+def family(topic: str) -> str:
+    """Return a topic without the marks of alike ones, such as the numbers of motor cars."""
+    return _NUMBERS.sub('#', topic.lower())

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from trainid_ros.inputs.mapping import QUANTITIES
 from trainid_ros.inputs.units import find_unit, unit_factors
-from trainid_ros.inspection.names import family, is_nameless, score, unit_in
 from trainid_ros.inspection.number_series import (
     MIN_NUMBERS,
     PER_MILLE,
@@ -35,10 +34,14 @@ from trainid_ros.inspection.number_series import (
     compare_travel,
     correlation,
     derivative,
+    family,
+    is_nameless,
     is_near,
     nearest_unit,
     partial_slope,
     regress,
+    score,
+    unit_in,
 )
 from trainid_ros.interface.text import listed, printable
 from trainid_ros.train.forces import G
@@ -178,7 +181,9 @@ def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
     rest = _without(foreign, [speed, *position])
     forces = _choose_force([item for item in own if item.field == 'force'] or rest, motion)
     rest = _without(rest, forces)
-    total = _total_force(forces[0], motion) if forces else None
+    total = None
+    if forces:  # the force [N] at the common times, shape (n,)
+        total = _sum_at([(p.series, find_unit(p.unit, 'force').factor * p.sign) for p in forces[0].parts], motion)
     gradients = _choose_gradient(rest, motion, total, has_position=bool(position))
     masses = _choose_mass([item for item in own if item.field == 'mass'] or rest, train_file)
     brakes = _choose_brake(rest, motion, _specific_force(total, masses, train_file))
@@ -192,8 +197,6 @@ def _without(series: Iterable[NumberSeries], choices: Iterable[Choice]) -> list[
 
 # Correlation of two speeds of one train, and of a position with the integral of its speed [1].
 _MIN_ALIKE: Final = 0.9
-# Largest speed by that of the train file [1], which no train exceeds by half.
-_MAX_OVER: Final = 1.5
 # Correlation of a force or a brake with the acceleration [1], and without a name that says so.
 _MIN_CORRELATION: Final = 0.3
 _MIN_NAMELESS: Final = 0.6
@@ -299,8 +302,8 @@ def _choose_speed(
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons.append(reason)
     fastest = float(np.nanmax(speed_si))
-    if train_file is not None and fastest > _MAX_OVER * train_file.train.max_speed:
-        limit = train_file.train.max_speed
+    # No train exceeds the largest speed of its train file by half.
+    if train_file is not None and fastest > 1.5 * (limit := train_file.train.max_speed):
         choice.decisions.append(
             f'unit {unit} makes it up to {fastest:.3g} m/s; max_speed of the train file is {limit:.3g} m/s'
         )
@@ -364,10 +367,9 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
     speed, position = best.speed, best.position
     named = unit_in(speed, 'speed')
     found = _units_off(best.travel.ratio)
-    pairs = [(unit, length) for unit, length, _ in found]
-    if position is not None and pairs:
+    if position is not None and found:
         also = unit_in(position, 'length')
-        unit, length = max(pairs, key=lambda pair: (pair[0] == named) + (pair[1] == also))
+        unit, length, _ = max(found, key=lambda pair: (pair[0] == named) + (pair[1] == also))
         reason = (
             f'unit {unit}: {position.name} changes by {best.travel.ratio:.4g} for each unit and '
             f'second (correlation {best.travel.correlation:.2f}), so positions are in {length}'
@@ -408,7 +410,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choic
             groups.setdefault((family(item.source), item.topic and item.field, item.type), []).append(item)
     if not groups:
         return _as_force([[item] for item in _by_numbers(series, motion)], motion)
-    totals = {key: _sum_at(items, motion) for key, items in groups.items()}
+    totals = {key: _sum_at([(item, 1.0) for item in items], motion) for key, items in groups.items()}
     chosen: list[tuple[str, str, str]] = []
     share = 0.0
     while rest := [key for key in groups if key not in chosen]:
@@ -438,14 +440,14 @@ def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberS
     return best[1]
 
 
-def _sum_at(items: Iterable[NumberSeries], motion: _Motion) -> Array:
-    """Return the sum of series at the common times, shape (n,)."""
-    return np.asarray(np.sum([at_times(item, motion.times) for item in items], axis=0))
+def _sum_at(items: Iterable[tuple[NumberSeries, float]], motion: _Motion) -> Array:
+    """Return the sum of series, each with its factor, at the common times, shape (n,)."""
+    return np.asarray(np.sum([factor * at_times(item, motion.times) for item, factor in items], axis=0))
 
 
 def _as_force(groups: list[list[NumberSeries]], motion: _Motion) -> list[Choice]:
     """Return the choice of groups of sources, each with a sign of its own."""
-    totals = [_sum_at(items, motion) for items in groups]
+    totals = [_sum_at([(item, 1.0) for item in items], motion) for items in groups]
     fit = regress(motion.acceleration, [*totals, motion.speed**2], motion.moving)
     if not groups or fit is None:
         return []
@@ -478,12 +480,6 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
     if not fitting:
         choice.decisions.append('no unit fits: is it of all motor cars, and what is the largest force of the train?')
     return unit
-
-
-def _total_force(force: Choice, motion: _Motion) -> Array:
-    """Return the force [N] at the common times, shape (n,)."""
-    parts = ((find_unit(part.unit, 'force').factor * part.sign, part.series) for part in force.parts)
-    return np.asarray(np.sum([factor * at_times(series, motion.times) for factor, series in parts], axis=0))
 
 
 def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: TrainFile | None) -> Array | None:
@@ -583,9 +579,16 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
     ``effort`` is the force by mass [m/s^2], shape (n,), None if it is not known. While braking it is the effort of a
     nominal brake, which is what a command asks for.
     """
-    ranked = _ranked(series, motion)
+    ranked = []  # the likeliest first: rank, by how much a number precedes decelerations [s], correlation, number
+    for item in series:
+        named = score('brake_command', item.topic, item.field)
+        if named > 0.0 and np.ptp(item.value) > 0.0:
+            lag_s, with_it = _precedes(item, motion, motion.acceleration)
+            if abs(with_it) > _MIN_CORRELATION:
+                ranked.append((abs(with_it) + 0.3 * named, lag_s, with_it, item))
     if not ranked:
         return []
+    ranked.sort(key=lambda entry: -entry[0])
     _, lag_s, with_it, item = ranked[0]
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
     target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
@@ -602,31 +605,9 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
         _scale(choice, item, values, target, by_force)
     if choice.on_change:
         choice.reasons.append(f'published only on change, up to {float(np.diff(item.time).max()):.0f} s apart')
-    if others := [entry.item.name for entry in ranked[1:]]:
+    if others := [other.name for *_, other in ranked[1:]]:
         choice.decisions.append(f'also like a brake: {", ".join(others[:3])}')
     return [choice]
-
-
-class _Candidate(NamedTuple):
-    """A number that may be the command: its rank, by how much it precedes decelerations [s], and its correlation."""
-
-    rank: float
-    lag_s: float
-    with_it: float
-    item: NumberSeries
-
-
-def _ranked(series: Sequence[NumberSeries], motion: _Motion) -> list[_Candidate]:
-    """Return the numbers that are named like a brake command and precede decelerations, the likeliest first."""
-    found = []
-    for item in series:
-        named = score('brake_command', item.topic, item.field)
-        if named <= 0.0 or np.ptp(item.value) == 0.0:
-            continue
-        lag_s, with_it = _precedes(item, motion, motion.acceleration)
-        if abs(with_it) > _MIN_CORRELATION:
-            found.append(_Candidate(abs(with_it) + 0.3 * named, lag_s, with_it, item))
-    return sorted(found, key=lambda candidate: -candidate.rank)
 
 
 def _precedes(item: NumberSeries, motion: _Motion, acceleration: Array) -> tuple[float, float]:
@@ -649,16 +630,15 @@ def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> 
     Notch 0 may be the full brake; unseen it is released if no other one is.
     """
     wait = round(1.4 / STEP_S)  # a brake takes 1.4 s to come to its value
+    known = np.isfinite(target)
     table: list[tuple[float, float]] = []
     unseen: list[float] = []
     for notch in np.unique(item.value):
         holds = values == notch
-        steady = holds.copy()
+        steady = holds & known
         for steps in range(1, wait):
             steady[steps:] &= holds[:-steps]
-        known = np.isfinite(target)
-        seen = target[steady & known] if np.any(steady & known) else target[holds & known]
-        if seen.size:
+        if (seen := target[steady if steady.any() else holds & known]).size:
             value = float(np.median(seen))
             table.append((float(notch), round(value, 2) if value < -_MIN_BRAKING else 0.0))
         else:
@@ -677,13 +657,10 @@ def _scale(choice: Choice, item: NumberSeries, values: Array, target: Array, by_
     braking = np.isfinite(values) & np.isfinite(target) & (np.abs(values) > 0.1 * top) & (target < -_MIN_BRAKING)
     ratio = float(np.median(target[braking] / values[braking])) if braking.any() else -1.0
     sign = 1.0 if ratio > 0.0 else -1.0
-    if (
-        unit_in(item, 'gradient') != 'percent' and top <= 3.0 and 0.5 < abs(ratio) < 2.0
-    ):  # m/s^2, more than a brake gives
-        choice.reasons.append(f'unit m/s^2: {by_force} is {ratio:.2f} for each unit')
-        choice.parts = (Part(item, 'm/s^2', sign),)
-        return
-    unit = f'percent_of {100.0 * abs(ratio):.3g} m/s^2'
-    choice.reasons.append(f'unit {unit}: {by_force} is {ratio:.4f} for each unit')
-    choice.decisions.append('the nominal deceleration of the full brake')
+    unit, digits = f'percent_of {100.0 * abs(ratio):.3g} m/s^2', 4
+    if unit_in(item, 'gradient') != 'percent' and top <= 3.0 and 0.5 < abs(ratio) < 2.0:  # more than a brake gives
+        unit, digits = 'm/s^2', 2
+    else:
+        choice.decisions.append('the nominal deceleration of the full brake')
+    choice.reasons.append(f'unit {unit}: {by_force} is {ratio:.{digits}f} for each unit')
     choice.parts = (Part(item, unit, sign),)

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -15,25 +17,15 @@ from trainid_ros.inputs.table_files import VBOX_SUFFIX, Column, CsvTable, joined
 from trainid_ros.inputs.tables import Clock
 from trainid_ros.inputs.times import CLOCK, EXCEL, UnclearError
 from trainid_ros.inputs.units import find_unit
-from trainid_ros.inspection.names import score, unit_in
-from trainid_ros.inspection.number_series import BagNumbers, NumberSeries
+from trainid_ros.inspection.number_series import BagNumbers, NumberSeries, score, unit_in
 from trainid_ros.inspection.suggest import Choice, quoted
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.text import listed
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-_BLOCKS: Final = 10  # of rows that are read
 _MAX_NOTCHES: Final = 16  # whole numbers of more values are measurements
-
-_MIN_REPEATED: Final = 3  # times that a code is there at least; fewer are outliers
 # Like -999, or the largest number of 8, 16 or 32 bits, also in tenths or hundredths.
 _LIKE_CODE: Final = re.compile(r'-?(9{3,}(\.9+)?|99\.9+)|-?(255|327\.?6\.?[78]|655\.?3\.?5|2147483647|4294967295)')
-_CODE_SPANS: Final = 1.0  # ranges of all other numbers that such a number is away from them [1]
-_OTHER_SPANS: Final = 5.0  # the same of any other number, which may be a rare value
 
 
 def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
@@ -88,8 +80,9 @@ def _codes_in(column: Column) -> list[float]:
         end = 0 if gaps[0] > gaps[1] else -1
         others = np.delete(values, end)
         code, text = float(values[end]), _as_text(values[end])
-        spans = _CODE_SPANS if _LIKE_CODE.fullmatch(text) else _OTHER_SPANS
-        if counts[end] < _MIN_REPEATED or gaps[end] <= spans * np.ptp(others):
+        # How many ranges of all other numbers it is away from them; one not like a code may be a rare value.
+        spans = 1.0 if _LIKE_CODE.fullmatch(text) else 5.0
+        if counts[end] < 3 or gaps[end] <= spans * np.ptp(others):  # fewer are outliers
             break
         codes.append(code)
         values, counts = others, np.delete(counts, end)
@@ -154,7 +147,7 @@ class _Reader:
         time = TimeColumn(tuple(names), find_unit('s', 'time'), format=form) if form else None
         table = open_table(self._path, replace(self.mapping, time=time))
         try:
-            found = joined(islice(table.blocks(names), _BLOCKS), names)
+            found = joined(islice(table.blocks(names), 10), names)
         except InputError as error:
             if len(names) > 1:
                 half = len(names) // 2
