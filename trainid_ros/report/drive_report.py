@@ -4,43 +4,49 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from trainid_ros.interface.records import KM_H, NS_PER_S
+from trainid_ros.interface.results import (
+    AdhesionEstimate,
+    BrakeRateEstimate,
+    Output,
+    Reason,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+)
 from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.report import page
-from trainid_ros.report.page import Table, render, write_page
-from trainid_ros.report.recording import BRAKING, COASTING, PULLING, STANDSTILL, Panel, Span, input_panels
-from trainid_ros.report.verdict import USABLE, Verdict, estimate_rows, middle_speed, speed_text
+from trainid_ros.report.page import render, write_page
+from trainid_ros.report.recording import (
+    BRAKING,
+    COASTING,
+    PULLING,
+    STANDSTILL,
+    Array,
+    Panel,
+    Recording,
+    Series,
+    Span,
+    Track,
+    input_panels,
+)
+from trainid_ros.report.verdict import USABLE, EstimateRow, Verdict, estimate_rows, middle_speed, speed_text
 from trainid_ros.report.words import DASH, DAVIS_UNITS, number
+from trainid_ros.sim.truth import Truth
 from trainid_ros.train.forces import davis
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from trainid_ros.interface.results import (
-        AdhesionEstimate,
-        BrakeRateEstimate,
-        Output,
-        Reason,
-        ResistanceEstimate,
-        SpeedModelEstimate,
-    )
-    from trainid_ros.report.recording import Array, Recording, Series, Track
-    from trainid_ros.report.verdict import EstimateRow
-    from trainid_ros.sim.truth import Truth, TruthPoint
-    from trainid_ros.train.train_file import Davis, TrainFile
+from trainid_ros.train.train_file import Davis, TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,8 @@ class Chapter:
         """Return the true resistance and brake rate [1] at the end, None where unknown."""
         if self.truth is None:
             return None, None
-        (point,) = _points(self.truth, self.recording, [self.recording.duration_s])
+        recording = self.recording
+        point = self.truth.truth_at_ns(recording.start_ns + round(recording.duration_s * NS_PER_S))
         return point.resistance, point.brake_rate
 
 
@@ -86,8 +93,16 @@ class AccuracyScore:
 
 def resistance_std(covariance: Array, speed: float | Array) -> Array:
     """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of a, b, c, shape (..., 3, 3)."""
+    return _std(_phi(speed), covariance)
+
+
+def _phi(speed: float | Array) -> Array:
+    """Return the factors of a, b, c in w at a speed [m/s], shape (..., 3)."""
     v = np.asarray(speed, dtype=np.float64)
-    phi = np.stack([np.ones_like(v), v, v * v], axis=-1)
+    return np.stack([np.ones_like(v), v, v * v], axis=-1)
+
+
+def _std(phi: Array, covariance: Array) -> Array:
     std: Array = np.sqrt(np.maximum(0.0, np.einsum('...i,...ij,...j->...', phi, covariance, phi)))
     return std
 
@@ -98,20 +113,11 @@ def resistance_at(theta: Array, speed: float | Array) -> Array:
     return w
 
 
-def _points(truth: Truth, recording: Recording, times_s: Iterable[float]) -> list[TruthPoint]:
-    """Return the true values at times of a recording."""
-    return [truth.truth_at_ns(recording.start_ns + round(time_s * NS_PER_S)) for time_s in times_s]
-
-
-def true_theta(truth: Truth, recording: Recording, time_s: Array) -> Array:
-    """Return the true a, b, c [N/kN, v in m/s] at times of a recording [s], shape (n, 3)."""
-    return np.array([_theta(point.resistance) for point in _points(truth, recording, time_s)]).reshape(-1, 3)
-
-
-def true_rate(truth: Truth, recording: Recording, time_s: Array) -> Array | None:
-    """Return the true brake rate [1] at times of a recording [s], None if it is unknown."""
-    rates = [point.brake_rate for point in _points(truth, recording, time_s)]
-    return np.array([math.nan if rate is None else rate for rate in rates]) if truth.brake_rate else None
+def true_values(truth: Truth, recording: Recording, track: Track) -> tuple[Array, Array]:
+    """Return the true a, b, c [N/kN, v in m/s], shape (n, 3), and brake rate [1], NaN if unknown, along a track."""
+    points = [truth.truth_at_ns(recording.start_ns + round(time_s * NS_PER_S)) for time_s in track.time_s]
+    theta = np.array([_theta(point.resistance) for point in points]).reshape(-1, 3)
+    return theta, np.array([point.brake_rate for point in points], dtype=np.float64)
 
 
 def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None:
@@ -119,17 +125,15 @@ def score_resistance(recording: Recording, truth: Truth) -> AccuracyScore | None
     track = recording.resistance
     speed = track.column('speed')
     w = resistance_at(track.theta, speed)
-    true = resistance_at(true_theta(truth, recording, track.time_s), speed)
+    true = resistance_at(true_values(truth, recording, track)[0], speed)
     return _score(w - true, resistance_std(track.covariance, speed), track.usable)
 
 
 def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None:
     """Score the brake rate [1], None if the truth is unknown or no output was usable."""
     track = recording.brake_rate
-    true = true_rate(truth, recording, track.time_s)
-    if true is None:
-        return None
-    return _score(track.column('brake_rate') - true, track.column('brake_rate_std'), track.usable)
+    error = track.column('brake_rate') - true_values(truth, recording, track)[1]
+    return _score(error, track.column('brake_rate_std'), track.usable)
 
 
 def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> AccuracyScore | None:
@@ -184,10 +188,11 @@ def _content(chapter: Chapter) -> dict[str, object]:
         'notes': chapter.notes,
         'certainty': chapter.certainty,
         'cards': _cards(chapter),
-        'estimates': _estimates_table(chapter),
-        'scores': _scores_table(chapter),
-        'rejections': _rejections_table(chapter),
         'truth_known': chapter.truth is not None,
+        'estimates': _estimates(chapter),
+        'scores': _scores(chapter),
+        'estimators': [*chapter.rejections],
+        'rejections': _rejections(chapter),
         'resistance_over_time': resistance_over_time(chapter),
         'resistance_curve': resistance_curve(chapter),
         'brake_rate': brake_rate_over_time(chapter),
@@ -229,7 +234,7 @@ def _cards(chapter: Chapter) -> list[dict[str, object]]:
     return [dict(zip(names, card, strict=True)) | {'usable': card[3].status in USABLE} for card in cards]
 
 
-def _estimates_table(chapter: Chapter) -> Table:
+def _estimates(chapter: Chapter) -> list[list[str]]:
     """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
     true, true_braking = chapter.final_truth()
     priors = {'brake rate': chapter.train_file.brake.rate, 'force scale': 1.0, 'force delay': 0.0}
@@ -240,16 +245,8 @@ def _estimates_table(chapter: Chapter) -> Table:
             phi = np.array(row.factors)
             prior = float(phi @ _theta(chapter.train_file.resistance))
             known = None if true is None else float(phi @ _theta(true))
-        rows.append(_row(row, prior, known))
-    head = ('', 'unit', 'estimate', 'std', 'train file', 'truth', 'error', 'error / std')
-    width = len(head) if chapter.truth is not None else 5
-    caption = 'Estimates at the end. * outside the speed range learned from.'
-    return Table(caption, head[:width], [row[:width] for row in rows], 2)
-
-
-def _phi(speed: float) -> Array:
-    """Return the factors of a, b, c in w at a speed [m/s]."""
-    return np.array([1.0, speed, speed * speed])
+        rows.append(_row(row, prior, known)[: 5 if chapter.truth is None else None])
+    return rows
 
 
 def _theta(davis: Davis | ResistanceEstimate) -> Array:
@@ -264,30 +261,27 @@ def _row(row: EstimateRow, prior: float, true: float | None) -> list[str]:
     return [*cells, number(true), f'{error:+.2g}', f'{error / row.std:+.1f}' if row.std > 0.0 else DASH]
 
 
-def _scores_table(chapter: Chapter) -> Table:
-    caption = 'Over the whole drive, while VALID or HOLDING; a consistent std gives 68 % and 95 %'
-    head = ('', 'unit', 'rms error', 'mean error', 'truth inside ±1 std', 'inside ±1.96 std')
+def _scores(chapter: Chapter) -> list[tuple[str, ...]]:
     if chapter.truth is None:
-        return Table(caption, head, ())
+        return []
     scores = (
         ('w at the current speed', 'N/kN', score_resistance(chapter.recording, chapter.truth)),
         ('brake rate', '1', score_brake_rate(chapter.recording, chapter.truth)),
     )
-    rows = [
+    return [
         (name, unit, number(s.rms, 3), f'{s.bias:+.2g}', f'{s.inside_68:.0%}', f'{s.inside_95:.0%}')
         for name, unit, s in scores
         if s is not None
     ]
-    return Table(caption, head, rows, 2)
 
 
-def _rejections_table(chapter: Chapter) -> Table:
+def _rejections(chapter: Chapter) -> list[list[str]]:
     counts = chapter.rejections.values()
     outputs = (chapter.resistance, chapter.speed_model, chapter.brake_rate)
     reasons = sorted({reason for count in counts for reason in count})
     rows = [['used', *(f'{output.used}' for output in outputs)]]
     rows += [[item.text, *(f'{count[item]}' if item in count else DASH for count in counts)] for item in reasons]
-    return Table('Samples used, and samples rejected by reason', ('', *chapter.rejections), rows)
+    return rows
 
 
 def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
@@ -323,16 +317,14 @@ def resistance_over_time(chapter: Chapter) -> str:
 def _linear_panel(chapter: Chapter, phi: Array, title: str, label: str) -> Panel:
     """Return the panel of a linear combination ``phi`` of a, b, c."""
     track = _picked(chapter.recording.resistance)
-    return Panel(
-        title,
-        label,
-        track.time_ns,
-        track.theta @ phi,
-        std=np.sqrt(np.maximum(0.0, np.einsum('i,nij,j->n', phi, track.covariance, phi))),
-        usable=track.usable,
-        prior=float(phi @ _theta(chapter.train_file.resistance)),
-        truth=_true_w(chapter, track, phi),
-    )
+    prior, truth = float(phi @ _theta(chapter.train_file.resistance)), _true_w(chapter, track, phi)
+    std = _std(phi, track.covariance)
+    return Panel(title, label, track.time_ns, track.theta @ phi, std, track.usable, prior, truth)
+
+
+def _panel(track: Track, name: str, title: str, label: str) -> Panel:
+    """Return the panel of a field of an estimate that has a standard deviation."""
+    return Panel(title, label, track.time_ns, track.column(name), track.column(f'{name}_std'), track.usable)
 
 
 def _picked(track: Track) -> Track:
@@ -341,7 +333,7 @@ def _picked(track: Track) -> Track:
 
 def _true_w(chapter: Chapter, track: Track, phi: Array) -> Array | None:
     """Return the true linear combination ``phi`` of a, b, c over time, None if it is unknown."""
-    return None if chapter.truth is None else true_theta(chapter.truth, chapter.recording, track.time_s) @ phi
+    return None if chapter.truth is None else true_values(chapter.truth, chapter.recording, track)[0] @ phi
 
 
 def resistance_curve(chapter: Chapter) -> str:
@@ -391,17 +383,10 @@ def brake_rate_over_time(chapter: Chapter) -> str:
     track = _picked(recording.brake_rate)
     if not track.estimates:
         return ''
-    true = None if chapter.truth is None else true_rate(chapter.truth, recording, track.time_s)
-    panel = Panel(
-        'Brake rate',
-        'brake rate (1 = nominal)',
-        track.time_ns,
-        track.column('brake_rate'),
-        std=track.column('brake_rate_std'),
-        usable=track.usable,
-        prior=chapter.train_file.brake.rate,
-        truth=true,
-    )
+    truth = chapter.truth
+    true = true_values(truth, recording, track)[1] if truth is not None and truth.brake_rate else None
+    panel = _panel(track, 'brake_rate', 'Brake rate', 'brake rate (1 = nominal)')
+    panel = panel._replace(prior=chapter.train_file.brake.rate, truth=true)
     with page.styled_figure(3.4) as figure:
         axes = figure.subplots()
         page.draw_spans(axes, recording.observable, {'observable': page.SECOND}, alpha=0.2)
@@ -431,8 +416,7 @@ def adhesion_over_time(chapter: Chapter) -> str:
     with page.styled_figure(3.0) as figure:
         axes = figure.subplots()
         shades = page.draw_faults(axes, slips, recording.duration_s)
-        panel = Panel('Adhesion', 'share of the weight', track.time_ns, track.column('adhesion'))
-        page.draw_panel(axes, panel._replace(std=track.column('adhesion_std'), usable=track.usable))
+        page.draw_panel(axes, _panel(track, 'adhesion', 'Adhesion', 'share of the weight'))
         axes.plot(track.time_s / 60.0, np.abs(track.column('used')), color=page.MUTED, linewidth=0.8)
         axes.set_ylim(bottom=0.0)
         page.time_axis(axes, recording.duration_s)
@@ -499,21 +483,11 @@ def speed_model_over_time(chapter: Chapter) -> str:
     track, speed = _picked(chapter.recording.speed_model), shown_speeds(chapter)[1]
     if not track.estimates:
         return ''
-    w = Panel(
-        f'Speed model: w at {speed_text(speed)}',
-        'w [N/kN]',
-        track.time_ns,
-        resistance_at(track.theta, speed),
-        prior=davis(chapter.train_file.resistance, speed),
-        truth=_true_w(chapter, track, _phi(speed)),
-    )
-    mass = Panel(
-        'Speed model: mass factor (M / nominal M)(1 + γ)',
-        '',
-        track.time_ns,
-        track.column('mass_factor'),
-        prior=1.0 + chapter.train_file.train.rotary_mass,
-    )
+    title, value = f'Speed model: w at {speed_text(speed)}', resistance_at(track.theta, speed)
+    prior, truth = davis(chapter.train_file.resistance, speed), _true_w(chapter, track, _phi(speed))
+    w = Panel(title, 'w [N/kN]', track.time_ns, value, prior=prior, truth=truth)
+    title, value = 'Speed model: mass factor (M / nominal M)(1 + γ)', track.column('mass_factor')
+    mass = Panel(title, '', track.time_ns, value, prior=1.0 + chapter.train_file.train.rotary_mass)
     with page.styled_figure(2.8) as figure:
         for axes, panel in zip(figure.subplots(1, 2, sharex=True), (w, mass), strict=True):
             page.draw_panel(axes, panel, page.SECOND)

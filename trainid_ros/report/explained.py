@@ -4,25 +4,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from trainid_ros.explain.result import Explanation, Verdict
+from trainid_ros.explain.result import Explanation, Learned, Location, Place, RunTrace, Verdict
 from trainid_ros.report import page, words
-from trainid_ros.report.what_if import what_if_rows
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from trainid_ros.explain.result import Learned, Location, Place, RunTrace
-    from trainid_ros.report.recording import Array
-    from trainid_ros.train.train_file import Line, TrainFile
+from trainid_ros.report.proposal import what_if_rows
+from trainid_ros.report.recording import Array
+from trainid_ros.train.train_file import Line, TrainFile
 
 # The tag has the colours of the estimators' statuses.
 _TAGS: Final = {
@@ -50,8 +45,6 @@ def render_explained(
     """Return the report as HTML text; ``train_file`` is the one explained, ``notes`` are further sentences."""
     line = train_file.line
     found = _stretches(explanation)
-    davis = [(name, unit, old, new) for name, old, new, unit in words.davis_rows(explanation, train_file)]
-    noise = words.noise_rows(explanation)
     return page.render(
         'explained.html.j2',
         title,
@@ -67,29 +60,15 @@ def render_explained(
         ),
         worst_run=worst_run(explanation),
         learned=learned_curve(explanation.learned),
-        consequences=(
-            page.Table(
-                'Other causes', ('', '', 'probability', 'times less likely'), words.rejected_rows(explanation), 2
-            ),
-            page.Table(
-                'What the new train file changes: fastest drive along the line without dwells; '
-                'stopping distance on the level with full service brake, bound at 95 %',
-                ('', 'unit', 'train file read', 'train file written', 'change'),
-                what_if_rows(train_file, explanation.train_file),
-                2,
-            ),
-        ),
+        other_causes=words.rejected_rows(explanation),
+        changes=what_if_rows(train_file, explanation.train_file),
         runs=len(explanation.traces),
         missing_along_line=missing_along_line(explanation, line, found),
         gap_along_line=gap_along_line(explanation, line, found),
         missing_by_part=missing_by_part(explanation),
         gap_of_runs=gap_of_runs(explanation),
-        tables=(
-            page.Table(
-                'Running resistance w(v) = a + b v + c v²', ('', 'unit', 'train file', 'estimate ± std'), davis, 2
-            ),
-            page.Table('Noise and nuisances, estimated with the effects', ('', 'unit', 'value'), noise, 2),
-        ),
+        davis=[(name, unit, old, new) for name, old, new, unit in words.davis_rows(explanation, train_file)],
+        noise=words.noise_rows(explanation),
     )
 
 
@@ -321,7 +300,6 @@ def _draw_location(axes: Axes, location: Location) -> None:
 
 
 def _draw_ranges(axes: Axes, location: Location) -> None:
-    """Draw steps with bands of ±2 std over the ranges of an axis."""
     places = sorted(location.places, key=lambda place: place.low)
     x, std = _steps(places, [place.std for place in places])
     axes.axhline(0.0, color=page.MUTED, linewidth=0.8)
@@ -334,7 +312,6 @@ def _draw_ranges(axes: Axes, location: Location) -> None:
 
 
 def _values(places: Sequence[Place]) -> tuple[tuple[str, list[float]], ...]:
-    """Return the missing resistances before and after, each with its colour."""
     return (BEFORE, [place.before for place in places]), (AFTER, [place.after for place in places])
 
 
@@ -350,7 +327,6 @@ def _steps(places: Sequence[Place], values: Sequence[float]) -> tuple[Array, Arr
 
 
 def _draw_kinds(axes: Axes, places: Sequence[Place]) -> None:
-    """Draw values with bars of ±2 std side by side."""
     at = np.arange(len(places))
     std = np.array([place.std for place in places])
     axes.axhline(0.0, color=page.MUTED, linewidth=0.8)

@@ -4,26 +4,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 
-from trainid_ros.fleet.changes import Level
-from trainid_ros.fleet.mixed_model import MIN_TRAINS
+from trainid_ros.fleet.analysis import ChannelView, FleetView, TrainView
+from trainid_ros.fleet.changes import Departure, Level
+from trainid_ros.fleet.mixed_model import MIN_TRAINS, Array, MixedFit
 from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.report import page
 from trainid_ros.report.words import DASH
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from matplotlib.axes import Axes
-
-    from trainid_ros.fleet.analysis import ChannelView, FleetView, TrainView
-    from trainid_ros.fleet.changes import Departure
-    from trainid_ros.fleet.mixed_model import Array
 
 _NAMED: Final = (page.BAD, page.BRAKE, page.SECOND, page.TRACTION, page.ESTIMATE)
 _LABELLED: Final = 10  # Trains drawn in colour, with their names
@@ -38,6 +32,7 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
     """
     labels = view.labels
     shown = view.trains[: max(60, len(view.found))]
+    names = [*dict.fromkeys(name for v in view.channels for name in v.fit.stds if name != 'stated')]
     return page.render(
         'fleet.html.j2',
         'trainid fleet report',
@@ -49,9 +44,17 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
             ('False alarms', f'at most one in {limit:.0f} train-days, if the model holds'),
         ),
         summary=summary(view),
-        ranking=_ranking(view),
+        ranking=[
+            (
+                Markup('<a href="#train-{}">{}</a>').format(train.number, train.name),
+                ' '.join(findings(view, train)),
+                f'{train.evidence:.0f}',
+            )
+            for train in view.found
+        ],
         hidden=view.hidden,
-        spread=_spread_table(view),
+        names=names,
+        spread=[(v.channel.title, *_spread(v.fit, names)) for v in view.channels],
         all_trains=fleet_over_days(view),
         common=common_over_days(view),
         trains=[
@@ -117,28 +120,9 @@ def _departure_text(view: FleetView, departure: Departure) -> str:
     return f'{first}, certain on {days[departure.alarm]}: {what}.'
 
 
-def _ranking(view: FleetView) -> page.Table:
-    rows = [
-        (
-            Markup('<a href="#train-{}">{}</a>').format(train.number, train.name),
-            ' '.join(findings(view, train)),
-            f'{train.evidence:.0f}',
-        )
-        for train in view.found
-    ]
-    caption = 'Trains that stand out; evidence is the natural logarithm of the odds of a change'
-    return page.Table(caption, ('train', 'what', 'evidence'), rows, 2)
-
-
-def _spread_table(view: FleetView) -> page.Table:
-    """Return the table of what the values vary by."""
-    names = tuple(dict.fromkeys(name for v in view.channels for name in v.fit.stds if name != 'stated'))
-    rows = []
-    for title, fit in ((v.channel.title, v.fit) for v in view.channels):
-        stds = (f'{fit.stds[name]:.2g}' if name in fit.stds else DASH for name in names)
-        rows.append((title, f'{fit.mean:.4g}', *stds, f'{fit.stds["stated"]:.0%}', f'{fit.degrees:g}'))
-    head = ('channel', 'mean', *names, 'stated std counts', 'degrees of freedom')
-    return page.Table('Mean of the fleet, and standard deviations of what it varies by', head, rows)
+def _spread(fit: MixedFit, names: Sequence[str]) -> tuple[str, ...]:
+    stds = (f'{fit.stds[name]:.2g}' if name in fit.stds else DASH for name in names)
+    return f'{fit.mean:.4g}', *stds, f'{fit.stds["stated"]:.0%}', f'{fit.degrees:g}'
 
 
 def fleet_over_days(view: FleetView) -> str:
@@ -238,6 +222,5 @@ def _levels(axes: Axes, channel: ChannelView, k: int, train: TrainView) -> None:
 
 
 def _fleet_band(axes: Axes, channel: ChannelView, days: int) -> None:
-    """Draw mean and ±2 standard deviations of the trains."""
     mean, spread = channel.fit.mean, _SIGMAS * channel.fit.stds['train']
     axes.fill_between([-0.5, days - 0.5], mean - spread, mean + spread, color=page.GRID, alpha=0.6)

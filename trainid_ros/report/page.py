@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import platform
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -27,15 +30,7 @@ from trainid_ros import __version__
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.report import HTML_START
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-
-    from trainid_ros.report.recording import Array, Panel, Span
-
+from trainid_ros.report.recording import Array, Panel, Span
 
 SIGMA_95: Final = 1.959964
 """Two-sided normal quantile of 95 %."""
@@ -240,15 +235,6 @@ bullets: Final = _PARTS.bullets
 captioned: Final = _PARTS.figures
 facts: Final = _PARTS.facts
 html_table: Final = _PARTS.table
-
-
-class Table(NamedTuple):
-    """A table: the first ``text_columns`` hold text, the others numbers; one without rows is not shown."""
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    text_columns: int = 1
 
 
 def render(template: str, title: str, **content: Any) -> str:

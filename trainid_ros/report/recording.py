@@ -55,8 +55,9 @@ REJECTED: Final = 'rejected'
 _USUAL: Final = frozenset(
     (Reason.NONE, Reason.STANDSTILL, Reason.BRAKING, Reason.NOT_BRAKING, Reason.THINNED, Reason.BRAKE_UNCERTAIN)
 )
-# A larger step of the stamps needs a sample on its other side.
-_MAX_STEP_NS: Final = 600 * NS_PER_S
+_SHOWN_FIELDS: Final[dict[type[Record], str]] = {
+    SpeedRecord: 'speed', ForceRecord: 'force', GradientRecord: 'gradient', BrakeRecord: 'target_acceleration'
+}  # fmt: skip
 
 
 class Span(NamedTuple):
@@ -96,7 +97,6 @@ class Track:
         return self.time_ns / NS_PER_S
 
     def __getitem__(self, kept: slice) -> Track:
-        """Return a part of the estimates."""
         return replace(self, time_ns=self.time_ns[kept], estimates=self.estimates[kept], usable=self.usable[kept])
 
     def column(self, name: str) -> Array:
@@ -183,7 +183,8 @@ class PlausibleStamps:
 
     def accept(self, stamp_ns: int) -> bool:
         """Return whether an input with a stamp is to be shown."""
-        near = any(abs(stamp_ns - known) <= _MAX_STEP_NS for known in (self._newest_ns, self._sample_ns) if known)
+        # A step of more than 600 s needs a sample on its other side.
+        near = any(abs(stamp_ns - known) <= 600 * NS_PER_S for known in (self._newest_ns, self._sample_ns) if known)
         if stamp_ns <= 0 or not (near or self._newest_ns == 0):
             return False
         self._newest_ns = stamp_ns
@@ -292,15 +293,14 @@ def _series(rows: Sequence[tuple[float, ...]], width: int, start_ns: int) -> Ser
 
 
 class Recorder:
-    """Collects a recording; with a capacity, memory is bounded for any duration."""
+    """Collects a recording, of each column a number of samples: memory is bounded for any duration."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
-        """Set the number of samples to keep of each column."""
         self._start_ns = self._newest_ns = 0
         self._speed_stamps, self._other_stamps = PlausibleStamps(), PlausibleStamps()
-        kinds = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord)
-        self._inputs: dict[type, _Thinned[tuple[float, ...]]] = {kind: _Thinned(capacity) for kind in kinds}
-        self._force = self._command = self._gradient = self._greatest_force = 0.0
+        self._inputs: dict[type, _Thinned[tuple[float, ...]]] = {kind: _Thinned(capacity) for kind in _SHOWN_FIELDS}
+        self._newest = dict.fromkeys(_SHOWN_FIELDS, 0.0)  # the newest value of each input
+        self._greatest_force = 0.0
         self._modes, self._observable = Labels(), Labels()
         estimates = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate, AdhesionEstimate)
         self.outputs: dict[type, _Outputs] = {kind: _Outputs(capacity) for kind in estimates}
@@ -311,29 +311,18 @@ class Recorder:
 
     def add_record(self, record: Record) -> None:
         """Add an input; one without a stamp is left out, and one with an implausible stamp is not shown."""
-        stamp_ns = record.stamp_ns
-        if stamp_ns <= 0:
+        stamp_ns, kind = record.stamp_ns, type(record)
+        if stamp_ns <= 0 or kind not in _SHOWN_FIELDS:
             return
+        value = self._newest[kind] = getattr(record, _SHOWN_FIELDS[kind])
+        if isinstance(record, ForceRecord):
+            self._greatest_force = max(self._greatest_force, abs(value))
         # A time base of its own of another input must not hide the speed.
         stamps = self._speed_stamps if isinstance(record, SpeedRecord) else self._other_stamps
-        match record:
-            case SpeedRecord():
-                values: tuple[float, ...] = (record.speed, self._gradient)
-            case ForceRecord():
-                self._force = record.force
-                self._greatest_force = max(self._greatest_force, abs(record.force))
-                values = (record.force,)
-            case BrakeRecord():
-                self._command = record.target_acceleration
-                values = (self._command,)
-            case GradientRecord():
-                self._gradient = record.gradient
-                values = (self._gradient,)
-            case _:
-                return
         if not stamps.accept(stamp_ns):
             return
-        self._inputs[type(record)].add((stamp_ns, *values))
+        gradient = (self._newest[GradientRecord],) if isinstance(record, SpeedRecord) else ()
+        self._inputs[kind].add((stamp_ns, value, *gradient))
         if isinstance(record, SpeedRecord) and np.isfinite(record.speed):
             self._extend(stamp_ns)
             self._modes.add(stamp_ns, self._mode(record.speed))
@@ -361,21 +350,10 @@ class Recorder:
             outputs.track(start_ns, end_ns) for outputs in self.outputs.values()
         )
         modes, observable = (labels.spans(start_ns, end_ns) for labels in (self._modes, self._observable))
-        length_s = (end_ns - start_ns) / NS_PER_S
         return Recording(
-            start_ns,
-            length_s,
-            speed,
-            force,
-            gradient,
-            command,
-            modes,
-            resistance,
-            speed_model,
-            brake_rate,
-            observable,
-            adhesion,
-        )
+            start_ns, (end_ns - start_ns) / NS_PER_S, speed, force, gradient, command, modes,
+            resistance, speed_model, brake_rate, observable, adhesion,
+        )  # fmt: skip
 
     def _extend(self, stamp_ns: int) -> None:
         self._start_ns = self._start_ns or stamp_ns
@@ -384,16 +362,15 @@ class Recorder:
     def _mode(self, speed: float) -> str:
         if speed < 0.3:  # m/s
             return STANDSTILL
-        if self._command < 0.0:
+        if self._newest[BrakeRecord] < 0.0:
             return BRAKING
         # Auxiliaries draw some power while a train coasts.
-        return PULLING if self._force > 0.02 * self._greatest_force else COASTING
+        return PULLING if self._newest[ForceRecord] > 0.02 * self._greatest_force else COASTING
 
 
 RRD_START: Final = 'RRF2'
 """How a recording starts."""
 USED: Final = 'used'
-_AXIS: Final = 'time'
 SHARES: Final = (6.0, 1.9, 1.7)
 """Heights of inputs beside estimates, of status beside samples, and of the events."""
 _COLOURS: Final = {
@@ -430,7 +407,6 @@ class ViewRecorder(Recorder):
     """Collects a replay without a bound, with what the viewer shows besides numbers."""
 
     def __init__(self, pipelines: Pipelines) -> None:
-        """Set the estimators that run."""
         super().__init__(capacity=sys.maxsize)
         self._stream = pipelines.resistance.stream
         self.rejected = {name: Labels() for name in _NAMES.values()}  # why the newest sample was not used
@@ -470,8 +446,8 @@ def estimate_panel(shown: ShownEstimate, track: Track) -> Panel:
 
 def time_range(recording: Recording) -> tuple[int, int]:
     """Return the earliest and the latest time of the inputs [ns]; where stamps jump back, not those at the ends."""
-    seen = [panel.time_ns for panel in input_panels(recording).values() if len(panel.time_ns)]
-    return min((int(time.min()) for time in seen), default=0), max((int(time.max()) for time in seen), default=0)
+    seen = np.concatenate([panel.time_ns for panel in input_panels(recording).values()])
+    return (int(seen.min()), int(seen.max())) if seen.size else (0, 0)
 
 
 def write_recording(recorder: ViewRecorder, title: str, path: Path) -> None:
@@ -550,7 +526,7 @@ class _Writer:
     def _send(self, path: str, time_ns: NDArray[np.int64], columns: Any) -> None:
         if len(time_ns):
             since = (time_ns - self._begin_ns).astype('timedelta64[ns]')
-            self._stream.send_columns(path, [self._rr.TimeColumn(_AXIS, duration=since)], columns)
+            self._stream.send_columns(path, [self._rr.TimeColumn('time', duration=since)], columns)
 
 
 def _layout(panels: dict[str, Panel], length_ns: int) -> Any:
@@ -575,7 +551,7 @@ def _layout(panels: dict[str, Panel], length_ns: int) -> Any:
     )
     return rrb.Blueprint(
         rrb.Vertical(*rows, row_shares=SHARES),
-        rrb.TimePanel(timeline=_AXIS, state='collapsed', play_state='paused'),
+        rrb.TimePanel(timeline='time', state='collapsed', play_state='paused'),
         collapse_panels=True,
     )
 

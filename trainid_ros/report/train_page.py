@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from markupsafe import Markup
 
 from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.text import pluralise, plus_minus
@@ -14,11 +13,7 @@ from trainid_ros.report.words import join, unit_of
 from trainid_ros.train.draft import doubts
 from trainid_ros.train.forces import davis
 from trainid_ros.train.line import profile_of
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
-    from trainid_ros.train.train_file import Effect, Pairs, TrainFile
+from trainid_ros.train.train_file import Effect, Pairs, TrainFile
 
 
 def facts(train_file: TrainFile) -> list[tuple[str, str]]:

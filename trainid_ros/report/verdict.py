@@ -17,7 +17,7 @@ from trainid_ros.estimators.pipeline import ConsistencyVerdict
 from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.results import Reason, ResistanceEstimate, Status, deviations, quantities
 from trainid_ros.interface.text import plus_minus
-from trainid_ros.resistance.davis_posterior import resistance_std
+from trainid_ros.monitor.trains import resistance_at
 from trainid_ros.setup.pipelines import force_findings
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def estimate_rows(
     ]
     for v in SPEEDS:
         name = f'w at {speed_text(v)}' + ('' if w.speed_min <= v <= w.speed_max else ' *')
-        value, std = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
+        value, std = resistance_at(w, v)
         rows.append(EstimateRow(name, 'N/kN', value, std, state, (1.0, v, v * v)))
     if not math.isnan(w.force_scale):
         rows.append(EstimateRow('force scale', '1 = as reported', w.force_scale, w.force_scale_std, state))
@@ -178,7 +178,7 @@ def _compared(outcome: Replay, bag: str, train: str) -> tuple[list[str], list[st
     """Return the main numbers against the train file, and what follows."""
     w, prior, f = outcome.resistance.output.estimate, outcome.resistance.prior, outcome.brake_rate.output.estimate
     v = middle_speed(w)
-    value, std = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
+    value, std = resistance_at(w, v)
     moved = abs(value - prior.a - prior.b * v - prior.c * v * v) / std
     braking = abs(f.brake_rate - outcome.brake_rate.prior.brake_rate) / f.brake_rate_std
     numbers = (

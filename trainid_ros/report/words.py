@@ -70,7 +70,6 @@ def percent(p: float) -> str:
 
 
 def _twins(explanation: Explanation) -> list[str]:
-    """Return the names of all alternatives."""
     return [*dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)]
 
 
