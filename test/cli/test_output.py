@@ -17,7 +17,6 @@ from trainid_ros.cli.output import (
     check_output,
     print_json,
     progress,
-    report_error,
     show,
     table,
     to_plain,
@@ -101,7 +100,7 @@ ESCAPED = r'x\x1b]0;owned\x07\x1b[2J\x9b31m\u202ey\udcff'
 def test_names_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     show(f'Zürich {HOSTILE}\nline')
     warn(f'{HOSTILE}\n{HOSTILE}')
-    report_error(InputError(f'{HOSTILE}: x'))
+    warn(InputError(f'{HOSTILE}: x'), 'error')
     out, err = capsys.readouterr()
     assert out == f'Zürich {ESCAPED}\nline\n'
     assert err == f'trainid: warning: {ESCAPED} {ESCAPED}\ntrainid: error: {ESCAPED}: x\n'

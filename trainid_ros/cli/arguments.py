@@ -118,15 +118,16 @@ VERBS: Final = (
     ),
     Verb(
         'simulate', 'create a bag with the simulator, or those of a fleet',
-        'out --train --world --realism --unknown --effect --fleet --days --fault --runs --seed --json', 'new_fleet.run',
+        'out --train --world --realism --unknown --effect --fleet --days --fault --runs --seed --json',
+        'new_bag.simulate',
     ),
     Verb(
         'fit', 'fit Davis parameters, or the brake, in one batch',
-        'bags --map --max-chunk --train --brake --out --etcs --start --duration --namespace --json', 'fit_brake.run',
+        'bags --map --max-chunk --train --brake --out --etcs --start --duration --namespace --json',
     ),
     Verb(
         'explain', 'find the effects that a train file lacks and add them',
-        'bags --map --max-chunk --train --out --propose --watch --namespace --json', 'explain_watch.run',
+        'bags --map --max-chunk --train --out --propose --watch --namespace --json',
     ),
     Verb(
         'info', 'show what is in bags and whether they can be used',

@@ -1,50 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid demo``: play bags through the live nodes, compare with replay and truth, and find a hidden effect.
+"""``trainid demo``: play bags through the live nodes, compare with replay and truth, and find hidden effects.
 
 The three nodes of the mission run with their default algorithms, that of the resistance with the filter bank. A fourth
-node runs V-MILS beside it, under a name and on topics of its own.
+node runs V-MILS beside it, under a name and on topics of its own. A chapter hides effects in simulated runs, each drawn
+by a seed, and finds them again.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import shutil
 import signal
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
+from pathlib import Path
+from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 import yaml
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.cli import demo_explain
+from trainid_ros.bag.run_reader import read_runs
+from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
-from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show
+from trainid_ros.cli.explain import REPORT_HTML, explain_runs, prepare_folder, to_json, write_all
+from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show, table
 from trainid_ros.cli.processes import ProcessGroup, isolate
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
+from trainid_ros.explain.result import Explanation
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.report import drive_report
+from trainid_ros.report import drive_report, words
 from trainid_ros.report.recording import Recorder
 from trainid_ros.report.verdict import SPEEDS
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
+from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import Truth, load_truth
+from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, TrainFile, load_train_file
 
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-
-    Say = Callable[[str], None]
-    Replayed = dict['Node', tuple[EstimatorPipeline[Any], 'Published']]
+Say = Callable[[str], None]
+Replayed = dict['Node', tuple[EstimatorPipeline[Any], 'Published']]
 
 _TITLES: Final = {
     'altrios_manifest': 'Freight train on a real route, from an independent simulator',
@@ -52,9 +57,13 @@ _TITLES: Final = {
 }
 _MAX_START_S: Final = 60.0  # within which all nodes must publish [s]
 _POLL_S: Final = 0.05
-_LINE_S: Final = 5.0  # between the lines that show the newest estimates [s]
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
 _DEPTH: Final = 40000
+# Effects that half an hour on the line of the demo shows at any size drawn.
+_HIDEABLE: Final = (
+    'brake_delay', 'brake_scale', 'gradient_error', 'headwind', 'local_drag', 'mass_error', 'traction_scale',
+    'wheel_diameter',
+)  # fmt: skip
 
 
 class Node(NamedTuple):
@@ -94,12 +103,13 @@ def run(args: argparse.Namespace) -> int:
     bags = [load_demo_bag(path) for path in args.bag or map(stock_bag, names)]
     report = prepare_page(args.out / 'report.html') if bags else None
     hides = not args.bag and args.only in (None, EXPLAIN_CHAPTER)
-    hidden = args.out / EXPLAIN_CHAPTER, args.seed, stock_bag('yizhuang') / 'train.yaml'
-    if hides:
-        demo_explain.prepare(*hidden)
+    folder, train = args.out / EXPLAIN_CHAPTER, stock_bag('yizhuang') / 'train.yaml'
+    hidden = {seed: folder / f'seed_{seed}' for seed in range(args.seed, args.seed + 3)} if hides else {}
+    for place in hidden.values():
+        prepare_folder(place, train)
     with _interruptible():
         played = [] if report is None else _live(bags, args, report, say)
-        cases = [*demo_explain.run_cases(*hidden, say)] if hides else []
+        cases = [*run_cases(hidden, train, say)]
     worked = all(one.worked for one in played) and all(case.is_found for case in cases)
     wall_s = time.monotonic() - start
     if args.json:
@@ -107,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(answer | {'report': report, 'wall_s': wall_s, 'worked': worked})
     else:
         show(''.join(f'\n{one.summary()}\n' for one in played))
-        show(f'\n{demo_explain.describe_cases(cases)}' if cases else '')
+        show(f'\n{describe_cases(cases)}' if cases else '')
         show(f'\nreport: {report}' if report else '')
         print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
     return 0 if worked else EXIT_NO_ANSWER
@@ -284,7 +294,7 @@ class Live:
             self.last_s = time.monotonic()
             self.first_s = self.first_s or self.last_s
         if self.first_s and time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + _LINE_S
+            self._next_s = time.monotonic() + 5.0
             newest = {node: one.newest for node, one in self.published.items() if one.newest is not None}
             self._say(line(newest, self._truth))
         return count
@@ -337,7 +347,6 @@ class Comparison(NamedTuple):
         return self.equal == self.replayed == self.received
 
     def __str__(self) -> str:
-        """Return the comparison in words."""
         if self.exact:
             return f'live equals replay to the bit: all {self.replayed} messages'
         differ = f'live differs from replay: {self.equal} of {self.replayed} estimates are equal to the bit'
@@ -463,3 +472,69 @@ def _interruptible() -> Iterator[None]:
         if received:
             raise KeyboardInterrupt from None
         raise
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A hidden effect and what was found."""
+
+    seed: int
+    hidden: str  # Effect as for --effect
+    explanation: Explanation
+    folder: Path  # Of the report
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the hidden effect is among those found."""
+        return self.hidden.partition(':')[0] in [effect.name for effect in self.explanation.effects]
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """The case for ``--json``."""
+        found, report = to_json(self.explanation), self.folder / REPORT_HTML
+        return {'seed': self.seed, 'hidden': self.hidden, 'is_found': self.is_found, 'found': found, 'report': report}
+
+
+def run_cases(folders: Mapping[int, Path], train: Path, say: Say) -> Iterator[Case]:
+    """Simulate runs with an effect that the train file lacks, and explain the gap, for each seed in its folder."""
+    full, runs = load_train_file(train), 8
+    stated = replace(full, line=replace(full.line, stops=full.line.stops[:5]))
+    for each, place in folders.items():
+        rng = np.random.default_rng(each)
+        hidden = draw_effect(rng, stated.line.stops[-1])
+        a, b, c = (x * rng.uniform(0.8, 1.2) for x in (full.resistance.a, full.resistance.b, full.resistance.c))
+        say(f'seed {each}: {runs} runs on the Yizhuang line, there and back; hidden: {hidden}, and other a, b and c')
+        bag = place / 'bag'
+        shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo
+        true = replace(stated, resistance=Davis(a, b, c), effects=parse_effects([hidden]))
+        with BagWriter(bag) as writer:
+            for record in simulate(Scenario(true, runs=runs), rng).records:
+                writer.write_record(record)
+        explanation = explain_runs(read_runs([bag], stated), stated, [bag])
+        notes = (f'Hidden in the simulation: {hidden}; a = {a:.3g}, b = {b:.3g}, c = {c:.3g}.',)
+        write_all(place, explanation, stated, str(train), [bag], notes)
+        yield Case(each, hidden, explanation, place)
+
+
+def draw_effect(rng: np.random.Generator, end: float) -> str:
+    """Return an effect on a line from 0 to ``end`` [m], drawn at random, as for ``--effect``."""
+    kind = EFFECTS[_HIDEABLE[rng.integers(len(_HIDEABLE))]]
+    sign = kind.sign or rng.choice((-1, 1))
+    parameters = {kind.amplitude: kind.neutral + sign * rng.uniform(1.0, 2.0) * kind.typical_size}
+    if 'start' in kind.shape:
+        length = rng.uniform(500.0, 3000.0)  # m
+        start = rng.uniform(0.0, end - length)
+        parameters |= {'start': round(start), 'end': round(start + length)}
+    return f'{kind.name}:{",".join(f"{name}={value:.4g}" for name, value in parameters.items())}'
+
+
+def describe_cases(cases: list[Case]) -> str:
+    """Return what was hidden beside what was found, and the gap on runs left out, as text."""
+    rows = [('seed', 'hidden', 'found', 'gap before -> after, m/s')]
+    for case in cases:
+        gap = case.explanation.gap
+        found = [f'{effect.name}: {words.parameters_text(effect)}' for effect in case.explanation.effects]
+        text = '; '.join(found) or case.explanation.verdict.value
+        rows.append((str(case.seed), case.hidden, text, f'{gap.before:.3f} -> {gap.after:.3f}' if gap else words.DASH))
+    reports = '\n'.join(f'report: {case.folder / REPORT_HTML}' for case in cases)
+    return f'Effects missing from the train file\n{table(rows)}\n{reports}'

@@ -1,32 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid explain``: find where model and data disagree and which effect is missing, and add it to the model."""
+"""``trainid explain``: find where model and data disagree and which effect is missing, and add it to the model.
+
+With ``--watch`` it explains the bags of folders again whenever one is added, and tells only what is new.
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final, NoReturn
 
 from trainid_ros import __version__
+from trainid_ros.bag.bag_files import bags_below
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import check_output, print_json, progress, show, table, to_plain, warn
+from trainid_ros.explain.dataset import Run
+from trainid_ros.explain.result import Explanation, Learned
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.text import listed, pluralise, printable
 from trainid_ros.report import HTML_START
-from trainid_ros.train.train_file import dump_train_file, load_train_file
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from trainid_ros.explain.dataset import Run
-    from trainid_ros.explain.result import Explanation, Learned
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_file
 
 REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
@@ -42,6 +43,8 @@ _NAMED_BAGS: Final = 3
 def run(args: argparse.Namespace) -> int:
     """Explain the gap between bags and train file; NoAnswerError with too little motion, or wrong units or signs."""
     train_file = load_train_file(args.train)
+    if args.watch:
+        _watch(args, train_file)
     notes: list[str] = []
     args.out = args.propose or args.out
     with _outputs(args.out, args.train):
@@ -289,3 +292,79 @@ def propose(args: argparse.Namespace, explanation: Explanation, prior: TrainFile
     options += [] if args.map is None else ['--map', str(args.map.resolve())]
     write_page(proposal.migration_note(explanation, prior, str(args.train), bags), args.propose / NOTE)
     write_page(proposal.regression_test(explanation.gap, bags, options), args.propose / TEST)
+
+
+def _watch(args: argparse.Namespace, train_file: TrainFile) -> NoReturn:
+    """Explain and tell news until interrupted; InputError if there is no folder, or an option that writes files."""
+    if args.out is not None or args.propose is not None:
+        raise InputError('--watch writes no files; give --out or --propose without it')
+    before: Explanation | None = None
+    explained: dict[Path, int] = {}
+    sizes: dict[Path, int] = {}
+    while True:
+        for folder in args.bags:
+            if not folder.is_dir():
+                raise InputError(f'{folder}: is no folder to watch')
+        last, sizes = sizes, _sizes(args.bags)
+        complete = {bag: size for bag, size in sizes.items() if last.get(bag) == size}
+        if complete and complete != explained:
+            explained = complete
+            before = _tell(args, sorted(complete), train_file, before)
+        time.sleep(5.0)  # [s]; a bag whose size has not changed in between is complete
+
+
+def _sizes(folders: Sequence[Path]) -> dict[Path, int]:
+    """Return all bags in folders with their size [bytes], but those that have just been removed."""
+    found = {}
+    for folder in folders:
+        for bag in bags_below(folder):
+            with suppress(OSError):
+                found[bag] = sum(file.stat().st_size for file in (bag.rglob('*') if bag.is_dir() else [bag]))
+    return found
+
+
+def _tell(
+    args: argparse.Namespace, bags: Sequence[Path], train_file: TrainFile, before: Explanation | None
+) -> Explanation | None:
+    """Explain bags and print what is new; return the explanation, the one before if the bags give none.
+
+    Those that cannot be read are left out, each with a warning.
+    """
+    usable, inputs = [], mapped_inputs(args.map, train_file)
+    for bag in bags:
+        try:
+            survey([bag], args.namespace, args.max_chunk, inputs)
+            usable.append(bag)
+        except InputError as error:
+            warn(error)
+    if not usable:
+        return before
+    try:
+        now = explain_bags(args, usable, train_file, [])
+    except (InputError, NoAnswerError) as error:  # a bag may be mended or removed
+        warn(error, 'error')
+        return before
+    if found := news(before, now):
+        if args.json:
+            print_json({'bags': [str(bag) for bag in usable], 'news': found, **to_json(now)})
+        else:
+            show('\n  '.join((f'{pluralise(len(usable), "bag")}: {found[0]}', *found[1:])))
+    return now
+
+
+def news(before: Explanation | None, now: Explanation) -> list[str]:
+    """Return as sentences what an explanation says that the one before did not."""
+    from trainid_ros.fleet.analysis import are_equal  # noqa: PLC0415
+    from trainid_ros.report import words  # noqa: PLC0415
+
+    if before is None or before.verdict is not now.verdict:
+        head = f'{now.verdict.value.upper()}: {words.headline(now)}'
+        return [head, *(f'{effect.name}: {words.parameters_text(effect)}' for effect in now.effects)]
+    old, new = ({effect.name: effect for effect in one.effects} for one in (before, now))
+    found = [f'{name} is no longer found.' for name in old if name not in new]
+    for name, effect in new.items():
+        if name not in old:
+            found.append(f'New: {name}, {words.parameters_text(effect)}.')
+        elif not are_equal(old[name], effect, 2.0):
+            found.append(f'{name} is now {words.parameters_text(effect)}, before {words.parameters_text(old[name])}.')
+    return found

@@ -7,11 +7,11 @@ import shlex
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli import output
-from trainid_ros.cli.output import print_json, progress, report_error, show, warn
+from trainid_ros.cli.output import print_json, progress, show, warn
 from trainid_ros.fleet import table_file as files
 from trainid_ros.fleet.run_fleet import known_rows, prepared, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.interface.errors import InputError
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from trainid_ros.fleet.analysis import CauseByBags, FleetView, TrainView
     from trainid_ros.fleet.changes import Change, Departure
-
-_NAMED_ERRORS: Final = 3  # failures that are printed; all are in the table
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,10 +86,10 @@ def _plan(args: argparse.Namespace) -> files.Plan:
 def _report(args: argparse.Namespace, table: list[files.Row], known: int) -> int:
     """Print a summary; return the exit code: failures are rows, so one estimate is enough for success."""
     errors = [row for row in table if row['error']]
-    for row in errors[:_NAMED_ERRORS]:
-        report_error(row['error'] if row['bag'] in row['error'] else f'{row["bag"]}: {row["error"]}')
-    if len(errors) > _NAMED_ERRORS:
-        warn(f'{len(errors) - _NAMED_ERRORS} more bags without an estimate, see the column error of {args.out}')
+    for row in errors[:3]:  # all are in the table
+        warn(row['error'] if row['bag'] in row['error'] else f'{row["bag"]}: {row["error"]}', 'error')
+    if len(errors) > 3:
+        warn(f'{len(errors) - 3} more bags without an estimate, see the column error of {args.out}')
     summary: dict[str, Any] = {
         'out': args.out,
         'bags': len(table),

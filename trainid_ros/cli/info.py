@@ -3,25 +3,19 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from trainid_ros.bag.reader import NAMESPACE
 from trainid_ros.cli.output import BagResult, run_per_bag, table, to_plain
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
-from trainid_ros.inspection.bag_info import inspect
+from trainid_ros.inspection.bag_info import BagInfo, TopicInfo, inspect
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
-from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from trainid_ros.inspection.bag_info import BagInfo, TopicInfo
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 
 def run(args: argparse.Namespace) -> int:

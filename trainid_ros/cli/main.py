@@ -22,7 +22,7 @@ from typing import Final, NoReturn
 from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
 from trainid_ros.cli.arguments import VERBS, add_options
-from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, report_error
+from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
 
 EXIT_INTERRUPTED: Final = 130
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except (InputError, NoAnswerError) as error:
-        report_error(error)
+        warn(error, 'error')
         return EXIT_BAD_INPUT if isinstance(error, InputError) else EXIT_NO_ANSWER
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:  # standard output is full
             _drop_output()
-        report_error(f'{error.filename or "output"}: {error.strerror}')
+        warn(f'{error.filename or "output"}: {error.strerror}', 'error')
         return EXIT_BAD_INPUT
     return code
 

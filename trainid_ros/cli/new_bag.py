@@ -1,41 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verbs that create a bag: ``trainid import`` from a table, and ``trainid simulate`` with its truth."""
+"""The verbs that create bags: ``trainid import`` from a table, and ``trainid simulate`` with the truth.
+
+With ``--fleet`` it simulates the bags of a fleet over days, with the faults of some trains.
+"""
 
 from __future__ import annotations
 
+import argparse
 import shlex
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from trainid_ros.bag.reader import PROGRESS_EVERY
+from trainid_ros.bag.worker_pool import each_bag, processors
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.output import EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.cli.output import EXIT_NO_ANSWER, print_json, progress, show, warn
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import load_table_mapping
 from trainid_ros.inputs.tables import TableRecords
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, input_topic
 from trainid_ros.interface.text import pluralise
+from trainid_ros.sim.fleet import Fault, Fleet, draw_day, draw_train, drive, fleet_train, parse_fault, train_name
 from trainid_ros.sim.scenario import Scenario, check_scenario
 from trainid_ros.sim.scenario import simulate as run_scenario
 from trainid_ros.sim.truth import plain_truth, save_truth
-from trainid_ros.sim.worlds import WORLDS, make_case, unknowns_of, world_train
+from trainid_ros.sim.worlds import WORLDS, Case, find_world, make_case, unknowns_of, world_train
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.fields import shown
-from trainid_ros.train.train_file import dump_train_file, load_train_file
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
-    from trainid_ros.sim.worlds import Case
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_file
 
 TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'
@@ -104,7 +106,7 @@ def _suggest(args: argparse.Namespace) -> int:
             out = args.file.with_suffix('')
             warn(f'trainid import {_quoted(args.file)} {_quoted(out)} --map map.yaml{train}', 'next')
     if missing:
-        report_error(f'{args.file}: nothing found for {", ".join(missing)}')
+        warn(f'{args.file}: nothing found for {", ".join(missing)}', 'error')
     return EXIT_NO_ANSWER if missing else 0
 
 
@@ -115,13 +117,19 @@ def _quoted(path: Path) -> str:
 @contextmanager
 def _new_bag(path: Path) -> Iterator[BagWriter]:
     """Write a bag beside its place, and put it there once it is complete."""
+    with _new_folder(path) as place, BagWriter(place) as writer:
+        yield writer
+
+
+@contextmanager
+def _new_folder(path: Path) -> Iterator[Path]:
+    """Yield a place beside a path, and move what is there to the path once it is complete."""
     if path.exists() or path.is_symlink():
         raise InputError(f'{path}: exists already and is not overwritten')
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f'.{path.name}.', dir=path.parent) as folder:
-        with BagWriter(Path(folder) / path.name) as writer:
-            yield writer
-        writer.path.rename(path)
+        yield Path(folder) / path.name
+        (Path(folder) / path.name).rename(path)
 
 
 def _warn_of_table(args: argparse.Namespace, table: TableRecords, counts: Counter[str]) -> None:
@@ -140,10 +148,14 @@ def _warn_of_table(args: argparse.Namespace, table: TableRecords, counts: Counte
 
 def simulate(args: argparse.Namespace) -> int:
     """Simulate and write the bag and its truth; with a world also the stated train file."""
+    if args.fleet:
+        return _simulate_fleet(args)
+    if args.days is not None or args.fault:
+        raise InputError(f'--{"fault" if args.fault else "days"} needs --fleet N')
     rng = np.random.default_rng(args.seed)
     case = _case(args, rng)
     scenario = case.scenario if case else _scenario(args)
-    warn_of_runs(scenario.train_file, args.runs)
+    _warn_of_runs(scenario.train_file, args.runs)
     # The bag is opened first, so that a path that cannot be written is reported before the simulation.
     with BagWriter(args.out) as writer:
         with progress('simulating'):
@@ -170,7 +182,7 @@ def simulate(args: argparse.Namespace) -> int:
     return 0
 
 
-def warn_of_runs(file: TrainFile, runs: int) -> None:
+def _warn_of_runs(file: TrainFile, runs: int) -> None:
     """Warn of effects on runs that a drive of so many runs does not have."""
     for effect in file.effects:
         if beyond := [str(run) for run in effect.runs if run > runs]:
@@ -197,3 +209,57 @@ def _scenario(args: argparse.Namespace) -> Scenario:
     scenario = Scenario(replace(file, effects=(*file.effects, *parse_effects(args.effect))), runs=args.runs)
     check_scenario(scenario)
     return scenario
+
+
+def _simulate_fleet(args: argparse.Namespace) -> int:
+    if given := [name for name in ('realism', 'unknown', 'effect') if getattr(args, name)]:
+        raise InputError(f'--{given[0]} is of a single bag; what a train of a fleet has is a --fault')
+    days = 10 if args.days is None else args.days
+    if not days:
+        raise InputError('--days = 0 must be >= 1')
+    faults = [parse_fault(text, args.fleet, days) for text in args.fault]
+    world = find_world(args.world or 'metro')
+    fleet = Fleet(world, load_train_file(args.train) if args.train else world_train(world), args.seed)
+    _warn_of_runs(fleet.file, args.runs)
+    with _new_folder(args.out) as folder:
+        folder.mkdir()
+        (folder / TRAIN_FILE).write_text(dump_train_file(fleet_train(fleet.file)), encoding='utf-8')
+        work, numbers = partial(_simulate_train, fleet, faults, args.runs, days, folder), range(1, args.fleet + 1)
+        with progress('simulating', total=args.fleet * days, unit='bags') as advance:
+            deque(each_bag(work, numbers, processors(), lambda share: advance(share * days), _killed), maxlen=0)
+    table, report = (args.out / name for name in ('table.csv', 'report.html'))
+    replay = ('trainid', 'fleet', str(args.out), '--train', str(args.out / TRAIN_FILE), '--out', str(table))
+    commands = [shlex.join(replay), shlex.join(('trainid', 'fleet', 'report', str(table), '--out', str(report)))]
+    if args.json:
+        print_json({'out': args.out, 'trains': args.fleet, 'days': days, 'faults': args.fault, 'next': commands})
+        return 0
+    broken = ', '.join(args.fault) or 'none'
+    counts = f'{pluralise(args.fleet, "train")}, {pluralise(days, "day")}, {pluralise(args.fleet * days, "bag")}'
+    show(f'{args.out}: {counts}; faults: {broken}\nnext: {" && ".join(commands)}')
+    return 0
+
+
+def _simulate_train(
+    fleet: Fleet,
+    faults: Sequence[Fault],
+    runs: int,
+    days: int,
+    out: Path,
+    number: int,
+    advance: Callable[[float], None],
+) -> None:
+    """Write the bags of a train, one a day, in a folder of its name."""
+    train, name = draw_train(fleet.seed, number), train_name(number)
+    (out / name).mkdir()
+    for day in (draw_day(fleet.seed, k) for k in range(days)):
+        acting = [fault.effects for fault in faults if fault.train == name and fault.day <= day.number]
+        simulation = drive(fleet, train, day, chain(*acting), runs)
+        with BagWriter(out / name / f'day{day.number + 1:02d}') as writer:
+            for record in simulation.records:
+                writer.write_record(record)
+        save_truth(simulation.truth, writer.path / TRUTH_FILE)
+        advance(1.0 / days)
+
+
+def _killed(number: int) -> None:
+    raise InputError(f'the process that simulated {train_name(number)} was killed, as when memory runs out')

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import each_bag, killed_message, processors
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.text import in_ascii, in_step, printable
+from trainid_ros.interface.text import in_ascii, printable
 from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
@@ -92,13 +92,8 @@ def to_plain(value: Any) -> Any:
 
 
 def warn(text: object, kind: str = 'warning') -> None:
-    """Print one line of warning on standard error."""
+    """Print one line, a warning or of another kind such as 'error', on standard error."""
     print(f'trainid: {kind}: {printable(" ".join(str(text).split()))}', file=sys.stderr)
-
-
-def report_error(error: object) -> None:
-    """Print an error as one line on standard error."""
-    warn(error, 'error')
 
 
 def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
@@ -210,7 +205,7 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
         show('\n\n'.join(map(str, shown)))
     failed = [result for result in results if result.error]
     for result in failed:
-        report_error(result.error)
+        warn(result.error, 'error')
     return max((EXIT_BAD_INPUT if result.shown is None else EXIT_NO_ANSWER for result in failed), default=0)
 
 
@@ -221,11 +216,3 @@ def _attempt(work: Work, args: argparse.Namespace, bag: Path, advance: Callable[
         return BagResult(None, error=str(error))
     except OSError as error:
         return BagResult(None, error=f'{error.filename or bag}: {error.strerror}')
-
-
-def davis_rows(values: Sequence[float], stds: Sequence[float]) -> list[tuple[str, str, str, str]]:
-    """Return a row of text for each Davis parameter: name, value, standard deviation, unit."""
-    from trainid_ros.interface.results import ResistanceEstimate, quantities  # noqa: PLC0415
-
-    known = quantities(ResistanceEstimate)
-    return [(k, *in_step(value, std), known[k].unit) for k, value, std in zip('abc', values, stds, strict=True)]

@@ -31,11 +31,9 @@ class ProcessGroup:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all children."""
         self.stop()
 
     def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import shlex
@@ -11,11 +12,20 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from trainid_ros.bag.bag_replay import TABLE_SUFFIXES, Pipelines, estimate_table, replay_through
+from trainid_ros.bag.bag_replay import (
+    TABLE_SUFFIXES,
+    Observer,
+    Pipelines,
+    Replay,
+    Result,
+    estimate_table,
+    replay_through,
+)
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.cli import output
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
@@ -33,23 +43,14 @@ from trainid_ros.interface.results import (
 )
 from trainid_ros.interface.text import in_step, pluralise
 from trainid_ros.report import HTML_START
-from trainid_ros.report.verdict import estimate_rows, judge, results_of
+from trainid_ros.report.recording import RRD_START, Recorder, ViewRecorder, switch_off_telemetry, write_recording
+from trainid_ros.report.verdict import Verdict, estimate_rows, judge, results_of
 from trainid_ros.resistance.davis_posterior import observe
-from trainid_ros.resistance.suggested_drive import suggested_braking, suggested_drive
-from trainid_ros.setup.params_file import mapping_in, node_setups
+from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_braking, suggested_drive
+from trainid_ros.setup.params_file import Setup, mapping_in, node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Sequence
-
-    from trainid_ros.bag.bag_replay import Observer, Replay, Result
-    from trainid_ros.report.recording import Recorder
-    from trainid_ros.report.verdict import Verdict
-    from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.setup.params_file import Setup
 
 Drives = tuple['SuggestedDrive | None', 'SuggestedDrive | None']
 """What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
@@ -71,7 +72,6 @@ def _pipelines(setups: Sequence[Setup], reader: BagReader) -> Pipelines:
 
 
 def _beside(bag: Path, name: str) -> Path:
-    """Return the path of a file in the folder of a bag."""
     return (bag if bag.is_dir() else bag.parent) / name
 
 
@@ -106,7 +106,6 @@ def _check_outputs(args: argparse.Namespace) -> None:
 
 
 def _name(bag: Path) -> str:
-    """Return the name of the outputs of one of several bags."""
     return bag.resolve().name.removesuffix('.mcap').removesuffix('.db3')
 
 
@@ -154,15 +153,15 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         from trainid_ros.report.drive_report import Chapter, write_report  # noqa: PLC0415
 
         chapter = Chapter(
-            title=bag.name,
-            bag=str(bag),
-            train_file_name=str(args.train),
-            train_file=load_train_file(args.train),
-            how=f'off line {_pace(outcome, wall_s)}',
-            recording=recorder.finish(),
-            resistance=first.output,
-            speed_model=outcome.speed_model.output,
-            brake_rate=outcome.brake_rate.output,
+            bag.name,
+            str(bag),
+            str(args.train),
+            load_train_file(args.train),
+            f'off line {_pace(outcome, wall_s)}',
+            recorder.finish(),
+            first.output,
+            outcome.speed_model.output,
+            outcome.brake_rate.output,
             rejections={name: dict(result.rejections) for name, result in results_of(outcome).items()},
             truth=known,
             notes=tuple(reader.mapping.named(line) for line in (*_findings(outcome), *_to_drive(drives))),
@@ -173,9 +172,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         write_report(f'trainid replay: {bag.name}', (chapter,), report)
     shown: Any
     if args.json:
-        shown = to_json(outcome, setups, wall_s, drives)
+        shown = to_json(outcome, setups, wall_s, drives, reader.mapping.named)
         shown['verdict'] = {'level': verdict.level.value, 'text': verdict.text}
-        shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
     else:
         shown = reader.mapping.named(describe(outcome, setups, wall_s, drives, verdict))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
@@ -188,7 +186,6 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     if out is None and report is None:
         return [], None
     from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
-    from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
     recorder = None if report is None else Recorder()
     observers: list[Observer] = [] if recorder is None else [recorder]
@@ -199,7 +196,9 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     return observers, recorder
 
 
-def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives) -> dict[str, Any]:
+def to_json(
+    outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives, named: Callable[[str], str]
+) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
     w = resistance.output.estimate
@@ -214,7 +213,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
             'status': resistance.output.status,
             'speed_range': [w.speed_min, w.speed_max] if w.speed_max > 0.0 else [None, None],
             **{name: _with_std(w, name) for name in ('force_scale', 'force_delay')},
-            'findings': list(force_findings(w)),
+            'findings': [*map(named, force_findings(w))],
             'why_converging': resistance.why_converging,
         },
         'speed_model': {**_parameters(model.output.estimate), **_state(model)},
@@ -242,9 +241,8 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
 
 
 def _state(result: Result[Any]) -> dict[str, Any]:
-    last = result.output
-    counts = {'used': last.used, 'rejected': dict(result.rejections)}
-    return {'status': last.status, **counts, 'why_converging': result.why_converging}
+    rejected, last = dict(result.rejections), result.output
+    return {'status': last.status, 'used': last.used, 'rejected': rejected, 'why_converging': result.why_converging}
 
 
 def _parameters(estimate: Any) -> dict[str, float]:
@@ -331,8 +329,6 @@ def view(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.suffix != '.rrd':
         raise InputError(f'{args.out}: the name of a recording must end in .rrd, or Rerun does not open it')
     args.map = args.map or mapping_in(args.params, args.namespace)
-    from trainid_ros.report.recording import RRD_START, switch_off_telemetry  # noqa: PLC0415
-
     switch_off_telemetry()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
 
@@ -367,8 +363,6 @@ def _open_viewer(path: Path) -> None:
 
 
 def _write_view(args: argparse.Namespace, train: Path, out: Path) -> None:
-    from trainid_ros.report.recording import ViewRecorder, write_recording  # noqa: PLC0415
-
     setups = _load_setups(args, train, output.warn)
     with output.opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
         pipelines = _pipelines(setups, reader)

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
 from trainid_ros.train.draft import Draft, doubts, read_osrd
@@ -12,10 +13,6 @@ from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
 from trainid_ros.train.railml import read_railml
 from trainid_ros.train.train_file import load_train_file, parse_train_file
-
-if TYPE_CHECKING:
-    import argparse
-    from pathlib import Path
 
 _HEAD = '# trainid train import'
 
