@@ -15,17 +15,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.bag_replay import (
-    TABLE_SUFFIXES,
-    Observer,
-    Pipelines,
-    Replay,
-    Result,
-    estimate_table,
-    replay_through,
-)
+from trainid_ros.bag.bag_replay import TABLE_SUFFIXES, Pipelines, estimate_table, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.cli import output
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
@@ -43,7 +35,6 @@ from trainid_ros.interface.results import (
 )
 from trainid_ros.interface.text import in_step, pluralise
 from trainid_ros.report import HTML_START
-from trainid_ros.report.recording import RRD_START, Recorder, ViewRecorder, switch_off_telemetry, write_recording
 from trainid_ros.report.verdict import Verdict, estimate_rows, judge, results_of
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_braking, suggested_drive
@@ -52,7 +43,11 @@ from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 
-Drives = tuple['SuggestedDrive | None', 'SuggestedDrive | None']
+if TYPE_CHECKING:
+    from trainid_ros.bag.bag_replay import Observer, Replay, Result
+    from trainid_ros.report.recording import Recorder
+
+Drives = tuple[SuggestedDrive | None, SuggestedDrive | None]
 """What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
 
 
@@ -186,6 +181,7 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     if out is None and report is None:
         return [], None
     from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
+    from trainid_ros.report.recording import Recorder  # noqa: PLC0415
 
     recorder = None if report is None else Recorder()
     observers: list[Observer] = [] if recorder is None else [recorder]
@@ -329,6 +325,8 @@ def view(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.suffix != '.rrd':
         raise InputError(f'{args.out}: the name of a recording must end in .rrd, or Rerun does not open it')
     args.map = args.map or mapping_in(args.params, args.namespace)
+    from trainid_ros.report.recording import RRD_START, switch_off_telemetry  # noqa: PLC0415
+
     switch_off_telemetry()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
 
@@ -363,6 +361,8 @@ def _open_viewer(path: Path) -> None:
 
 
 def _write_view(args: argparse.Namespace, train: Path, out: Path) -> None:
+    from trainid_ros.report.recording import ViewRecorder, write_recording  # noqa: PLC0415
+
     setups = _load_setups(args, train, output.warn)
     with output.opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
         pipelines = _pipelines(setups, reader)

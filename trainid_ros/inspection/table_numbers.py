@@ -59,7 +59,7 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
         else:
             reader.left_out.append((other, 'always 0'))
     numbers = BagNumbers(tuple(found), frozenset(), (), tuple(reader.left_out), float(time[known][-1]))
-    return numbers, (choice, *reader.form(), *_missing(codes))
+    return numbers, (choice, *reader.form, *_missing(codes))
 
 
 def _codes(columns: dict[str, Column]) -> dict[str, list[float]]:
@@ -119,7 +119,7 @@ class _Reader:
         self.is_vbox = path.suffix.lower() == VBOX_SUFFIX
         self._path = path
         self._problems: dict[str, str] = {}  # of columns that cannot be read
-        self._csv: Choice | None = None
+        self.form: list[Choice] = []  # what a mapping says of the form of the file
         self._others: tuple[str, ...] = ()  # columns of another decimal sign
 
     def find_decimal(self, names: Sequence[str]) -> None:
@@ -140,7 +140,8 @@ class _Reader:
             ]
         if doubts or self._others:
             text = f'{{decimal: "{sign}"}}' if sign else ''
-            self._csv = Choice('csv', text=text, head='csv: as written' if sign else 'csv: as found', decisions=doubts)
+            head = 'csv: as written' if sign else 'csv: as found'
+            self.form = [Choice('csv', text=text, head=head, decisions=doubts)]
 
     def columns(self, names: Sequence[str], form: str = '') -> dict[str, Column]:
         """Return the columns that can be read; ``form`` is that of a single one with times."""
@@ -170,10 +171,6 @@ class _Reader:
         problems = [*rising, *named] or list(self._problems.values())
         form = "; time: {format: '%d %b %Y %H:%M:%S.%f'} in a mapping says how other texts are written"
         return f'{"".join(f"; {text}" for text in problems[:2])}{form if named else ""}'
-
-    def form(self) -> list[Choice]:
-        """Return what a mapping says of the form of the file."""
-        return [] if self._csv is None else [self._csv]
 
 
 def _is_named(name: str) -> bool:

@@ -169,14 +169,18 @@ def write_report(title: str, chapters: Sequence[Chapter], path: str | Path) -> N
 
 def render_report(title: str, chapters: Sequence[Chapter]) -> str:
     """Return a report as HTML text."""
-    return render('drive.html.j2', title, chapters=[_content(chapter) for chapter in chapters])
+    return render('drive.html.j2', title, chapters=[(chapter, _content(chapter)) for chapter in chapters])
 
 
 def _content(chapter: Chapter) -> dict[str, object]:
+    """Return what is shown of a chapter besides its own fields, figures by the names of their functions."""
+    figures = (
+        resistance_over_time, resistance_curve, brake_rate_over_time, adhesion_over_time, speed_profile,
+        status_timeline, innovation_ratios, speed_model_over_time,
+    )  # fmt: skip
     train, recording = chapter.train_file.train, chapter.recording
     start = datetime.fromtimestamp(recording.start_ns / NS_PER_S, UTC)
     return {
-        'title': chapter.title,
         'facts': (
             ('Bag', chapter.bag),
             ('Train file', chapter.train_file_name),
@@ -184,23 +188,11 @@ def _content(chapter: Chapter) -> dict[str, object]:
             ('Duration', f'{recording.duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
             ('Run', chapter.how),
         ),
-        'verdict': chapter.verdict,
-        'notes': chapter.notes,
-        'certainty': chapter.certainty,
         'cards': _cards(chapter),
-        'truth_known': chapter.truth is not None,
         'estimates': _estimates(chapter),
         'scores': _scores(chapter),
-        'estimators': [*chapter.rejections],
         'rejections': _rejections(chapter),
-        'resistance_over_time': resistance_over_time(chapter),
-        'resistance_curve': resistance_curve(chapter),
-        'brake_rate': brake_rate_over_time(chapter),
-        'adhesion': adhesion_over_time(chapter),
-        'drive': speed_profile(chapter),
-        'status': status_timeline(chapter),
-        'innovations': innovation_ratios(chapter),
-        'speed_model': speed_model_over_time(chapter),
+        **{figure.__name__: figure(chapter) for figure in figures},
     }
 
 

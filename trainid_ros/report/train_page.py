@@ -7,9 +7,9 @@ import numpy as np
 from markupsafe import Markup
 
 from trainid_ros.interface.records import KM_H
-from trainid_ros.interface.text import pluralise, plus_minus
+from trainid_ros.interface.text import pluralise
 from trainid_ros.report import page
-from trainid_ros.report.words import join, unit_of
+from trainid_ros.report.words import each_parameter, on_runs
 from trainid_ros.train.draft import doubts
 from trainid_ros.train.forces import davis
 from trainid_ros.train.line import profile_of
@@ -44,14 +44,8 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
 
 
 def _effect(effect: Effect) -> str:
-    """Return an effect with its parameters, and the runs if not all."""
-    std = dict(effect.std)
-    values = [
-        f'{key} = {plus_minus(value, std.get(key, 0.0))} {unit_of(effect.name, key)}'.rstrip()
-        for key, value in effect.parameters
-    ]
-    runs = [f'on runs {join([*map(str, effect.runs)])} only'] if effect.runs else []
-    return f'{effect.name}: {", ".join([*values, *runs])}' if values or runs else effect.name
+    known = [*each_parameter(effect), *on_runs(effect)]
+    return f'{effect.name}: {", ".join(known)}' if known else effect.name
 
 
 def _range(values: list[float]) -> str:

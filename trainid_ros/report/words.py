@@ -14,7 +14,7 @@ from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Verdic
 from trainid_ros.interface.results import ResistanceEstimate, quantities
 from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.train.effects import EFFECTS
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Effect, TrainFile
 
 DASH: Final = '–'
 # Causes that are no effects, as in ``explain.probability``.
@@ -86,10 +86,19 @@ def unit_of(effect: str, parameter: str) -> str:
 
 def parameters_text(effect: FoundEffect) -> str:
     """Return the parameters of an effect with standard deviations and units, and the runs if not all."""
+    return ', '.join([join(each_parameter(effect)), *on_runs(effect)])
+
+
+def each_parameter(effect: FoundEffect | Effect) -> list[str]:
+    """Return each parameter of an effect with its standard deviation and unit."""
     std = dict(effect.std)
     values = [(name, plus_minus(value, std.get(name, 0.0))) for name, value in effect.parameters]
-    text = join([f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values])
-    return f'{text}, on runs {join([*map(str, effect.runs)])} only' if effect.runs else text
+    return [f'{name} = {text} {unit_of(effect.name, name)}'.rstrip() for name, text in values]
+
+
+def on_runs(effect: FoundEffect | Effect) -> list[str]:
+    """Return the runs of an effect as text, none for all."""
+    return [f'on runs {join([*map(str, effect.runs)])} only'] if effect.runs else []
 
 
 def causes_text(explanation: Explanation) -> str:
