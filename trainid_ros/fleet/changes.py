@@ -192,8 +192,7 @@ def _change(parts: Sequence[_Segment | None], first: int, alarm: int, count: int
 def _weights(at: Array, std: float) -> Array:
     """Return the probabilities of the cells of a grid, whose last axis or diagonal is even, under a normal density."""
     half = 0.5 * abs(float(at.flat[1] - at.flat[0])) / std
-    found: Array = ndtr(at / std + half) - ndtr(at / std - half)
-    return found
+    return np.asarray(ndtr(at / std + half) - ndtr(at / std - half))
 
 
 def _posterior(prior: Array, log_likelihood: Array) -> tuple[Array, Array]:

@@ -183,8 +183,7 @@ class _Problem:
 
     def variances(self, x: Array) -> Array:
         """Return kappa^2, s_E^2, s_T^2 and that of each common effect for their logarithms."""
-        found: Array = np.exp(x) * self._units
-        return found
+        return np.asarray(np.exp(x) * self._units)
 
     def loss(self, x: Array) -> float:
         """Return -ln L, less ln of the priors, for logarithms of the variances."""
@@ -213,8 +212,7 @@ class _Problem:
 
     def common(self, solution: _Solution) -> Array:
         """Return mean and common effects of each cell, shape (n,)."""
-        found: Array = self.origin + solution.b[self.effects.of_cell].sum(axis=1)
-        return found
+        return np.asarray(self.origin + solution.b[self.effects.of_cell].sum(axis=1))
 
     def common_variance(self, x: Array) -> Array:
         """Return the variance of the common effects of each cell, shape (n,), given mean and trains.

@@ -94,7 +94,12 @@ def read_numbers(
     is_root = not namespace.strip('/')
     own, wanted, left_out = set(), {}, []
     images = {'Image', 'CompressedImage', 'PointCloud2', 'LaserScan', 'OccupancyGrid', 'CompressedVideo'}
-    trains = {train for topic in topics if topic.count and (train := _train_of(topic.name, topic.type))}
+    trains = {  # namespaces of our topics outside the given one
+        f'/{topic.name.removesuffix(name).strip("/")}'
+        for topic in topics
+        for name, kind in ours.items()
+        if topic.count and topic.type == kind and topic.name.endswith(f'/{name}')
+    }
     for topic in topics:
         is_own, name = topic.type == ours.get(topic.name), f'/{topic.name}' if is_root else topic.name
         is_elsewhere = topic.name[0] == '/' and not is_root
@@ -116,14 +121,6 @@ def read_numbers(
     left_out += [(item.topic, 'large messages') for item in collectors.values() if item.is_large]
     series = tuple(item for collector in collectors.values() for item in collector.series(span[0]))
     return BagNumbers(series, frozenset(own), tuple(sorted(trains)), tuple(left_out), (end_ns - span[0]) / NS_PER_S)
-
-
-def _train_of(name: str, kind: str) -> str:
-    """Return the namespace of one of our topics outside the given one, '' if it is none."""
-    for topic in INPUT_TOPICS:
-        if name.endswith(f'/{topic.name}') and kind == full_type(topic.message):
-            return f'/{name.removesuffix(topic.name).strip("/")}'
-    return ''
 
 
 def _naming(topics: Iterable[str]) -> Mapping:
@@ -241,8 +238,7 @@ def at_times(series: NumberSeries, times: Array) -> Array:
     after = np.searchsorted(series.time, times, side='right')
     before = np.clip(after - 1, 0, series.time.size - 1)
     if series.is_whole or not series.rate > 1.0 / _MAX_GAP_S:
-        held: Array = np.where(after > 0, series.value[before], math.nan)
-        return held
+        return np.where(after > 0, series.value[before], math.nan)
     values = np.interp(times, series.time, series.value, left=math.nan, right=math.nan)
     gap = series.time[np.clip(after, 0, series.time.size - 1)] - series.time[before]
     return np.where(gap > _MAX_GAP_S, math.nan, values)

@@ -103,14 +103,12 @@ def _phi(speed: float | Array) -> Array:
 
 
 def _std(phi: Array, covariance: Array) -> Array:
-    std: Array = np.sqrt(np.maximum(0.0, np.einsum('...i,...ij,...j->...', phi, covariance, phi)))
-    return std
+    return np.asarray(np.sqrt(np.maximum(0.0, np.einsum('...i,...ij,...j->...', phi, covariance, phi))))
 
 
 def resistance_at(theta: Array, speed: float | Array) -> Array:
     """Return w = a + b v + c v^2 [N/kN] at a speed [m/s] for parameters of shape (..., 3)."""
-    w: Array = theta[..., 0] + speed * (theta[..., 1] + speed * theta[..., 2])
-    return w
+    return np.asarray(theta[..., 0] + speed * (theta[..., 1] + speed * theta[..., 2]))
 
 
 def true_values(truth: Truth, recording: Recording, track: Track) -> tuple[Array, Array]:
@@ -346,15 +344,12 @@ def resistance_curve(chapter: Chapter) -> str:
         curve.plot(KM_H * speeds, prior, color=page.MUTED, linestyle=page.PRIOR_DASHES, linewidth=1.4)
         if (true := chapter.final_truth()[0]) is not None:
             curve.plot(KM_H * speeds, davis(true, speeds), color=page.INK, linestyle=page.DASHES, linewidth=1.2)
-        curve.set_ylim(bottom=0.0)
-        curve.set_ylabel('w [N/kN]')
-        curve.set_title('Running resistance w(v) at the end; band over the speeds learned from')
+        title = 'Running resistance w(v) at the end; band over the speeds learned from'
+        curve.set(ylim=(0.0, None), ylabel='w [N/kN]', title=title)
         moving = speed[speed > 0.5]
         minutes_each = chapter.recording.duration_s / max(len(speed), 1) / 60.0
         driven.hist(KM_H * moving, bins=40, weights=np.full(len(moving), minutes_each), color=page.STAND)
-        driven.set_ylabel('driven [min]')
-        driven.set_xlabel('speed [km/h]')
-        driven.set_xlim(0.0, KM_H * top)
+        driven.set(ylabel='driven [min]', xlabel='speed [km/h]', xlim=(0.0, KM_H * top))
         lines = [Line2D([], [], color=page.BRAKE, label=name) for name, _ in others]
         page.legend_above(figure, [*lines, *_handles(has_truth=chapter.truth is not None)])
         return page.to_svg(figure, 'Resistance curve against speed')
@@ -465,9 +460,7 @@ def _draw_ratios(axes: Axes, ratios: Series) -> None:
     axes.plot(time_min[~rejected], greatest[~rejected], '.', color=page.ESTIMATE, markersize=2.2)
     axes.plot(time_min[rejected], greatest[rejected], 'x', color=page.BAD, markersize=4.0)
     axes.axhline(1.0, color=page.BAD, linewidth=1.0)
-    axes.set_yscale('log')
-    axes.set_ylim(1e-4, max(3.0, 2.0 * float(greatest.max())))
-    axes.set_ylabel('test ratio')
+    axes.set(yscale='log', ylim=(1e-4, max(3.0, 2.0 * float(greatest.max()))), ylabel='test ratio')
 
 
 def speed_model_over_time(chapter: Chapter) -> str:

@@ -106,9 +106,8 @@ def worst_run(explanation: Explanation) -> str:
         for colour, gap in ((BEFORE, trace.before), (AFTER, trace.after)):
             speeds.plot(trace.time[kept], (trace.speed - gap)[kept], color=colour)
         speeds.plot(trace.time[kept], trace.speed[kept], color=page.INK, linestyle=page.DASHES)
-        speeds.set_title('Measured and simulated speed')
-        speeds.set_ylabel('speed [m/s]')
-        speeds.set_ylim(bottom=0.0)  # a train that stands is held
+        # A train that stands is held.
+        speeds.set(title='Measured and simulated speed', ylabel='speed [m/s]', ylim=(0.0, None))
         _draw_run(gaps, index, trace)
         gaps.set_ylabel('gap [m/s]')
         measured = Line2D([], [], color=page.INK, linestyle=page.DASHES, label='measured')
@@ -153,8 +152,7 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
         positions = np.concatenate([trace.position for trace in seen])
         low, high = float(positions.min()), float(positions.max())
         room = 0.01 * (high - low) + 1.0
-        panels[-1].set_xlim(low - room, high + room)
-        panels[-1].set_xlabel('position [m], dotted: stops')
+        panels[-1].set(xlim=(low - room, high + room), xlabel='position [m], dotted: stops')
         page.legend_above(figure, [*file_lines(explanation), *line_handles(line, found)])
         return page.to_svg(figure, 'Speed gap by position in both directions')
 
@@ -269,8 +267,7 @@ def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -
             axes.set_title(f'Missing resistance by {location.axis}')
         low = min(place.low for location in shown for place in location.places)
         high = max(place.high for location in shown for place in location.places)
-        panels[-1].set_xlim(low, high)
-        panels[-1].set_xlabel('position [m], dotted: stops')
+        panels[-1].set(xlim=(low, high), xlabel='position [m], dotted: stops')
         page.legend_above(figure, [*model_lines(explanation), *line_handles(line, found)])
         return page.to_svg(figure, 'Missing resistance by position')
 
@@ -332,8 +329,7 @@ def _draw_kinds(axes: Axes, places: Sequence[Place]) -> None:
     axes.axhline(0.0, color=page.MUTED, linewidth=0.8)
     for shift, (colour, values) in zip((-0.12, 0.12), _values(places), strict=True):
         axes.errorbar(at + shift, values, _SIGMAS * std, fmt='o', markersize=4, color=colour, capsize=3, linewidth=1.2)
-    axes.set_xlim(-0.6, len(places) - 0.4)
-    axes.set_ylabel('missing [N/kN]')
+    axes.set(xlim=(-0.6, len(places) - 0.4), ylabel='missing [N/kN]')
     axes.grid(visible=False, axis='x')
     _fit(axes, places)
 

@@ -157,8 +157,7 @@ def draw_panel(axes: Axes, panel: Panel, colour: str = ESTIMATE, width: float | 
         if usable is not None and usable.any():
             shown = [(panel.value - SIGMA_95 * panel.std)[usable], (panel.value + SIGMA_95 * panel.std)[usable]]
         limit(axes, [*shown, *(np.atleast_1d(other) for other in (panel.prior, panel.truth) if other is not None)])
-    axes.set_title(panel.title)
-    axes.set_ylabel(panel.label)
+    axes.set(title=panel.title, ylabel=panel.label)
 
 
 def draw_spans(
@@ -213,8 +212,7 @@ def keep_room(axes: Axes, least: float) -> None:
 
 def time_axis(axes: Axes, duration_s: float) -> None:
     """Label a time axis in minutes."""
-    axes.set_xlim(0.0, max(duration_s / 60.0, 1e-3))
-    axes.set_xlabel('time since start [min]')
+    axes.set(xlim=(0.0, max(duration_s / 60.0, 1e-3)), xlabel='time since start [min]')
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist]) -> None:
