@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Final
+from unittest.mock import Mock
 
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
@@ -31,7 +32,7 @@ from trainid_ros.interface.records import (
 )
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Level, Report, Trains, TrainView
-from trainid_ros.ros.diagnostics import InputMonitors, NodeHealth, StepTimes, estimator_status
+from trainid_ros.ros.diagnostics import DiagnosticsPublisher, InputMonitors, NodeContext
 from trainid_ros.ros.estimator_node import SPECS
 from trainid_ros.ros.topics import Publishers
 from trainid_ros.setup.params_file import node_setups
@@ -84,9 +85,11 @@ def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tup
     now_s = feed.now_ns / NS_PER_S
     for spec, pipeline, prior in zip(SPECS.values(), pipelines, priors, strict=True):
         name = f'{_NAMESPACE}/{spec.kind.node_name}'.strip('/')
-        health = NodeHealth(name, 'active', '', feed.now_ns, '')
+        node: Any = Mock(state='active', **{'get_fully_qualified_name.return_value': name})
+        node.now_ns.return_value = feed.now_ns
+        context = NodeContext(node, spec.kind, node, node, feed.inputs, pipeline=pipeline, prior=prior)
         brief = replace(spec, details=lambda _prior, _live: ())
-        status = estimator_status(health, brief, pipeline, prior, StepTimes())
+        status = DiagnosticsPublisher(context, brief).estimator_status(pipeline)
         values = {item.key: item.value for item in status.values}
         level = Level(int.from_bytes(status.level, 'little'))
         trains.on_diagnostics(status.name, Report(level, status.message, values, now_s))

@@ -8,11 +8,9 @@ with the node's clock, so they are correct under simulated time too.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from itertools import islice
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,7 +33,7 @@ from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, Publishers, estimate_qos
 from trainid_ros.setup.pipelines import brake_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.interface.results import Output, Rejection
@@ -99,19 +97,17 @@ class InputMonitor:
     newest_ns: int = 0  # Stamp of the last message [ns], 0 before the first
     publishers: Publishers = field(default_factory=Publishers)  # Who publishes on it
     _last_ns: int = 0
-    _arrivals: deque[int] = field(default_factory=_kept)
-    _delays: deque[int] = field(default_factory=_kept)
+    _arrivals: deque[tuple[int, int]] = field(default_factory=_kept)  # When messages came, and their delays [ns]
     _rejected: deque[tuple[int, Rejection]] = field(default_factory=_kept)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
         """Record a message with this stamp [ns] that arrived now [ns]."""
         self.count += 1
         self.newest_ns = stamp_ns
-        if self._arrivals and now_ns < self._arrivals[-1]:
-            for past in (self._arrivals, self._delays, self._rejected):
-                past.clear()
-        self._arrivals.append(now_ns)
-        self._delays.append(now_ns - stamp_ns)
+        if self._arrivals and now_ns < self._arrivals[-1][0]:
+            self._arrivals.clear()
+            self._rejected.clear()
+        self._arrivals.append((now_ns, now_ns - stamp_ns))
         self._last_ns = now_ns
 
     def rejected(self, rejection: Rejection, now_ns: int) -> None:
@@ -121,22 +117,22 @@ class InputMonitor:
     def rate(self, now_ns: int) -> float:
         """Return the message rate over the last seconds [Hz]; NaN while unknown, as with a clock that stands still."""
         self._forget_before(now_ns - _WINDOW_NS)
-        if not self._arrivals or self._arrivals[-1] == self._arrivals[0]:
+        times = [time_ns for time_ns, _ in self._arrivals]
+        if not times or times[-1] == times[0]:
             return math.nan
-        return (len(self._arrivals) - 1) * NS_PER_S / (self._arrivals[-1] - self._arrivals[0])
+        return (len(times) - 1) * NS_PER_S / (times[-1] - times[0])
 
     def _forget_before(self, begin_ns: int) -> None:
-        while self._arrivals and self._arrivals[0] < begin_ns:
-            self._arrivals.popleft()
-            self._delays.popleft()
-        while self._rejected and self._rejected[0][0] < begin_ns:
-            self._rejected.popleft()
+        for past in (self._arrivals, self._rejected):
+            while past and past[0][0] < begin_ns:
+                past.popleft()
 
     @property
     def delay_s(self) -> float:
         """Smallest time from the stamp to the arrival of the last messages [s]."""
-        recent = bisect_left(self._arrivals, self._last_ns - NS_PER_S)  # within a second: one may be held up
-        return min(islice(self._delays, recent, None), default=0) / NS_PER_S
+        # Within a second: one may be held up.
+        recent = (delay_ns for time_ns, delay_ns in self._arrivals if time_ns >= self._last_ns - NS_PER_S)
+        return min(recent, default=0) / NS_PER_S
 
     def judge_rejections(self, now_ns: int) -> Finding | None:
         """Return why the messages of the last seconds were not used; None if only a few were rejected."""
@@ -195,7 +191,7 @@ class InputMonitor:
             return Finding(DiagnosticStatus.WARN, text, action)
         if rejections is not None:
             return rejections
-        rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
+        rate, delay_s = self.rate(now_ns), self._arrivals[-1][1] / NS_PER_S if self._arrivals else 0.0
         if abs(delay_s) > _MAX_AGE_S and not self.optional:
             text = f"{_apart(delay_s)} this node's clock"
             action = 'for a bag set use_sim_time and play it with /clock; on a train synchronise the clocks'
@@ -395,31 +391,7 @@ class EstimatorSpec:
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = lambda _prior, _live: ()
 
 
-@dataclass(frozen=True, slots=True)
-class NodeHealth:
-    """State of the node apart from its estimator."""
-
-    name: str  # Name of the node
-    state: str  # Its lifecycle state
-    failure: str  # Reason of the last failed transition, '' if it succeeded
-    now_ns: int  # The node's time [ns]
-    clock_problem: str  # What is wrong with the clock, '' if nothing is
-    since_ns: int = 0  # Since when the estimate has its status [ns]
-    missing: str = ''  # Which inputs are missing, '' if none is
-    fault: str = ''  # Why the estimator cannot continue, '' if it can
-    # What is wrong beside the status of the estimate, by name, the worst first
-    problems: Mapping[str, Finding] = field(default_factory=dict)
-
-
-def idle_status(health: NodeHealth) -> Any:
-    """Return the estimator's status while the node is not configured."""
-    level = DiagnosticStatus.ERROR if health.failure else DiagnosticStatus.WARN
-    action = f'{health.failure}; correct this, then configure again' if health.failure else 'configure and activate it'
-    message = Finding(level, health.state, action).sentence(health.now_ns)
-    return _status(f'{health.name}: estimator', level, message, (('state', health.state),))
-
-
-def unusable(output: Output[Any]) -> tuple[str, str] | None:
+def _unusable(output: Output[Any]) -> tuple[str, str] | None:
     """Return why the newest sample was rejected and what to do, None if it was not, or if that is in order."""
     rejection = output.last_rejection
     if output.status in {Status.STALE, Status.FAULT} or rejection is None or rejection.stamp_ns != output.stamp_ns:
@@ -427,59 +399,11 @@ def unusable(output: Output[Any]) -> tuple[str, str] | None:
     return _REJECTED.get(rejection.reason)
 
 
-def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: str) -> Finding:
-    """Return what is the case with the estimate; ``value`` is the most important one of it."""
-    status = output.status
-    level, meaning, action = _STATUSES[status]
-    reasons = {Status.STALE: health.missing, Status.FAULT: health.fault, Status.CONVERGING: why_converging}
-    reason = reasons.get(status, '')
-    text = f'{status.name}: {meaning}{f" ({reason})" if reason else ""}; {value}'
-    if health.state != 'active':
-        return Finding(DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it')
-    # Nothing is valid while one of these problems lasts, whatever is driven.
-    if status is Status.CONVERGING and {'contradiction', 'brake'} & health.problems.keys():
-        action = ''
-    return Finding(level, text, action, health.since_ns)
-
-
 def _condemned(faults: InputFaults) -> tuple[tuple[str, str], ...]:
     """Return which inputs contradict each other, and which estimates wait; nothing while they agree."""
     if not faults.finding:
         return ()
     return ('inputs', ', '.join(faults.inputs)), ('holds_back', ', '.join(faults.holds_back))
-
-
-def estimator_status(
-    health: NodeHealth, spec: EstimatorSpec, pipeline: EstimatorPipeline[Any], prior: Any, steps: StepTimes
-) -> Any:
-    """Return the status of a configured estimator."""
-    output, first = pipeline.current(), spec.shown[0]
-    value = f'{first} {getattr(output.estimate, first):.4g} {_unit(output.estimate, first)}'.rstrip()
-    findings = [*health.problems.values(), _judge(health, output, value, pipeline.why_converging)]
-    message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
-    levels = [finding.level for finding in findings]
-    # An error comes before STALE, whose number is higher.
-    level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
-    known_s = (health.now_ns - health.since_ns) / NS_PER_S if 0 < health.since_ns <= health.now_ns else None
-    step_times = zip(('p50', 'p99', 'max'), (*steps.quantiles(), steps.longest), strict=True)
-    values = (
-        ('state', health.state),
-        *(() if known_s is None else (('time in status [s]', f'{known_s:.1f}'),)),
-        ('status', output.status.name),
-        ('used', output.used),
-        ('rejected', output.rejected),
-        *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
-        *_condemned(pipeline.stream.faults),
-        ('last rejection', 'none' if output.last_rejection is None else output.last_rejection),
-        *_compared(spec.shown, prior, output.estimate),
-        ('consistency', pipeline.consistency),
-        ('consistency ratio', f'{pipeline.consistency.ratio:.3f}'),
-        *spec.details(prior, output.estimate),
-        *((f'step time {name} [ms]', f'{seconds * 1e3:.3f}') for name, seconds in step_times),
-        ('overruns', steps.overruns),
-        ('resets', pipeline.resets),
-    )
-    return _status(f'{health.name}: estimator', level, message, values)
 
 
 def _unit(estimate: Any, name: str) -> str:
@@ -496,30 +420,6 @@ def _compared(shown: tuple[str, ...], prior: Any, live: Any) -> Iterable[tuple[s
         yield f'{name} prior{unit}', f'{getattr(prior, name):.6g}'
 
 
-def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, finding: Finding) -> Any:
-    """Return the status of one input; ``topic`` is its remapped name, ``finding`` what is the case."""
-    now_ns, level, message = health.now_ns, finding.level, finding.sentence(health.now_ns)
-    heard, unheard = monitor.publishers.heard, monitor.publishers.unheard
-    if health.clock_problem:
-        level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {message}'
-    values = (
-        ('topic', topic),
-        ('rate [Hz]', f'{monitor.rate(now_ns):.2f}'),
-        ('age [s]', f'{monitor.age_s(now_ns):.3f}'),
-        ('time since last message [s]', f'{monitor.missing_for_s(now_ns):.3f}'),
-        ('count', monitor.count),
-        ('publishers', len(heard) + len(unheard)),
-        ('heard', ', '.join(heard) or 'none'),
-        ('not heard', '; '.join(unheard) or 'none'),
-    )
-    return _status(f'{health.name}: input {label_of(monitor.topic)}', level, message, values)
-
-
-def _status(name: str, level: bytes, message: str, values: Iterable[tuple[str, object]]) -> Any:
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values]
-    return DiagnosticStatus(level=level, name=name, message=message, hardware_id='', values=pairs)
-
-
 class DiagnosticsPublisher:
     """Publishes the status of an estimator and of its inputs."""
 
@@ -528,8 +428,9 @@ class DiagnosticsPublisher:
         self._publisher = context.node.create_publisher(
             DiagnosticArray, '/diagnostics', estimate_qos(), event_callbacks=NO_PUBLISHER_EVENTS
         )
-        self._now_ns = 0
-        self._published_ns = 0
+        self._name = context.node.get_fully_qualified_name().strip('/')
+        self._now_ns = self._published_ns = 0
+        self._clock_problem = ''
         self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
         self._problems: dict[str, Finding] = {}
@@ -543,15 +444,23 @@ class DiagnosticsPublisher:
         self._note_stall()
         if context.inputs is not None:
             context.inputs.drain()  # what waits has arrived: the inputs are not late where this node is
-        health = self._health(self._node.now_ns())
+        before_ns, self._now_ns = self._now_ns, self._node.now_ns()
+        self._clock_problem = self._find_clock_problem(before_ns)
+        self._problems = {
+            name: replace(found, since_ns=self._problems[name].since_ns if name in self._problems else self._now_ns)
+            for name, found in self._find_problems().items()
+        }
         array = DiagnosticArray()
-        array.header.stamp = time_message(health.now_ns)
+        array.header.stamp = time_message(self._now_ns)
         if context.pipeline is None or context.inputs is None:
             self._known.clear()
-            array.status = [idle_status(health)]
+            array.status = [self._idle()]
         else:
-            own = estimator_status(health, self._spec, context.pipeline, context.prior, context.step_times)
-            array.status = [own, *self._inputs(health, context.inputs)]
+            monitors = context.monitors.by_topic.values()
+            array.status = [
+                self.estimator_status(context.pipeline),
+                *(self._input(context.inputs, monitor) for monitor in monitors),
+            ]
         named = context.mapping.mapping.named
         for status in array.status:
             status.message = named(status.message)
@@ -566,31 +475,91 @@ class DiagnosticsPublisher:
         late_s = (self._published_ns - before_ns) / NS_PER_S - period_s
         self._busy_s = late_s if before_ns and late_s > 0.8 else 0.0
 
-    def _health(self, now_ns: int) -> NodeHealth:
-        node, clock_problem = self._node, self._clock_problem(now_ns)
-        self._problems = {
-            name: replace(found, since_ns=self._problems[name].since_ns if name in self._problems else now_ns)
-            for name, found in self._find_problems(clock_problem).items()
-        }
-        return NodeHealth(
-            name=node.get_fully_qualified_name().strip('/'),
-            state=node.state,
-            failure=node.failure,
-            now_ns=now_ns,
-            clock_problem=clock_problem,
-            since_ns=self._context.since_ns,
-            missing=self._context.missing_inputs(),
-            fault=self._context.fault,
-            problems=self._problems,
+    def _status(self, name: str, level: bytes, message: str, values: Iterable[tuple[str, object]]) -> Any:
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in values]
+        return DiagnosticStatus(
+            level=level, name=f'{self._name}: {name}', message=message, hardware_id='', values=pairs
         )
 
-    def _inputs(self, health: NodeHealth, inputs: InputGroup) -> Iterator[DiagnosticStatus]:
-        for topic, monitor in self._context.monitors.by_topic.items():
-            name = self._node.resolve_topic_name(topic.name)
-            self._look(inputs, monitor, name)
-            yield input_status(health, monitor, name, self._judge(monitor, health.now_ns))
+    def _idle(self) -> Any:
+        """Return the estimator's status while the node is not configured."""
+        state, failure = self._node.state, self._node.failure
+        level = DiagnosticStatus.ERROR if failure else DiagnosticStatus.WARN
+        action = f'{failure}; correct this, then configure again' if failure else 'configure and activate it'
+        return self._status(
+            'estimator', level, Finding(level, state, action).sentence(self._now_ns), (('state', state),)
+        )
 
-    def _find_problems(self, clock_problem: str) -> dict[str, Finding]:
+    def estimator_status(self, pipeline: EstimatorPipeline[Any]) -> Any:
+        """Return the status of a configured estimator."""
+        context, now_ns, since_ns = self._context, self._now_ns, self._context.since_ns
+        output, spec, steps = pipeline.current(), self._spec, context.step_times
+        findings = [*self._problems.values(), self._judge_estimate(output, pipeline.why_converging)]
+        levels = [finding.level for finding in findings]
+        # An error comes before STALE, whose number is higher.
+        level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
+        known = (('time in status [s]', f'{(now_ns - since_ns) / NS_PER_S:.1f}'),) if 0 < since_ns <= now_ns else ()
+        step_times = zip(('p50', 'p99', 'max'), (*steps.quantiles(), steps.longest), strict=True)
+        values = (
+            ('state', self._node.state),
+            *known,
+            ('status', output.status.name),
+            ('used', output.used),
+            ('rejected', output.rejected),
+            *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
+            *_condemned(pipeline.stream.faults),
+            ('last rejection', 'none' if output.last_rejection is None else output.last_rejection),
+            *_compared(spec.shown, context.prior, output.estimate),
+            ('consistency', pipeline.consistency),
+            ('consistency ratio', f'{pipeline.consistency.ratio:.3f}'),
+            *spec.details(context.prior, output.estimate),
+            *((f'step time {name} [ms]', f'{seconds * 1e3:.3f}') for name, seconds in step_times),
+            ('overruns', steps.overruns),
+            ('resets', pipeline.resets),
+        )
+        return self._status('estimator', level, '; '.join(finding.sentence(now_ns) for finding in findings), values)
+
+    def _judge_estimate(self, output: Output[Any], why_converging: str) -> Finding:
+        """Return what is the case with the estimate, with the most important value of it."""
+        status, state, first = output.status, self._node.state, self._spec.shown[0]
+        level, meaning, action = _STATUSES[status]
+        reasons = {
+            Status.STALE: self._context.missing_inputs(),
+            Status.FAULT: self._context.fault,
+            Status.CONVERGING: why_converging,
+        }
+        reason = f' ({reasons[status]})' if reasons.get(status) else ''
+        value = f'{first} {getattr(output.estimate, first):.4g} {_unit(output.estimate, first)}'.rstrip()
+        text = f'{status.name}: {meaning}{reason}; {value}'
+        if state != 'active':
+            return Finding(DiagnosticStatus.WARN, f'{state}, inputs are ignored; last {text}', 'activate it')
+        # Nothing is valid while one of these problems lasts, whatever is driven.
+        if status is Status.CONVERGING and {'contradiction', 'brake'} & self._problems.keys():
+            action = ''
+        return Finding(level, text, action, self._context.since_ns)
+
+    def _input(self, inputs: InputGroup, monitor: InputMonitor) -> Any:
+        """Return the status of one input, after a look in the graph for its publishers."""
+        topic, now_ns = self._node.resolve_topic_name(monitor.topic.name), self._now_ns
+        self._look(inputs, monitor, topic)
+        finding = self._judge(monitor, now_ns)
+        level, message = finding.level, finding.sentence(now_ns)
+        heard, unheard = monitor.publishers.heard, monitor.publishers.unheard
+        if self._clock_problem:
+            level, message = max(level, DiagnosticStatus.WARN), f'{self._clock_problem}; {message}'
+        values = (
+            ('topic', topic),
+            ('rate [Hz]', f'{monitor.rate(now_ns):.2f}'),
+            ('age [s]', f'{monitor.age_s(now_ns):.3f}'),
+            ('time since last message [s]', f'{monitor.missing_for_s(now_ns):.3f}'),
+            ('count', monitor.count),
+            ('publishers', len(heard) + len(unheard)),
+            ('heard', ', '.join(heard) or 'none'),
+            ('not heard', '; '.join(unheard) or 'none'),
+        )
+        return self._status(f'input {label_of(monitor.topic)}', level, message, values)
+
+    def _find_problems(self) -> dict[str, Finding]:
         """Return what is wrong beside the status of the estimate, by name, the worst first."""
         warn, pipeline, found = DiagnosticStatus.WARN, self._context.pipeline, dict[str, Finding]()
         if pipeline is not None and pipeline.stream.finding:
@@ -613,9 +582,9 @@ class DiagnosticsPublisher:
         if pipeline is not None and (waiting := self._context.parameters.waiting):
             text = f'parameters were set that do not act yet: {", ".join(waiting)}'
             found['parameters'] = Finding(warn, text, 'configure the node again, or set them back')
-        if clock_problem:
-            found['clock'] = Finding(warn, clock_problem)
-        if pipeline is not None and (rejected := unusable(pipeline.current())) is not None:
+        if self._clock_problem:
+            found['clock'] = Finding(warn, self._clock_problem)
+        if pipeline is not None and (rejected := _unusable(pipeline.current())) is not None:
             found['rejected'] = Finding(warn, f'samples are rejected: {rejected[0]}', rejected[1])
         if pipeline is not None and pipeline.consistency.is_alarm:
             text = f'errors exceed the stated uncertainty: {pipeline.consistency}'
@@ -669,14 +638,13 @@ class DiagnosticsPublisher:
         self._known[monitor.topic] = finding
         return finding
 
-    def _clock_problem(self, now_ns: int) -> str:
-        """Return what is wrong with simulated time, '' if nothing."""
-        before, self._now_ns = self._now_ns, now_ns
+    def _find_clock_problem(self, before_ns: int) -> str:
+        """Return what is wrong with simulated time, '' if nothing; ``before_ns`` was the time of the last call."""
         if not self._node.get_clock().ros_time_is_active:
             return ''
-        if now_ns == 0:
+        if self._now_ns == 0:
             return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
         if len(infos := self._node.get_publishers_info_by_topic('/clock')) > 1:
             names = _names(sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos))
             return f'{len(infos)} publishers of /clock: {names}: stop all but one'
-        return '/clock has stopped: resume its publisher' if now_ns == before else ''
+        return '/clock has stopped: resume its publisher' if self._now_ns == before_ns else ''
