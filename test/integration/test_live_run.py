@@ -30,7 +30,7 @@ from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inputs.mapping import load_mapping
-from trainid_ros.ros.topics import LEASE_S, fill_estimate, latched_qos, time_message
+from trainid_ros.ros.topics import LEASE_S, estimate_message, latched_qos, time_message
 from trainid_ros.setup.pipelines import (
     EstimatorSettings,
     brake_rate_pipeline,
@@ -143,11 +143,11 @@ def listener(processes: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 def replayed(bag: Path, topic: str, mapping: Path | None = None) -> list[Any]:
     """Messages that the pipeline alone gives for the same records."""
-    kind, make = OUTPUTS[topic]
+    _, make = OUTPUTS[topic]
     pipeline = make(load_train_file(TRAIN), EstimatorSettings())
     with BagReader(bag, inputs=mapped_inputs(mapping, load_train_file(TRAIN))) as reader:
         outputs = [output for record in reader.records() for output in pipeline.push(record)]
-    return [fill_estimate(kind(), output) for output in outputs]
+    return [estimate_message(output) for output in outputs]
 
 
 def content(message: Any) -> dict[str, bytes]:

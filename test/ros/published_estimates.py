@@ -9,9 +9,9 @@ from typing import Any
 
 import rclpy
 
-from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, OutputTopic
+from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC
 from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
-from trainid_ros.ros.topics import fill_estimate, latched_qos, message_class, offered_estimate_qos
+from trainid_ros.ros.topics import estimate_message, latched_qos, message_class, offered_estimate_qos
 
 W = ResistanceEstimate(2.0, 0.03, 0.0012, (0.01, *[0.0] * 8), 2.4, 0.1, 10.0, 0.1, 0.01, 0.2, 3.0, 18.0, 0.1)
 F = BrakeRateEstimate(0.9, 0.02, math.nan, 10.0, 0.0, 0.0, 50.0, False, 0.0, 0.01, 0.1)
@@ -27,15 +27,15 @@ class Estimates:
         self._latched = [node.create_publisher(message_class(x), x.last_valid, latched_qos()) for x in topics]
 
     def publish(self, status: Status = Status.VALID, *, latched: bool = True, live: bool = True) -> None:
-        for k, (topic, estimate) in enumerate(((RESISTANCE_TOPIC, W), (BRAKE_RATE_TOPIC, F))):
-            message = self._message(topic, estimate, status)
+        for k, estimate in enumerate((W, F)):
+            message = self._message(estimate, status)
             for publisher, wanted in ((self.live[k], live), (self._latched[k], latched)):
                 if wanted:
                     publisher.publish(message)
 
-    def _message(self, topic: OutputTopic, estimate: Any, status: Status) -> Any:
+    def _message(self, estimate: Any, status: Status) -> Any:
         stamp_ns = self._clock.now().nanoseconds - self._late_ns
-        return fill_estimate(message_class(topic)(), Output(stamp_ns, estimate, status, 5, 0, None))
+        return estimate_message(Output(stamp_ns, estimate, status, 5, 0, None))
 
 
 if __name__ == '__main__':

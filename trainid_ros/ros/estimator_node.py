@@ -41,7 +41,7 @@ from trainid_ros.ros.inputs import AnyTopic, NodeMapping, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded, run_node
 from trainid_ros.ros.topics import (
     SerializedEstimate,
-    fill_estimate,
+    estimate_message,
     latched_qos,
     message_class,
     offered_estimate_qos,
@@ -444,19 +444,14 @@ class EstimatorNode(ManagedNode):
 
     def serialize(self, output: Any) -> SerializedEstimate:
         """Return an output of the pipeline as a message that is ready to be sent."""
-        topic = output_topic(output.estimate)
-        message = fill_estimate(message_class(topic)(), output)
-        return SerializedEstimate(Status(message.status), serialize_message(message), topic)
-
-    def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
-        """Publish estimates; the rest that follows from them is done by :meth:`conclude`."""
-        self.publisher.publish(estimates)
+        message = estimate_message(output)
+        return SerializedEstimate(Status(message.status), serialize_message(message), output_topic(output.estimate))
 
     def announce(self, pipeline: EstimatorPipeline[Any]) -> None:
         """Publish an output that no message has caused."""
         outputs: list[Any] = []
         pipeline.publish(outputs.append)
-        self.publish([self.serialize(output) for output in outputs])
+        self.publisher.publish([self.serialize(output) for output in outputs])
         self.publisher.conclude(self.now_ns())
 
     def latch_loaded(self) -> None:

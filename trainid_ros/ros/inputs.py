@@ -259,15 +259,13 @@ class Consumer(Protocol):
     """A node that takes in inputs."""
 
     checkpoints: Any  # Its Checkpoints
+    publisher: Any  # Its EstimatePublisher, while it is configured
 
     def running_pipeline(self) -> EstimatorPipeline[Any] | None:
         """Return the pipeline if it takes in records now."""
 
     def step(self, pipeline: EstimatorPipeline[Any], record: SharedRecord) -> list[SerializedEstimate]:
         """Pass a record to the pipeline; return the estimates of the samples it completes, ready to be sent."""
-
-    def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
-        """Publish estimates."""
 
     def conclude(self, topic: AnyTopic, stamp_ns: int) -> None:
         """Do the rest, after a message with this stamp [ns] was taken in by all."""
@@ -417,7 +415,7 @@ class InputGroup:
                 estimates.extend(node.step(pipeline, shared))
         # Sent at once, so that a subscriber of all of them wakes up once.
         for node, estimates in made:
-            node.publish(estimates)
+            node.publisher.publish(estimates)
         for node in self.members:
             node.conclude(topic, stamp_ns)
         # One of them at a time: the next message may come soon.

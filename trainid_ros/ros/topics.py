@@ -32,6 +32,7 @@ from trainid_ros.interface.records import (
     InputTopic,
     Record,
     input_topic,
+    output_topic,
     output_values,
     record_values,
     stamp_of,
@@ -61,7 +62,20 @@ def time_message(time_ns: int) -> Time:
 
 def message_from_record(record: Record) -> Any:
     """Return the input message of a record."""
-    return _fill(message_class(input_topic(record))(), record.stamp_ns, record_values(record))
+    return _message(input_topic(record), record.stamp_ns, record_values(record))
+
+
+def estimate_message(output: Output[Any]) -> Any:
+    """Return the message of an output; a non-finite estimate gets status FAULT."""
+    return _message(output_topic(output.estimate), output.stamp_ns, output_values(output))
+
+
+def _message(topic: InputTopic | OutputTopic, stamp_ns: int, values: Mapping[str, Any]) -> Any:
+    message = message_class(topic)()
+    message.header.stamp = time_message(stamp_ns)
+    for name, value in values.items():
+        setattr(message, name, value)
+    return message
 
 
 class SerializedEstimate(NamedTuple):
@@ -70,18 +84,6 @@ class SerializedEstimate(NamedTuple):
     status: Status
     data: bytes
     topic: OutputTopic
-
-
-def fill_estimate(message: Any, output: Output[Any]) -> Any:
-    """Copy an output into its message and return it; a non-finite estimate gets status FAULT."""
-    return _fill(message, output.stamp_ns, output_values(output))
-
-
-def _fill(message: Any, stamp_ns: int, values: Mapping[str, Any]) -> Any:
-    message.header.stamp = time_message(stamp_ns)
-    for name, value in values.items():
-        setattr(message, name, value)
-    return message
 
 
 DEADLINE_S: Final = 1.0  # an active node publishes at least this often [s], where speeds come at 2 Hz or more
