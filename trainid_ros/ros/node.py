@@ -257,13 +257,9 @@ class NodeParameters:
         value: Value = self._node.get_parameter(name).value
         return value
 
-    def values(self) -> dict[str, Value]:
-        """Return all values by name."""
-        return {name: self.value(name) for name in self._specs}
-
     def use(self) -> Values:
         """Return all values by name, with which the node is configured."""
-        self._used = self.values()
+        self._used = {name: self.value(name) for name in self._specs}
         return self._used
 
     @property
@@ -351,15 +347,12 @@ def _on_signals(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
         signal.signal(number, handler)
 
 
-def start_ros(ros_args: Sequence[str]) -> list[str]:
-    """Start ROS with the arguments that follow ``--ros-args``; return all arguments passed to ROS.
+def start_ros(ros_args: Sequence[str] | None = None) -> list[str]:
+    """Start ROS with the arguments that follow ``--ros-args``, or those of the process; return all passed to ROS.
 
     From then on, SIGINT and SIGTERM only end :func:`spin_nodes`. InputError if ROS cannot use the arguments.
     """
-    return _start(['trainid', '--ros-args', *ros_args])
-
-
-def _start(arguments: list[str]) -> list[str]:
+    arguments = list(sys.argv) if ros_args is None else ['trainid', '--ros-args', *ros_args]
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RCLError, RuntimeError, ValueError) as error:
@@ -408,7 +401,7 @@ def close_nodes(nodes: Sequence[Node]) -> None:
 def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
     """Run one node as a stand-alone program; with the parameter ``autostart`` it activates itself."""
     try:
-        node = make(_start(list(sys.argv)))
+        node = make(start_ros())
         if node.get_parameter('autostart').value:
             node.bring_up()
     except InputError as error:
