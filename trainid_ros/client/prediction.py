@@ -19,12 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.client.stopping import DELAY, EXTRA_STEP, GRADIENT, LAG, A, C, StopPosterior
+from trainid_ros.client.stopping import DELAY, EXTRA_STEP, GRADIENT, LAG, NORMAL, A, C, StopPosterior
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 
 _STEP_S: Final = 0.5
 """Longest step of the integration [s]; the brake's lag is exact within it."""
-_NORMAL: Final = NormalDist()
 _LONG_AGO_S: Final = 1e4  # no brake has a longer dead time [s]
 
 
@@ -95,7 +93,7 @@ def _beyond(margin: float, std: float) -> float:
     if margin == 0.0 or std == 0.0:
         return std
     z = margin / std
-    return std * math.sqrt(max(0.0, (1.0 + z * z) * _NORMAL.cdf(-z) - z * _NORMAL.pdf(z)))
+    return std * math.sqrt(max(0.0, (1.0 + z * z) * NORMAL.cdf(-z) - z * NORMAL.pdf(z)))
 
 
 def _members(known: StopPosterior, scale: tuple[float, float]) -> tuple[Array, Array]:

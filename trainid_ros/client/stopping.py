@@ -56,6 +56,7 @@ from statistics import NormalDist
 from typing import Final
 
 from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.train.forces import Interpolation
 
 # Places of the parameters in a list of them.
 RATE: Final = 0  # place of f, the brake rate [1]
@@ -107,19 +108,13 @@ class RateShape:
     at_place: list[float] = field(default_factory=list)
     by_square: list[float] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        """Prepare the table."""
+        self._table = Interpolation(self.speeds, self.rates)
+
     def table(self, v: float) -> float:
         """Return s(v) [1]."""
-        speeds, rates = self.speeds, self.rates
-        count = len(speeds)
-        if count == 0:
-            return 1.0
-        above = bisect_right(speeds, v)
-        if above == 0:
-            return rates[0]
-        if above == count:
-            return rates[count - 1]
-        share = (v - speeds[above - 1]) / (speeds[above] - speeds[above - 1])
-        return rates[above - 1] + share * (rates[above] - rates[above - 1])
+        return self._table.at(v) if len(self.speeds) > 0 else 1.0
 
     def extra(self, v: float) -> float:
         """Return x(v) [N/kN], constant beyond the speeds for which it is given."""
@@ -151,9 +146,12 @@ class RateShape:
         by_speed = theta[SLOPE] * self.slope(v) + theta[CHANGEOVER] * self.changeover(v)
         return self.table(v) * (theta[RATE] + by_speed)
 
-    def by_parameters(self, v: float, target: float) -> list[float]:
-        """Return the derivatives of the deceleration by all parameters, at a brake target [m/s^2]."""
-        rate, k = self.table(v) * target, self.k
+    def by_parameters(self, v: float, target: float, weight: float = 1.0) -> list[float]:
+        """Return the weighted derivatives of the deceleration by all parameters, but for T and tau.
+
+        ``target`` is the brake target [m/s^2].
+        """
+        rate, k = weight * self.table(v) * target, weight * self.k
         return [rate, rate * self.slope(v), rate * self.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
 
     def knots(self, v: float) -> list[float]:
@@ -329,15 +327,9 @@ class Braking:
 
     def _add(self, gradient: list[float], weight: float, v: float, target: float) -> None:
         """Add weight times the derivatives of the deceleration by f, e, h, a, b, c and i."""
-        shape = self._shape
-        by_rate, by_resistance = weight * shape.table(v) * target, weight * shape.k
-        gradient[RATE] += by_rate
-        gradient[SLOPE] += by_rate * shape.slope(v)
-        gradient[CHANGEOVER] += by_rate * shape.changeover(v)
-        gradient[A] += by_resistance
-        gradient[B] += by_resistance * v
-        gradient[C] += by_resistance * v * v
-        gradient[GRADIENT] += by_resistance
+        found = self._shape.by_parameters(v, target, weight)
+        for j in range(DELAY):
+            gradient[j] += found[j]
 
     def _go_back(self, out: Stop, times: list[float], speeds: list[float], runs: list[float], costate: float) -> None:
         """Calculate l and m backwards over the steps, and the derivatives with them (trapezoidal rule)."""
@@ -430,7 +422,7 @@ class _LeastBraking(Braking):
 _NONE, _KNOWN_RISK = 1e-6, 0.01
 # Iterations of z0, difference of D0 and D1 that ends them, whose square is left [1], and halvings of it.
 _MIXTURE_STEPS, _MIXTURE_ERROR, _HALVINGS = 60, 1e-6, 40
-_NORMAL: Final = NormalDist()
+NORMAL: Final = NormalDist()
 
 
 class StoppingBounds:
@@ -443,12 +435,12 @@ class StoppingBounds:
         self._command, self._applied = command, applied
         self._confidence = confidence
         # That of the brake as known, with a lower one the last z0; its least and largest value.
-        self._z = self._z_least = self._z_most = _NORMAL.inv_cdf(confidence)
+        self._z = self._z_least = self._z_most = NORMAL.inv_cdf(confidence)
         self._lower: StoppingBounds | None = None
         if posterior.dropped * posterior.loss > 0.0:
             self._lower = StoppingBounds(shape, posterior.lower(), command, applied, confidence)
             share = confidence / max(1.0 - posterior.dropped, confidence)
-            self._z_most = _NORMAL.inv_cdf(min(share, 1.0 - _KNOWN_RISK * (1.0 - confidence)))
+            self._z_most = NORMAL.inv_cdf(min(share, 1.0 - _KNOWN_RISK * (1.0 - confidence)))
         self._at_mean = Braking(shape, list(posterior.mean), command, applied)
         # Speeds at which the deceleration is checked [m/s], and the number of them at which it is known to be positive.
         knots = shape.knots(MAX_SPEED)
@@ -466,8 +458,8 @@ class StoppingBounds:
         dropped, most, low, high, z = self._posterior.dropped, self._z_most, self._z_least, math.inf, self._z
         best = Stop(math.inf, math.inf, math.inf)
         for _ in range(_MIXTURE_STEPS):
-            share = (self._confidence - (1.0 - dropped) * _NORMAL.cdf(z)) / dropped
-            z_lower = _NORMAL.inv_cdf(min(max(share, _NONE), self._confidence))
+            share = (self._confidence - (1.0 - dropped) * NORMAL.cdf(z)) / dropped
+            z_lower = NORMAL.inv_cdf(min(max(share, _NONE), self._confidence))
             known, of_lower = self._alone(speed, z), lower._alone(speed, z_lower)
             excess = known.distance - of_lower.distance
             if z == most and share <= _NONE and excess <= 0.0:
@@ -488,7 +480,7 @@ class StoppingBounds:
             distance = self._between(known.distance, by_z, z, of_lower.distance, by_z_lower, z_lower)
             if abs(excess) <= _MIXTURE_ERROR * known.distance:
                 # Weights by the densities of the distance.
-                density, of_drop = (1.0 - dropped) * _NORMAL.pdf(z) / by_z, dropped * _NORMAL.pdf(z_lower) / by_z_lower
+                density, of_drop = (1.0 - dropped) * NORMAL.pdf(z) / by_z, dropped * NORMAL.pdf(z_lower) / by_z_lower
                 best.distance = distance
                 best.dD_dv = (density * known.dD_dv + of_drop * of_lower.dD_dv) / (density + of_drop)
                 break
@@ -501,8 +493,8 @@ class StoppingBounds:
         dropped, low, high = self._posterior.dropped, min(known, lower), max(known, lower)
         for _ in range(_HALVINGS):
             x = 0.5 * (low + high)
-            share = (1.0 - dropped) * _NORMAL.cdf(z + (x - known) / by_z)
-            share += dropped * _NORMAL.cdf(z_lower + (x - lower) / by_z_lower)
+            share = (1.0 - dropped) * NORMAL.cdf(z + (x - known) / by_z)
+            share += dropped * NORMAL.cdf(z_lower + (x - lower) / by_z_lower)
             low, high = (x, high) if share < self._confidence else (low, x)
         return high
 
