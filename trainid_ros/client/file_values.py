@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import replace
+from functools import cache
 from operator import sub
 from typing import TYPE_CHECKING, Final
 
@@ -151,7 +152,7 @@ class FileValues:
         self.effects = StatedEffects(train_file)
         self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
         self._shape = self._rate_shape([], hot=False)
-        self._along: dict[int, tuple[list[float], list[float], list[float]]] = {}
+        self._along = cache(self.effects.along)
         self._worst, speeds = {}, [EXTRA_STEP * k for k in range(math.ceil(MAX_SPEED / EXTRA_STEP) + 1)]
         for direction in (1, -1):
             extra = [self.effects.resistance(speed, direction) for speed in speeds]
@@ -179,9 +180,7 @@ class FileValues:
             raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
         if not profile.first <= position <= profile.last:
             raise InputError(f'position = {position:g} m is not on the line, {profile.first:g} to {profile.last:g} m')
-        if direction not in self._along:
-            self._along[direction] = self.effects.along(direction)
-        (places, *along), place = self._along[direction], direction * position
+        (places, *along), place = self._along(direction), direction * position
         first = bisect_right(places, place) - 1
         ahead, (z, y) = [x - place for x in places[first:]], (values[first:] for values in along)
         return replace(shape, ahead=ahead, at_place=z, by_square=y)

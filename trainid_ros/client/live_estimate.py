@@ -16,6 +16,9 @@ and then falls gradually. The positive part is taken in units of the train file'
 
 A move that must end within a stated time is one to the train file, which is less certain: the covariance goes straight
 from P0 to P then, so that no bound is beyond both.
+
+A slide says that the rail transmits no more, here and probably ahead. While one is less than a kilometre away, no
+bound relies on more than the adhesion then estimated, at its lower quantile.
 """
 
 from __future__ import annotations
@@ -24,12 +27,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import mul, sub
-from typing import Final
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from trainid_ros.interface.results import Status
 from trainid_ros.interface.scalars import seconds
+from trainid_ros.stream.adhesion import RAIL, RAIL_STD
+
+if TYPE_CHECKING:
+    from trainid_ros.interface.results import AdhesionEstimate
 
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
@@ -318,3 +326,55 @@ class LiveEstimate:
             return True, 'CONVERGING, the last valid value as uncertain as that of the train file'
         moving = self._now_s < self._moving_until_s
         return True, f'{self._status.name}, moving to the live value' if moving else self._status.name
+
+
+class LiveAdhesion:
+    """The newest adhesion; not used any more after ``max_age_s`` [s] without a new one, but for its limit."""
+
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_s, self._heard_s, self._newest_ns = max_age_s, -math.inf, -1
+        self._estimate: AdhesionEstimate | None = None
+        self._status, self._problem = Status.UNINITIALIZED, 'no estimate yet'
+        self._is_slide = False  # Whether the last slip was one under braking
+
+    def take_new(self, status: Status, estimate: Any, time_s: float, stamp_ns: int) -> None:
+        """Take in an estimate that arrived at a time [s]."""
+        numbers = (estimate.adhesion, estimate.adhesion_std, estimate.slip, estimate.slip_share)
+        if not (all(map(math.isfinite, numbers)) and estimate.adhesion > 0.0 and estimate.adhesion_std >= 0.0):
+            self.refuse('its numbers are not possible', time_s)
+            return
+        if stamp_ns == self._newest_ns and status in USABLE:
+            return
+        self._estimate, self._status, self._heard_s, self._newest_ns = estimate, status, time_s, stamp_ns
+        self._problem = '' if status in USABLE else WORDS[status]
+        if estimate.slip != 0.0:
+            self._is_slide = estimate.slip < 0.0
+
+    def refuse(self, reason: str, _time_s: float) -> None:
+        """Use what rails are like although an estimate has arrived, for a reason."""
+        self._problem = reason
+
+    mark_lost = refuse
+
+    def go_on(self, time_s: float) -> None:
+        """Advance to a time [s]."""
+        if not self._problem and time_s > self._heard_s + self._max_age_s:
+            self._problem = f'no new estimate for more than {self._max_age_s:g} s'
+
+    def value(self) -> tuple[float, float, bool, str]:
+        """Return the adhesion, its standard deviation [1], whether it is live, and the reason."""
+        if self._problem or self._estimate is None:
+            return RAIL, RAIL_STD, False, f'dry to wet rail: {self._problem}'
+        return self._estimate.adhesion, self._estimate.adhesion_std, True, self._status.name
+
+    def limit(self, confidence: float) -> tuple[float, str]:
+        """Return the most braking force over weight [1] at a confidence, and why; infinite where no slide was.
+
+        The adhesion is log-normal. Without new estimates the last limit stays: nothing says that it is over.
+        """
+        found = self._estimate
+        if found is None or not self._is_slide or not (found.slipping or found.slip_share > 0.0):
+            return math.inf, ''
+        share = found.adhesion_std / found.adhesion
+        least = found.adhesion * math.exp(-NormalDist().inv_cdf(confidence) * share)
+        return least, f'braking limited to an adhesion of {least:.3f} by a slide'

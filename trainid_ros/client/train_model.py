@@ -16,9 +16,8 @@ from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, get_args, overload
 
-from trainid_ros.client.adhesion import LiveAdhesion
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
-from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveEstimate, Normal
+from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveAdhesion, LiveEstimate, Normal
 from trainid_ros.client.prediction import Plan, predicted_speeds
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
@@ -304,32 +303,24 @@ class TrainModel:
         live = self._estimates.get(topic)
         if live is None:
             return
-        if isinstance(live, LiveAdhesion):
-            self._take_adhesion(status, estimate, stamp_ns, doubt)
-            return
-        if is_resistance := topic is RESISTANCE_TOPIC:
-            values = _resistance_values(estimate)
-        else:
-            values = {BRAKE_RATE: _factor(estimate.brake_rate, estimate.brake_rate_std)}
         with self._lock:
             now = self._clock.now()
             if doubt := doubt or ('' if latched else self._age_doubt(stamp_ns)):
                 live.refuse(doubt, now)
                 return
+            if isinstance(live, LiveAdhesion):
+                live.take_new(status, estimate, now, stamp_ns)
+                return
+            if is_resistance := topic is RESISTANCE_TOPIC:
+                values = _resistance_values(estimate)
+            else:
+                values = {BRAKE_RATE: _factor(estimate.brake_rate, estimate.brake_rate_std)}
             if latched and not live.take_latched(status, values, now):
                 return
             if not latched and live.take_new(status, values, now, stamp_ns) and not is_resistance:
                 self._observed_s = now if estimate.observable else self._observed_s
             if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
-
-    def _take_adhesion(self, status: Status, estimate: Any, stamp_ns: int, doubt: str) -> None:
-        with self._lock:
-            now = self._clock.now()
-            if doubt := doubt or self._age_doubt(stamp_ns):
-                self._adhesion.refuse(doubt, now)
-            else:
-                self._adhesion.take_new(status, estimate, now, stamp_ns)
 
     def _age_doubt(self, stamp_ns: int) -> str:
         """Return how far a stamp [ns] is from the clock of the node if that is too far, else nothing."""
@@ -388,7 +379,7 @@ class TrainModel:
             mass: M [kg], as weighed; without it that of the train file.
             direction: As of :meth:`resistance`.
         """
-        v, i, wanted = _motion(speed, gradient, acceleration)
+        wanted, v, i = ACCELERATION.checked(acceleration), SPEED.checked(speed), GRADIENT.checked(gradient)
         direction, train = checked_direction(direction), self._file.train_file.train
         M = train.mass if mass is None else MASS.checked(mass)
         with self._lock:
@@ -414,7 +405,7 @@ class TrainModel:
         ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g0 / (1000 (1 + gamma))``; 0 where no brake is needed. The
         arguments are those of :meth:`feed_forward`.
         """
-        v, i, wanted = _motion(speed, gradient, acceleration)
+        wanted, v, i = ACCELERATION.checked(acceleration), SPEED.checked(speed), GRADIENT.checked(gradient)
         direction = checked_direction(direction)
         with self._lock:
             self._go_on()
@@ -613,11 +604,6 @@ def _rows(values: Any, argument: Argument) -> Sequence[Any]:
     if isinstance(values, (str, Mapping)) or not hasattr(values, '__iter__') or not (rows := tuple(values)):
         raise InputError(f'{argument.name} = {shown(values)} must be a number in {argument.unit}, or several')
     return rows
-
-
-def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:
-    wanted = ACCELERATION.checked(acceleration)
-    return SPEED.checked(speed), GRADIENT.checked(gradient), wanted
 
 
 def _of_brake(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
