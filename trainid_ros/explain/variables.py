@@ -42,8 +42,8 @@ class Variable:
     text: str  # What it is, as text
     unit: str  # Unit of x
     x: Array  # Shape (n,)
-    factor: Array | float = 1.0  # m, shape (n,) [1 or N/kN]
     source: str = ''  # x as an expression of a TrackPoint ``at``; empty if that does not know it
+    factor: Array | float = 1.0  # m, shape (n,) [1 or N/kN]
     factor_source: str = '1.0'  # m in the same way
     of: str = ''  # Force of which f is a share; empty if f is in N/kN
 
@@ -96,18 +96,6 @@ class Variable:
             yield from (size * scale * root for size in _SIZES)
 
 
-_MIDDLE: Final = 'at.position - 0.5 * at.direction * at.length'
-_CURVATURE: Final = '(1.0 / at.curve_radius if at.curve_radius > 0.0 else 0.0)'
-_LATERAL: Final = f'at.speed**2 * {_CURVATURE}'
-_RELEASED: Final = f'min(at.since_release, {_LONGEST_S})'
-_RELEASES: Final = f'(at.brake >= {BRAKING})'
-_TRACTION: Final = ('at.traction', 'the traction')
-_BRAKE: Final = ('at.brake', 'the brake force')
-_COASTS: Final = f'({BRAKING} <= at.brake and at.traction <= {PULLING})'
-_OF_ONE_WAY: Final = ('traction-rising', 'traction-falling', 'direction')  # No others in runs of one direction
-_ONE_WAY: Final = f'(at.traction > {PULLING} and at.direction == %d)'
-
-
 def variables(model: Model) -> tuple[Variable, ...]:
     """Return all variables that vary on the dataset of a model, with their values."""
     d, length = model.dataset, model.train_file.train.length
@@ -118,34 +106,43 @@ def variables(model: Model) -> tuple[Variable, ...]:
     curvature = np.where(radius > 0.0, 1.0 / np.maximum(radius, 1.0), 0.0)
     times = (d.time - d.time[d.starts][d.run_of], _time_since(brakes, d), d.joined('since_release'))
     departed, applied, released = (np.minimum(time, _LONGEST_S) for time in times)
-    front, one_way = d.joined('position') - 0.5 * way * d.dt * v, 'the speed under traction towards {} positions'
-    found = (
-        Variable('place', 'the place', 'm', front - 0.5 * way * length, source=_MIDDLE),
-        Variable('place', 'the place', 'm', front, source='at.position'),
-        Variable('traction-place', 'the place under traction', 'm', front, pull, 'at.position', *_TRACTION),
-        Variable('traction-rising', one_way.format('rising'), 'm/s', v, pulls * (way > 0), 'at.speed', _ONE_WAY % 1),
-        Variable('traction-falling', one_way.format('falling'), 'm/s', v, pulls * (way < 0), 'at.speed', _ONE_WAY % -1),
-        Variable('run', 'the run', '', d.run_of.astype(float)),
-        Variable('time', 'the time', 's', d.time - 0.5 * d.dt, source='at.time_s'),
-        Variable('start', 'the time since departure', 's', departed),
-        Variable('speed', 'the speed', 'm/s', v, source='at.speed'),
-        Variable('traction-speed', 'the speed under traction', 'm/s', v, pull, 'at.speed', *_TRACTION),
-        Variable('coast-speed', 'the speed while coasting', 'm/s', v, (1 - pulls) * (1 - brakes), 'at.speed', _COASTS),
-        Variable('traction', 'the tractive force', 'N/kN', pull, pulls, 'at.traction', f'(at.traction > {PULLING})'),
-        Variable('brake-speed', 'the speed while braking', 'm/s', v, brake, 'at.speed', *_BRAKE),
-        Variable('brake', 'the braking force', 'N/kN', brake, brakes, 'at.brake', f'(at.brake < {BRAKING})'),
-        Variable('brake-heat', 'the heat of the brake', 'J/kg', d.joined('heat'), brake, 'at.heat', *_BRAKE),
-        Variable('brake-time', 'the time since the brake was applied', 's', applied, brake, '', *_BRAKE),
-        Variable('release', 'the time since the brake was released', 's', released, 1 - brakes, _RELEASED, _RELEASES),
-        Variable('direction', 'the direction', 'm/s', v, way, 'at.speed', 'at.direction'),
-        Variable('inertia', 'the acceleration', 'm/s²', acceleration, source='at.acceleration'),
-        Variable('tunnel', 'the speed in tunnels', 'm/s', v, d.joined('tunnel'), 'at.speed', 'at.tunnel'),
-        Variable('curve', 'the curvature', '1/m', curvature, source=_CURVATURE),
-        Variable('curve-speed', 'the lateral acceleration', 'm/s²', curvature * v * v, source=_LATERAL),
-        Variable('gradient', 'the gradient', 'per mille', gradient, source='at.gradient_ahead(0.0)'),
+    front, middle = d.joined('position') - 0.5 * way * d.dt * v, 'at.position - 0.5 * at.direction * at.length'
+    bend = '(1.0 / at.curve_radius if at.curve_radius > 0.0 else 0.0)'
+    # m, and m as an expression; of a share its force too.
+    traction, braking = (pull, 'at.traction', 'the traction'), (brake, 'at.brake', 'the brake force')
+    coasts = (1 - pulls) * (1 - brakes), f'({BRAKING} <= at.brake and at.traction <= {PULLING})'
+    released_for, releases = f'min(at.since_release, {_LONGEST_S})', (1 - brakes, f'(at.brake >= {BRAKING})')
+    rising, falling = (
+        (pulls * (sign * way > 0), f'(at.traction > {PULLING} and at.direction == {sign})') for sign in (1, -1)
     )
-    both_ways = bool(np.ptp(way))
-    known = (v for v in found if (d.positioned or v.unit != 'm') and (both_ways or v.name not in _OF_ONE_WAY))
+    towards = 'the speed under traction towards {} positions'
+    found = (
+        Variable('place', 'the place', 'm', front - 0.5 * way * length, middle),
+        Variable('place', 'the place', 'm', front, 'at.position'),
+        Variable('traction-place', 'the place under traction', 'm', front, 'at.position', *traction),
+        Variable('traction-rising', towards.format('rising'), 'm/s', v, 'at.speed', *rising),
+        Variable('traction-falling', towards.format('falling'), 'm/s', v, 'at.speed', *falling),
+        Variable('run', 'the run', '', d.run_of.astype(float)),
+        Variable('time', 'the time', 's', d.time - 0.5 * d.dt, 'at.time_s'),
+        Variable('start', 'the time since departure', 's', departed),
+        Variable('speed', 'the speed', 'm/s', v, 'at.speed'),
+        Variable('traction-speed', 'the speed under traction', 'm/s', v, 'at.speed', *traction),
+        Variable('coast-speed', 'the speed while coasting', 'm/s', v, 'at.speed', *coasts),
+        Variable('traction', 'the tractive force', 'N/kN', pull, 'at.traction', pulls, f'(at.traction > {PULLING})'),
+        Variable('brake-speed', 'the speed while braking', 'm/s', v, 'at.speed', *braking),
+        Variable('brake', 'the braking force', 'N/kN', brake, 'at.brake', brakes, f'(at.brake < {BRAKING})'),
+        Variable('brake-heat', 'the heat of the brake', 'J/kg', d.joined('heat'), 'at.heat', *braking),
+        Variable('brake-time', 'the time since the brake was applied', 's', applied, '', *braking),
+        Variable('release', 'the time since the brake was released', 's', released, released_for, *releases),
+        Variable('direction', 'the direction', 'm/s', v, 'at.speed', way, 'at.direction'),
+        Variable('inertia', 'the acceleration', 'm/s²', acceleration, 'at.acceleration'),
+        Variable('tunnel', 'the speed in tunnels', 'm/s', v, 'at.speed', d.joined('tunnel'), 'at.tunnel'),
+        Variable('curve', 'the curvature', '1/m', curvature, bend),
+        Variable('curve-speed', 'the lateral acceleration', 'm/s²', curvature * v * v, f'at.speed**2 * {bend}'),
+        Variable('gradient', 'the gradient', 'per mille', gradient, 'at.gradient_ahead(0.0)'),
+    )
+    of_one_way = set() if np.ptp(way) else {'traction-rising', 'traction-falling', 'direction'}
+    known = (v for v in found if (d.positioned or v.unit != 'm') and v.name not in of_one_way)
     return tuple(v for v in known if v.knots.size)
 
 
