@@ -75,18 +75,6 @@ def test_amplitudes_of_a_linear_effect_share_one_evaluation(evaluator: EffectEva
     np.testing.assert_allclose(fast, -2.0 * slow, atol=1e-12)
 
 
-def test_cache_is_bounded(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.explain.effects._CACHE_SIZE', 3)
-    evaluator = EffectEvaluator(dataset, TRAIN)
-    first = evaluator.resistance('mass_error', {'ratio': 0.9})
-    assert evaluator.resistance('mass_error', {'ratio': 0.9}) is first
-    for k in range(4):
-        evaluator.resistance('mass_error', {'ratio': 1.0 + 0.01 * k})
-    again = evaluator.resistance('mass_error', {'ratio': 0.9})
-    assert again is not first
-    np.testing.assert_array_equal(again, first)
-
-
 def test_headwind_acts_through_the_davis_c(evaluator: EffectEvaluator) -> None:
     davis = evaluator.davis
     by_c = evaluator.by_davis('headwind', {'speed': 5.0}, davis)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
@@ -20,14 +20,13 @@ if TYPE_CHECKING:
 
     from trainid_ros.explain.dataset import Array, Dataset, Run
     from trainid_ros.train.effects import EffectKind
-    from trainid_ros.train.train_file import Davis, Effect, TrainFile
+    from trainid_ros.train.train_file import Davis, Effect, NamedValues, TrainFile
 
 SIGNIFICANT: Final = 2.5
 """Distance of the amplitude of an effect from its neutral value, by chance exceeded once in 80 times [std]."""
 SHOWN: Final = 6.0
 """2 ln of a Bayes factor, or ratio of likelihoods of held-out runs, that is strong evidence (Kass, Raftery 1995)."""
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
-_CACHE_SIZE: Final = 400  # Resistances kept in the cache, to bound the memory
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
 
 
@@ -139,7 +138,7 @@ class EffectEvaluator:
 
     def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
         self.dataset, self.davis = dataset, train_file.resistance
-        self._cache: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
+        self._cached = lru_cache(400)(self._evaluate)  # no more, to bound the memory
         self._number = np.array([run.number for run in dataset.runs])[dataset.run_of]
         length = train_file.train.length
         self._points: list[TrackPoint] = []
@@ -161,27 +160,19 @@ class EffectEvaluator:
             return np.where(np.isin(self._number, runs), self.resistance(name, parameters, davis), 0.0)
         kind = EFFECTS[name]
         if not kind.linear:
-            return self._cached(name, parameters, davis or self.davis)
+            return self._cached(name, tuple(parameters.items()), davis or self.davis)
         # The shape alone decides: all amplitudes share one evaluation.
         size = (parameters[kind.amplitude] - kind.neutral) / kind.typical_size
         typical = {**parameters, kind.amplitude: kind.neutral + kind.typical_size}
-        return size * self._cached(name, typical, davis or self.davis)
+        return size * self._cached(name, tuple(typical.items()), davis or self.davis)
 
-    def _cached(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
-        key = name, tuple(parameters.items()), davis
-        if key not in self._cache:
-            if len(self._cache) >= _CACHE_SIZE:
-                self._cache.clear()
-            self._cache[key] = self._evaluate(name, parameters, davis)
-        return self._cache[key]
-
-    def _evaluate(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
+    def _evaluate(self, name: str, parameters: NamedValues, davis: Davis) -> Array:
         function = EFFECTS[name].resistance
         if function is None:
             return np.zeros(len(self._points))
-        shown = ', '.join(f'{key}={value:g}' for key, value in parameters.items())
+        shown = ', '.join(f'{key}={value:g}' for key, value in parameters)
         try:
-            each = map(function, repeat(parameters), repeat(davis), self._points)
+            each = map(function, repeat(dict(parameters)), repeat(davis), self._points)
             values = np.fromiter(each, dtype=float, count=len(self._points))
         except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
             raise InputError(f'effect {name}: its resistance cannot be calculated for {shown}: {error}') from error

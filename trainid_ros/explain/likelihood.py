@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -406,7 +407,7 @@ class MarginalLikelihood:
         # Errors of gradients are errors of the map where they repeat, and gusts where they do not.
         self._median[[_GUST, _MAP]] += math.log(max(gradient_std / _USUAL_GRADIENT_STD, 1.0))
         self._median[_JITTER] += math.log(max(period / SAMPLE_PERIOD, 1.0))
-        self._gram: tuple[tuple[float, ...], Gram, float] | None = None
+        self._products = lru_cache(1)(self._whitened)  # the same for other nuisances
 
     def at(self, logs: Array) -> float:
         """Return 2 ln of likelihood times prior at the logs of all hyperparameters, shape (7,)."""
@@ -484,15 +485,15 @@ class MarginalLikelihood:
 
     def _computed(self, x: Array) -> float:
         noise, spread = _hyperparameters(x)
-        key = tuple(x[:_OF_RUN].tolist())
-        if self._gram is None or self._gram[0] != key:
-            whitener = Whitener.of(self._grid, noise)
-            self._gram = (key, Gram.of(self._columns, self._factors, whitener), whitener.log_det)
-        _, gram, log_det = self._gram
+        gram, log_det = self._products(noise)
         products, cost = gram.reduced(spread.of_run)
         information = eliminate(products, prior_factor(self._common, self._root, spread))
         prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
         return information.yy + log_det + cost + information.log_det + prior
+
+    def _whitened(self, noise: Noise) -> tuple[Gram, float]:
+        whitener = Whitener.of(self._grid, noise)
+        return Gram.of(self._columns, self._factors, whitener), whitener.log_det
 
 
 def _updated(curvature: Array, move: Array, change: Array) -> Array:

@@ -18,6 +18,7 @@ import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -223,7 +224,7 @@ class Model:
         self.weighed = all(run.weighed for run in dataset.runs)
         self._gap = dataset.average(dataset.gap)
         self.odometry = Odometry.of(dataset, train_file.line.stops)
-        self._kept: dict[tuple[Noise, Spread], tuple[Whitening, Array]] = {}
+        self._whitened = lru_cache(8)(self._whitening)  # shared by models with other effects; 8 to bound the memory
         self._knows_davis = False
         self._dependence = np.zeros((self._gap.size, 0)), np.zeros(0)
         self._set(terms, train_file.resistance)
@@ -307,20 +308,14 @@ class Model:
             gradient_std=self.train_file.line.gradient_std, period=self._period,
         )  # fmt: skip
 
-    def _whitened(self, hyper: Hyperparameters) -> tuple[Whitening, Array]:
-        """Return the whitening and the whitened map errors, which models with other effects share."""
-        key = hyper.noise, hyper.spread
-        if key not in self._kept:
-            if len(self._kept) >= 8:  # to bound the memory
-                self._kept.clear()
-            whitener = Whitener.of(self.grid, hyper.noise)
-            whitening = Whitening.of(whitener, self.factor_columns, hyper.spread.of_run)
-            self._kept[key] = whitening, whitening.apply(self._map)
-        return self._kept[key]
+    def _whitening(self, noise: Noise, spread: Spread) -> tuple[Whitening, Array]:
+        """Return the whitening and the whitened map errors."""
+        whitening = Whitening.of(Whitener.of(self.grid, noise), self.factor_columns, spread.of_run)
+        return whitening, whitening.apply(self._map)
 
     def white_columns(self, hyper: Hyperparameters) -> Array:
         """Return whitened residual and nuisance columns, shape (m, 1 + q + k)."""
-        whitening, of_map = self._whitened(hyper)
+        whitening, of_map = self._whitened(hyper.noise, hyper.spread)
         others = self.nuisance_columns[:, : -of_map.shape[1]]
         white = whitening.apply(np.concatenate([self.residual[:, None], others], axis=1))
         return np.concatenate([white, of_map], axis=1)
@@ -331,7 +326,7 @@ class Model:
 
     def products_by_run(self, columns: Array, hyper: Hyperparameters) -> Array:
         """Return products of columns (m, C) at the grid points, whitened, by run, shape (R, C, C)."""
-        white = self._whitened(hyper)[0].apply(columns)
+        white = self._whitened(hyper.noise, hyper.spread)[0].apply(columns)
         return np.stack([white[run].T @ white[run] for run in self.grid.runs])
 
     def fit(self, hyper: Hyperparameters) -> Model:
@@ -356,7 +351,7 @@ class Model:
         if not terms:
             kept = self.without_terms
             columns, root = columns[:, np.append(True, kept)], root[np.ix_(kept, kept)]
-        white = self._whitened(hyper)[0].apply(np.concatenate(candidates, axis=1))
+        white = self._whitened(hyper.noise, hyper.spread)[0].apply(np.concatenate(candidates, axis=1))
         edges = np.cumsum([group.shape[1] for group in candidates])[:-1]
         return informations(columns, np.split(white, edges, axis=1), root)
 
