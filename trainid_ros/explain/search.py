@@ -155,7 +155,7 @@ class EffectScorer:
             A, b = next(blocks)
             if family.kind.name == WHEEL:
                 A, b = A + model.odometry.precision, b + model.odometry.precision * model.odometer_excess
-            named.append(_family(family, np.diag(A), b))
+            named.append(_score(family.kind, np.diag(A), b, family.shapes.__getitem__))
         for name, group in self._groups.items():
             A, b = next(blocks)
             values = [group_log_bayes(A, b, std) for std in (0.1, 0.3, 1.0)]  # prior std of coefficients [N/kN]
@@ -179,10 +179,15 @@ class EffectScorer:
         units = [kind.typical_size * unit_resistance(model.evaluator, kind, {})[:, None] * inside for kind in kinds]
         (found,) = model.informations(hyper, [dataset.column(np.concatenate(units, axis=1))])
         places = np.arange(found.b.size).reshape(len(kinds), -1)
+        alone = [_at_random(found, columns) for columns in places]
         for some in (*((k,) for k in range(len(kinds))), *combinations(range(len(kinds)), 2)):
-            if (best := _best_sets(found, places[[*some]], [kinds[k].name for k in some])) is None:
+            at, names = places[[*some]], [kinds[k].name for k in some]
+            by_chance = max(_at_random(found, at.ravel()) if len(some) > 1 else -math.inf, *(alone[k] for k in some))
+            if (best := _best_sets(found, at, names)) is None:
                 continue
             evidence, sizes, sets = best
+            if evidence < by_chance + (0.0 if names == [RUN_DRAG] else SHOWN):
+                continue
             scores.append(
                 tuple(
                     EffectScore(
@@ -201,18 +206,20 @@ class EffectScorer:
         return self._columns[len(self._families) + [*self._groups].index(name)]
 
 
+def _at_random(found: Information, columns: Indices) -> float:
+    """Return the evidence that the effects of some columns differ from run to run at random."""
+    A, b = found.A[np.ix_(columns, columns)], found.b[columns]
+    return float(max(group_log_bayes(A, b, share) for share in _SCATTER))
+
+
 def _best_sets(
     found: Information, places: Indices, names: Sequence[str]
 ) -> tuple[float, list[float], list[Array]] | None:
     """Return the best sets of runs for one or two effects: their evidence, sizes, and 1 or 0 for each run.
 
-    ``places`` (k, n) are those of the columns of each effect, of typical size, on each of the n runs. None if it is as
-    probable that these effects differ from run to run at random.
+    ``places`` (k, n) are those of the columns of each effect, of typical size, on each of the n runs. None if an effect
+    has no set.
     """
-    ways = [places[k] for k in range(len(names))] + ([places.ravel()] if len(names) > 1 else [])
-    by_chance = max(
-        group_log_bayes(found.A[np.ix_(way, way)], found.b[way], share) for way in ways for share in _SCATTER
-    )
     at = places.ravel()
     A, b = found.A[np.ix_(at, at)], found.b[at]
     sizes = np.linalg.solve(A + np.eye(b.size), b).reshape(places.shape)
@@ -232,8 +239,6 @@ def _best_sets(
     values = np.array([group_log_bayes(joint, along, share) for share in _SHARES]) - cost
     evidence = 2.0 * (logsumexp(0.5 * values, axis=0) - math.log(len(_SHARES)))
     best = np.unravel_index(int(np.argmax(evidence)), shape)
-    if evidence[best] < by_chance + (0.0 if names == [RUN_DRAG] else SHOWN):
-        return None
     amounts: list[float] = np.linalg.solve(joint[best] + np.eye(k), along[best]).tolist()
     return float(evidence[best]), amounts, [one[place] for one, place in zip(sets, best, strict=True)]
 
@@ -257,33 +262,31 @@ def stretch_sums(A: Array, b: Array, first: Indices, end: Indices) -> tuple[Arra
     return block, sums[end] - sums[first]
 
 
-def _family(family: Family, A: Array, b: Array) -> EffectScore:
+def _score(
+    kind: EffectKind, A: Array, b: Array, shape: Callable[[int], Mapping[str, float]], weight: Array | None = None
+) -> EffectScore:
     """Return the evidence of an effect, averaged over its shapes; A is the diagonal of the matrix."""
-    kind = family.kind
-    values = [log_bayes(A, b, share * kind.typical_size, kind.sign) for share in _SHARES]
+    values = np.array([log_bayes(A, b, share * kind.typical_size, kind.sign) for share in _SHARES])
     best = int(np.argmax(values[-1]))
     size = b[best] / (A[best] + kind.typical_size**-2)
-    parameters = {**family.shapes[best], kind.amplitude: kind.neutral + float(size)}
-    return EffectScore(kind.name, _mean_evidence(np.array(values)), parameters)
+    parameters = {**shape(best), kind.amplitude: kind.neutral + float(size)}
+    return EffectScore(kind.name, _mean_evidence(values, weight), parameters)
 
 
 def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     """Return the evidence of a constant resistance over a section of the line, averaged over all sections of bins."""
-    kind = EFFECTS[name]
     i, j = np.triu_indices(bins.count + 1, 1)
-    length = (j - i) * bins.width
-    usable = length >= 60.0  # m
+    usable = (j - i) * bins.width >= 60.0  # m
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
-    block = np.maximum(block, 1e-9)
-    values = np.stack([log_bayes(block, along, share * kind.typical_size, kind.sign) for share in _SHARES])
     # The prior of the length is uniform on a log scale.
     weight = 1.0 / (j - i)
-    best = int(np.argmax(values[-1]))
-    size = along[best] / (block[best] + kind.typical_size**-2)
-    start, end = bins.edges[[i[best], j[best]]].tolist()
-    parameters = {'start': start, 'end': end, kind.amplitude: kind.neutral + float(size)}
-    return EffectScore(name, _mean_evidence(values, weight / weight.sum()), parameters)
+
+    def shape(k: int) -> dict[str, float]:
+        start, end = bins.edges[[i[k], j[k]]].tolist()
+        return {'start': start, 'end': end}
+
+    return _score(EFFECTS[name], np.maximum(block, 1e-9), along, shape, weight / weight.sum())
 
 
 def _mean_evidence(values: Array, weight: Array | None = None) -> float:
