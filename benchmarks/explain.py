@@ -24,8 +24,7 @@ from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
 from trainid_ros.explain.dataset import Run, RunCollector, numbered
-from trainid_ros.explain.probability import NONE, OTHER
-from trainid_ros.explain.result import Learned
+from trainid_ros.explain.result import NONE, OTHER, Learned
 from trainid_ros.explain.workflow import explain
 from trainid_ros.interface.records import Record
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump

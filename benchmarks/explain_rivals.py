@@ -29,7 +29,7 @@ from research.peers.contest import PEERS, installed
 from trainid_ros.explain.dataset import Array, Dataset, Flags, Indices, Run
 from trainid_ros.explain.model import Model, find_slip
 from trainid_ros.explain.nuisances import DAVIS, Bins
-from trainid_ros.explain.probability import NONE, OTHER
+from trainid_ros.explain.result import NONE, OTHER
 from trainid_ros.explain.search import SECTIONS, named_families
 from trainid_ros.explain.variables import OF_CURVES, variables
 from trainid_ros.train.effects import EFFECTS

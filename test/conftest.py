@@ -17,7 +17,6 @@ import pytest
 from benchmarks.yizhuang_day import yizhuang_day
 from trainid_ros.explain.likelihood import Noise
 from trainid_ros.explain.nuisances import Spread
-from trainid_ros.explain.probability import dependence
 from trainid_ros.explain.result import (
     Explanation,
     FoundEffect,
@@ -78,7 +77,7 @@ def make_learned() -> Callable[..., Learned]:
     """Return a factory of a curve over the speed while braking, confirmed with its effect; fields can be overridden."""
     x = np.linspace(0.0, 20.0, 5)
     learned = Learned(
-        'brake-speed', 'the speed while braking', 'm/s', 'the brake force', 90.0, dependence((), 90.0), (),
+        'brake-speed', 'the speed while braking', 'm/s', 'the brake force', 90.0, (),
         x, 0.01 * x, np.full(5, 0.002),
         Gap(0.4, 0.05, 0.049, 2, 0.3, 0.04, 25.0), is_confirmed=True, function='0.01 * x',
         effect='learned_brake_speed', source='EFFECT = None\n', train_file=STATED,

@@ -26,7 +26,7 @@ from benchmarks.explain_rivals import (
 )
 from benchmarks.hidden_case import Answer, HiddenEffect
 from benchmarks.tables import as_text
-from trainid_ros.explain.probability import NONE
+from trainid_ros.explain.result import NONE
 from trainid_ros.explain.search import SECTIONS
 from trainid_ros.train.train_file import parse_train_file
 

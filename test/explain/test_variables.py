@@ -10,7 +10,7 @@ import pytest
 
 from test.explain.made_runs import TRAIN, Maker, evaluated, points
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.probability import Hypothesis, dependence, probabilities
+from trainid_ros.explain.result import Hypothesis, dependence, probabilities
 from trainid_ros.explain.search import EffectScorer
 from trainid_ros.explain.variables import OF_CURVES, variables
 

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from trainid_ros.explain.effects import SHOWN
 from trainid_ros.explain.likelihood import Information, Nuisances, posterior
-from trainid_ros.explain.probability import dependence
 from trainid_ros.explain.proof import gap_of, hold_out
 from trainid_ros.explain.result import Learned
 from trainid_ros.explain.variables import Variable, hats, variables
@@ -226,7 +225,7 @@ def learn(state: State, whole: Model, read: Array, provenance: str) -> Learned |
         deviation = np.eye(mean.size) - (dt @ variable.hats(fit.knots) / dt.sum())[None, :]
         mean, covariance = deviation @ mean, deviation @ covariance @ deviation.T
     learned = Learned(
-        variable.name, variable.text, variable.unit, variable.of, fit.evidence, dependence((), fit.evidence),
+        variable.name, variable.text, variable.unit, variable.of, fit.evidence,
         tuple(dict.fromkeys(twin.text for twin in twins if twin.text != variable.text)),
         fit.knots, mean, np.sqrt(np.maximum(np.diag(covariance), 0.0)),
     )  # fmt: skip

@@ -34,8 +34,7 @@ from trainid_ros.explain.effects import SHOWN, SIGNIFICANT, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model, Slip
 from trainid_ros.explain.nuisances import DAVIS
-from trainid_ros.explain.probability import probabilities
-from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text
+from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text, probabilities
 from trainid_ros.explain.search import Selection, with_onsets
 from trainid_ros.train.train_file import Davis, TrainFile
 

@@ -40,7 +40,7 @@ from trainid_ros.explain.effects import (
 from trainid_ros.explain.likelihood import Hyperparameters, Information, eliminate, group_log_bayes, log_bayes
 from trainid_ros.explain.model import WHEEL, Model, preferred_point
 from trainid_ros.explain.nuisances import Bins
-from trainid_ros.explain.probability import Hypothesis, dependence, noise, probabilities
+from trainid_ros.explain.result import Hypothesis, dependence, noise, probabilities
 from trainid_ros.explain.variables import OF_CURVES, variables
 from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 

@@ -23,9 +23,18 @@ from trainid_ros.explain.effects import SHOWN, EffectTerm, merged, without_repla
 from trainid_ros.explain.likelihood import integrated_covariance
 from trainid_ros.explain.model import Model, Slip, find_slip, read_at
 from trainid_ros.explain.nuisances import DAVIS
-from trainid_ros.explain.probability import Probabilities, probabilities
 from trainid_ros.explain.proof import assess, leaves_more_than_noise, locate, unexplained, weakest, where
-from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Location, RunTrace, Verdict
+from trainid_ros.explain.result import (
+    Explanation,
+    FoundEffect,
+    Learned,
+    Location,
+    Probabilities,
+    RunTrace,
+    Verdict,
+    dependence,
+    probabilities,
+)
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.text import pluralise
@@ -145,14 +154,14 @@ def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool
     if not learned.is_confirmed or learned.gap is None or outcome.gap is None:
         return False
     weights = [item.weight for item in selection.hypotheses if item.names == selection.final.names]
-    return learned.hypothesis.weight > max(weights) and learned.gap.after < outcome.gap.after
+    return dependence((), learned.evidence).weight > max(weights) and learned.gap.after < outcome.gap.after
 
 
 def _causes(selection: Selection, outcome: Outcome, slip: Slip | None, learned: Learned | None) -> Probabilities:
     """Return the probabilities of causes; sets with the selected effects have none if held-out runs refute these."""
     compared, selected = selection.hypotheses, {*selection.final.names}
     if learned is not None:
-        compared = (*compared, learned.hypothesis)
+        compared = (*compared, dependence((), learned.evidence))
     if outcome.verdict is Verdict.UNEXPLAINED and selected:
         compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
     return probabilities(compared, () if slip is None else (slip.term.name,))

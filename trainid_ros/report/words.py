@@ -17,7 +17,7 @@ from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Effect, TrainFile
 
 DASH: Final = '–'
-# Causes that are no effects, as in ``explain.probability``.
+# Causes that are no effects, as in ``explain.result``.
 _CAUSES: Final = {'none': 'nothing is missing', 'other': 'something outside the library'}
 _MIN_RUNS: Final = 6  # Runs from which on effects of usual size are mostly found, see docs/explain.md
 _REJECTED: Final = 6  # Rejected causes shown at most

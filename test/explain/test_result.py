@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_ros.explain.probability import NONE, OTHER, Hypothesis, dependence, noise, probabilities
+from trainid_ros.explain.result import NONE, OTHER, Hypothesis, dependence, noise, probabilities
 from trainid_ros.train.effects import EFFECTS
 
 NOTHING = Hypothesis((), 0.0)
