@@ -522,21 +522,15 @@ class StoppingBounds:
 
     def _slows_down(self, speed: float) -> bool:
         """Return whether the built-up brake decelerates the train at all speeds up to one [m/s], or stops it there."""
+        slowest = _LeastBraking(self._shape, self._posterior, self._command, self._applied, self._z)
         if self._shape.ahead:
-            slowest = _LeastBraking(self._shape, self._posterior, self._command, self._applied, self._z)
             return not math.isinf(slowest.stop(speed).distance)
         last = bisect_right(self._grid, speed)
         while self._good < last:
-            if self._min_deceleration(self._grid[self._good]) <= 0.0:
+            if slowest._deceleration(self._grid[self._good], self._command) <= 0.0:
                 return False
             self._good += 1
-        return self._min_deceleration(speed) > 0.0
-
-    def _min_deceleration(self, v: float) -> float:
-        """Return the deceleration at a speed less z standard deviations [m/s^2]."""
-        shape, gradient = self._shape, self._shape.by_parameters(v, self._command)
-        mean = math.fsum(map(mul, gradient, self._posterior.mean)) + shape.k * shape.extra(v)
-        return mean - self._z * self._posterior.std(gradient)
+        return slowest._deceleration(speed, self._command) > 0.0
 
     def design_point_step(self, speed: float, gradient: list[float]) -> Stop:
         """Return the stop z standard deviations from the mean along a gradient."""
