@@ -18,12 +18,11 @@ import numpy as np
 
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.interface.records import NS_PER_S, Record
+from trainid_ros.interface.records import KM_H, NS_PER_S, Record
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.suggested_drive import (
     ACCELERATION,
-    KM_H,
     Manoeuvre,
     SuggestedDrive,
     suggested_braking,
@@ -44,7 +43,7 @@ _HELD_SHARE: Final = 0.6
 _HELD_S: Final = 240.0
 _DWELL_S: Final = 25.0
 # A braking from which too little is learned of the brake.
-_WALK: Final = Manoeuvre(4.0 * KM_H, 4.0 * KM_H)
+_WALK: Final = Manoeuvre(4.0 / KM_H, 4.0 / KM_H)
 # Command to a stand [m/s^2], and its change in one tick.
 _BRAKE: Final = -0.6
 _BRAKE_STEP: Final = 0.16
@@ -249,7 +248,7 @@ def measured_brakings(seeds: Iterable[int]) -> Table:
         if ratios:
             rows.append((world, str(len(ratios)), _kept(ratios)))
     note = (
-        f'Each trial brakes once from {_WALK.start / KM_H:.0f} km/h, asks what to drive, and drives that. As '
+        f'Each trial brakes once from {_WALK.start * KM_H:.0f} km/h, asks what to drive, and drives that. As '
         'above, for the brake rate.'
     )
     return Table('Suggested brakings', ('line', 'drives', 'brake rate'), tuple(rows), note)

@@ -18,7 +18,6 @@ from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile
 
 SETTINGS = EstimatorSettings()
-USABLE = frozenset({Status.VALID, Status.HOLDING})
 
 
 @pytest.fixture(scope='module')
@@ -51,8 +50,8 @@ def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid_while_the_resista
         resistance.take(events)
         if brake_findings(brake_rate) and math.isnan(named_s):
             named_s = (record.stamp_ns - late[0].stamp_ns) / NS_PER_S
-        valid = valid or (not math.isnan(named_s) and brake_rate.status in USABLE)
-        learned = resistance.status in USABLE if resistance.status is not Status.STALE else learned
+        valid = valid or (not math.isnan(named_s) and brake_rate.status.is_usable)
+        learned = resistance.status.is_usable if resistance.status is not Status.STALE else learned
     assert named_s < 450.0
     assert not valid
     (finding,) = brake_findings(brake_rate)
@@ -70,7 +69,7 @@ def test_a_small_error_is_learned(metro: TrainFile, driven: Simulation, error: f
     pipeline = brake_rate_pipeline(stated(metro, error), SETTINGS)
     outputs = [output for record in driven.records for output in pipeline.push(record)]
     assert brake_findings(pipeline) == ()
-    assert outputs[-1].status in USABLE
+    assert outputs[-1].status.is_usable
     assert pipeline.why_converging == ''
 
 
@@ -97,7 +96,7 @@ def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, driv
     said = set()
     for record in driven.records:
         pipeline.push(record)
-        said.add((pipeline.status in USABLE, pipeline.estimator.converged, pipeline.why_converging))
+        said.add((pipeline.status.is_usable, pipeline.estimator.converged, pipeline.why_converging))
     early = {why for usable, converged, why in said if converged and not usable}
     assert early <= {'no braking has confirmed brake.delay and brake.rate yet'}
     assert {why for usable, converged, why in said if usable or not converged} == {''}
@@ -112,7 +111,7 @@ def test_a_rate_that_changes_over_speed_by_much_is_named_and_not_valid(
     pipeline = brake_rate_pipeline(replace(metro, brake=replace(metro.brake, rate_table=table)), SETTINGS)
     for record in driven.records:
         pipeline.push(record)
-    assert (pipeline.status in USABLE) == (not sense)
+    assert (pipeline.status.is_usable) == (not sense)
     named = [finding.split(' brake rate ')[1].split()[0] for finding in brake_findings(pipeline)]
     assert named == [sense] * bool(sense)
 
@@ -123,7 +122,7 @@ def test_a_stated_fade_is_no_wrong_rate_over_speed(metro: TrainFile) -> None:
     for record in simulate(Scenario(fading, runs=4), np.random.default_rng(6003)).records:
         pipeline.push(record)
         assert not pipeline.stream.faults.shape.is_wrong
-    assert pipeline.status in USABLE
+    assert pipeline.status.is_usable
 
 
 def test_a_long_dead_time_and_a_steep_table_that_are_right_are_valid(metro: TrainFile) -> None:
@@ -135,7 +134,7 @@ def test_a_long_dead_time_and_a_steep_table_that_are_right_are_valid(metro: Trai
     outputs = [output for record in driven.records for output in pipeline.push(record)]
     assert brake_findings(pipeline) == ()
     assert pipeline.stream.last_finding == ''
-    assert outputs[-1].status in USABLE
+    assert outputs[-1].status.is_usable
     assert abs(outputs[-1].estimate.brake_rate - 1.0) < 3.0 * outputs[-1].estimate.brake_rate_std
 
 
@@ -170,7 +169,7 @@ def test_a_train_may_report_its_electric_brake_alone(
         pipeline = brake_rate_pipeline(metro, SETTINGS)
         outputs = [output for record in records for output in pipeline.push(record)]
         assert pipeline.stream.last_finding == ''
-        usable = sum(output.status in USABLE for output in outputs)
+        usable = sum(output.status.is_usable for output in outputs)
         results.append((usable, outputs[-1].estimate.brake_rate, outputs[-1].estimate.brake_rate_std))
     (whole, rate, std), (part, rate_by_part, _) = results
     assert rate_by_part == pytest.approx(rate, abs=std)

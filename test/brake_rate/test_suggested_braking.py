@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.resistance.suggested_drive import DECELERATION, KM_H, SuggestedDrive, suggested_braking
+from trainid_ros.interface.records import KM_H, NS_PER_S
+from trainid_ros.resistance.suggested_drive import DECELERATION, SuggestedDrive, suggested_braking
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 LINE = Line(stops=(0.0, 2000.0), gradient_std=0.05)
-FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004), line=LINE)
+FILE = TrainFile(Train(200e3, max_speed=80.0 / KM_H), Davis(2.0, 0.02, 0.004), line=LINE)
 
 
 def driven(file: TrainFile = FILE, seconds: float = 40.0) -> Gsma:
@@ -41,7 +41,7 @@ def test_before_the_first_braking_one_is_suggested() -> None:
     assert estimator.save() == before
     assert drive is not None is not again
     assert drive.numbers == again.numbers
-    start, promise = drive.run.manoeuvre.start / KM_H, drive.least_known
+    start, promise = drive.run.manoeuvre.start * KM_H, drive.least_known
     assert promise.now == pytest.approx(estimator.config.prior_std, rel=0.02)
     assert promise.then < promise.wanted.limit == estimator.config.valid_std
     assert drive.text.startswith(f'brake from {start:.0f} km/h with -0.6 m/s² once')

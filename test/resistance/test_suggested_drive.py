@@ -13,12 +13,11 @@ import pytest
 
 from test.estimators.makers import stepped
 from trainid_ros.estimators.settings import FilterBankConfig, VMilsConfig
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import KM_H, NS_PER_S
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan, foreseen_mixtures, usual_deviations
 from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.suggested_drive import (
-    KM_H,
     STEP_S,
     Manoeuvre,
     Run,
@@ -35,10 +34,10 @@ from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.forces import G, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
-FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004), line=Line(gradient_std=0.05))
+FILE = TrainFile(Train(200e3, max_speed=80.0 / KM_H), Davis(2.0, 0.02, 0.004), line=Line(gradient_std=0.05))
 DAVIS = FILE.resistance
 BANK = FilterBankConfig(hypotheses=8)
-HELD = 50.0 * KM_H
+HELD = 50.0 / KM_H
 DT = 0.2
 Make = Callable[[], FilterBank | VMils]
 MAKERS: list[Make] = [lambda: FilterBank(FILE, BANK), lambda: VMils(FILE, VMilsConfig())]
@@ -54,10 +53,10 @@ def planned(manoeuvre: Manoeuvre, file: TrainFile = FILE, scale: float = 1.0) ->
 @pytest.mark.parametrize(
     ('manoeuvre', 'text'),
     [
-        (Manoeuvre(70 * KM_H, 40 * KM_H), 'coast from 70 to 40 km/h'),
-        (Manoeuvre(70 * KM_H, 70 * KM_H, 60.0), 'hold 70 km/h for 60 s'),
-        (Manoeuvre(60 * KM_H, 60 * KM_H, braking=-0.6), 'brake from 60 km/h with -0.6 m/s²'),
-        (Manoeuvre(70 * KM_H, 70 * KM_H), 'accelerate with full traction to 70 km/h'),
+        (Manoeuvre(70 / KM_H, 40 / KM_H), 'coast from 70 to 40 km/h'),
+        (Manoeuvre(70 / KM_H, 70 / KM_H, 60.0), 'hold 70 km/h for 60 s'),
+        (Manoeuvre(60 / KM_H, 60 / KM_H, braking=-0.6), 'brake from 60 km/h with -0.6 m/s²'),
+        (Manoeuvre(70 / KM_H, 70 / KM_H), 'accelerate with full traction to 70 km/h'),
     ],
 )
 def test_words(manoeuvre: Manoeuvre, text: str) -> None:
@@ -65,28 +64,28 @@ def test_words(manoeuvre: Manoeuvre, text: str) -> None:
 
 
 def test_coasting_follows_the_resistance() -> None:
-    run = planned(Manoeuvre(70 * KM_H, 50 * KM_H))
+    run = planned(Manoeuvre(70 / KM_H, 50 / KM_H))
     coasting = [step for step in run.steps if step.traction == 0.0]
     # Mean deceleration at 60 km/h: w g / 1000 / (1 + gamma), and its duration over 20 km/h
-    w = 2.0 + 0.02 * 60 * KM_H + 0.004 * (60 * KM_H) ** 2
-    assert len(coasting) * STEP_S == pytest.approx(20 * KM_H / (w * 9.80665e-3 / 1.08), rel=0.08)
-    assert run.steps[-1].speed == pytest.approx(50 * KM_H, abs=0.05)
-    assert max(step.speed for step in run.steps) == pytest.approx(70 * KM_H, abs=0.8)
+    w = 2.0 + 0.02 * 60 / KM_H + 0.004 * (60 / KM_H) ** 2
+    assert len(coasting) * STEP_S == pytest.approx(20 / KM_H / (w * 9.80665e-3 / 1.08), rel=0.08)
+    assert run.steps[-1].speed == pytest.approx(50 / KM_H, abs=0.05)
+    assert max(step.speed for step in run.steps) == pytest.approx(70 / KM_H, abs=0.8)
 
 
 def test_a_held_speed_is_held() -> None:
-    run = planned(Manoeuvre(50 * KM_H, 50 * KM_H, 60.0), scale=0.9)
+    run = planned(Manoeuvre(50 / KM_H, 50 / KM_H, 60.0), scale=0.9)
     held = run.steps[-round(60.0 / STEP_S) + 5 :]
-    assert all(step.speed == pytest.approx(50 * KM_H, abs=1.0) for step in held)
-    braked, accelerated = (50 * KM_H) ** 2 / (2.0 * 0.6), (50 * KM_H) ** 2 / (2.0 * 0.9)
-    assert run.length_m == pytest.approx(60.0 * 50 * KM_H + braked + accelerated, rel=0.1)
+    assert all(step.speed == pytest.approx(50 / KM_H, abs=1.0) for step in held)
+    braked, accelerated = (50 / KM_H) ** 2 / (2.0 * 0.6), (50 / KM_H) ** 2 / (2.0 * 0.9)
+    assert run.length_m == pytest.approx(60.0 * 50 / KM_H + braked + accelerated, rel=0.1)
 
 
 @pytest.mark.parametrize('brake', [Brake(), Brake(delay=3.3, time_constant=1.0), Brake(rate=0.7)])
 def test_the_braking_takes_as_long_as_the_brake_of_the_train_file(brake: Brake) -> None:
     file = replace(FILE, resistance=Davis(0.0, 0.0, 0.0))
     run, sudden = (
-        planned(Manoeuvre(60 * KM_H, 60 * KM_H), replace(file, brake=each))
+        planned(Manoeuvre(60 / KM_H, 60 / KM_H), replace(file, brake=each))
         for each in (brake, Brake(delay=0.0, time_constant=0.0))
     )
     v, lost_s = sudden.steps[-1].speed, brake.delay + brake.time_constant
@@ -97,21 +96,21 @@ def test_the_braking_takes_as_long_as_the_brake_of_the_train_file(brake: Brake) 
 
 def test_a_drive_that_takes_too_long_or_is_too_fast_for_the_train_is_not_planned() -> None:
     weak = replace(FILE, train=replace(FILE.train, max_traction_power=10e3))
-    assert plan_run(Manoeuvre(70 * KM_H, 20 * KM_H), FILE, Davis(0.1, 0.0, 0.0)) is None
-    assert plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), weak, DAVIS) is None
+    assert plan_run(Manoeuvre(70 / KM_H, 20 / KM_H), FILE, Davis(0.1, 0.0, 0.0)) is None
+    assert plan_run(Manoeuvre(70 / KM_H, 50 / KM_H), weak, DAVIS) is None
 
 
 def test_runs_fit_on_the_line() -> None:
-    limited = replace(FILE, line=Line(stops=(0.0, 800.0, 2300.0), speed_limit=((0.0, 40 * KM_H), (500.0, 60 * KM_H))))
-    assert top_speed(limited) == pytest.approx(60 * KM_H)
+    limited = replace(FILE, line=Line(stops=(0.0, 800.0, 2300.0), speed_limit=((0.0, 40 / KM_H), (500.0, 60 / KM_H))))
+    assert top_speed(limited) == pytest.approx(60 / KM_H)
     runs = list(planned_runs(limited, DAVIS))
     assert runs
-    assert all(run.length_m <= 1500.0 and run.manoeuvre.start <= 60 * KM_H + 1e-9 for run in runs)
+    assert all(run.length_m <= 1500.0 and run.manoeuvre.start <= 60 / KM_H + 1e-9 for run in runs)
     assert len(list(planned_runs(FILE, DAVIS))) > len(runs)
 
 
 def test_nothing_is_learned_before_the_brake_is_released() -> None:
-    run = planned(Manoeuvre(70 * KM_H, 50 * KM_H))
+    run = planned(Manoeuvre(70 / KM_H, 50 / KM_H))
     assert run.steps[run.first_learned(0.0, 2.0)].speed >= 2.0 > run.steps[run.first_learned(0.0, 2.0) - 1].speed
     assert run.first_learned(8.0, 2.0) == round(8.0 / STEP_S)
     assert run.first_learned(1e4, 2.0) == run.first_learned(0.0, 99.0) == len(run.steps)
@@ -221,12 +220,12 @@ def test_no_drive_is_suggested_after_which_something_known_would_not_be() -> Non
     now, bank = pipeline.current().estimate, pipeline.estimator
     assert isinstance(bank, FilterBank)
     found = replace(file, resistance=Davis(now.a, now.b, now.c))
-    run = planned(Manoeuvre(25.0 * KM_H, 10.0 * KM_H), found, now.force_scale)
+    run = planned(Manoeuvre(25.0 / KM_H, 10.0 / KM_H), found, now.force_scale)
     *_, then = bank.foreseen(run, 3)
     # This drive shows more of c, but for so long that w is no longer known.
     limit = math.hypot(bank.config.valid_std, bank.config.valid_share * 1.2)
     assert math.sqrt(then.covariance[8]) < 0.9 * math.sqrt(now.covariance[8])
-    assert resistance_std(then.covariance, 12.0 * KM_H) > limit > resistance_std(now.covariance, 12.0 * KM_H)
+    assert resistance_std(then.covariance, 12.0 / KM_H) > limit > resistance_std(now.covariance, 12.0 / KM_H)
     assert suggested_drive(bank, file, prior, now) is None
 
 
@@ -239,7 +238,7 @@ def bank_of_metro() -> Bank:
     return Bank(bank_plan(METRO, FilterBankConfig(), specific_inertia(1.0, METRO.train.rotary_mass)))
 
 
-RUN = planned(Manoeuvre(60.0 * KM_H, 40.0 * KM_H), METRO)
+RUN = planned(Manoeuvre(60.0 / KM_H, 40.0 / KM_H), METRO)
 
 
 def after(deviations: np.ndarray) -> list[Mixture]:

@@ -45,7 +45,7 @@ from trainid_ros.interface.results import (
     parameters,
     quantities,
 )
-from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings, force_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,6 +98,11 @@ class Replay:
     adhesion: Output[AdhesionEstimate]  # Last output
     contradiction: Contradiction  # The last contradiction between the inputs, if there was one
     brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is wrong with the force, its stamps and the brake of the train file."""
+        return (*force_findings(self.resistance.output.estimate), *self.brake_findings)
 
     def why_no_resistance(self) -> str:
         """Return why nothing was learned of the resistance, with the most frequent rejection; '' if it was."""

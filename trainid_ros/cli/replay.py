@@ -281,7 +281,7 @@ def _findings(outcome: Replay) -> tuple[str, ...]:
         for name, result in results_of(outcome).items()
         if result.why_converging
     )
-    return (*converging, *force_findings(outcome.resistance.output.estimate), *outcome.brake_findings)
+    return (*converging, *outcome.findings)
 
 
 def _to_drive(drives: Drives) -> list[str]:

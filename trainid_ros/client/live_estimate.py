@@ -138,7 +138,6 @@ FALL_BACK_S: Final = 0.2
 """Time in which values go back to those of the train file [s]."""
 MAX_AGE_S: Final = 0.75
 """Time without a new estimate after which the last one is not used any more [s]."""
-USABLE: Final = frozenset({Status.VALID, Status.HOLDING})  # statuses of estimates fit to use
 WORDS: Final = {  # what statuses say that are not fit to use
     Status.UNINITIALIZED: 'UNINITIALIZED, the node has no sample yet',
     Status.CONVERGING: 'CONVERGING, not fit to use',
@@ -228,7 +227,7 @@ class LiveEstimate:
         """
         self._is_kept = self._is_refused = False
         is_news = self._is_newer(stamp_ns)
-        if is_news or not (status in USABLE or status is self._status is Status.CONVERGING):
+        if is_news or not (status.is_usable or status is self._status is Status.CONVERGING):
             self.take(status, values, time_s)
         return is_news
 
@@ -260,7 +259,7 @@ class LiveEstimate:
                 # Keep the last valid values, or the way to them, with the uncertainty of the train file.
                 for name, value in self._values.items():
                     value.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
-        elif status not in USABLE:
+        elif not status.is_usable:
             is_known = status is Status.CONVERGING and self._problem == _REFUTED
             self._fall_back(_REFUTED if is_known else WORDS[status], time_s)
         elif problem := self._find_problem(values):
@@ -343,10 +342,10 @@ class LiveAdhesion:
         if not (all(map(math.isfinite, numbers)) and estimate.adhesion > 0.0 and estimate.adhesion_std >= 0.0):
             self.refuse('its numbers are not possible', time_s)
             return
-        if stamp_ns == self._newest_ns and status in USABLE:
+        if stamp_ns == self._newest_ns and status.is_usable:
             return
         self._estimate, self._status, self._heard_s, self._newest_ns = estimate, status, time_s, stamp_ns
-        self._problem = '' if status in USABLE else WORDS[status]
+        self._problem = '' if status.is_usable else WORDS[status]
         if estimate.slip != 0.0:
             self._is_slide = estimate.slip < 0.0
 

@@ -17,7 +17,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, get_args, overload
 
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
-from trainid_ros.client.live_estimate import MAX_AGE_S, USABLE, LiveAdhesion, LiveEstimate, Normal
+from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal
 from trainid_ros.client.prediction import Plan, predicted_speeds
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
@@ -319,7 +319,7 @@ class TrainModel:
                 return
             if not latched and live.take_new(status, values, now, stamp_ns) and not is_resistance:
                 self._observed_s = now if estimate.observable else self._observed_s
-            if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
+            if is_resistance and status.is_usable and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
     def _age_doubt(self, stamp_ns: int) -> str:

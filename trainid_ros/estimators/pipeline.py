@@ -391,7 +391,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             now = self.estimator.save()
             self.estimator.idle(age_s)
             self._published = self._estimate = self.estimator.estimate(self._speed)
-            if self._status in (Status.VALID, Status.HOLDING) and not self.estimator.converged:
+            if self._status.is_usable and not self.estimator.converged:
                 self._status = Status.CONVERGING
             self.estimator.restore(now)
 

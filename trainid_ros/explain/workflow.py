@@ -37,8 +37,9 @@ from trainid_ros.explain.result import (
 )
 from trainid_ros.explain.search import Search, Selection
 from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.text import pluralise
-from trainid_ros.resistance.suggested_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
+from trainid_ros.resistance.suggested_drive import STEP_S, Manoeuvre, plan_run, planned_runs
 from trainid_ros.train.effects import EFFECTS, TrackPoint, Twin
 from trainid_ros.train.forces import davis as resistance_of
 from trainid_ros.train.forces import specific_inertia
@@ -289,7 +290,7 @@ def distinguishing_drive(
     size = abs(parameters[kind.amplitude] - kind.neutral)
     found: list[tuple[float, PlannedRun, int, float]] = []
     # Beside the usual manoeuvres, slow speeds are held for a minute.
-    slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in (5.0 * KM_H, 10.0 * KM_H))
+    slow = (plan_run(Manoeuvre(v, v, 60.0), fit.train_file, fit.davis) for v in (5.0 / KM_H, 10.0 / KM_H))
     for run in chain(planned_runs(fit.train_file, fit.davis), (run for run in slow if run is not None)):
         motion = _Motion.of(run, fit)
         rivals = (other, shape), *((term.kind, term.parameters) for term in others)

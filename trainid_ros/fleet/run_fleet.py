@@ -40,7 +40,6 @@ from trainid_ros.interface.results import Status, deviations
 from trainid_ros.monitor.trains import resistance_at
 from trainid_ros.setup.params_file import Setup as NodeSetup
 from trainid_ros.setup.params_file import node_setups
-from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.train.train_file import load_train_file
 
 Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
@@ -185,7 +184,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
 def _resistance(outcome: Replay) -> Row:
     result = outcome.resistance
     w = result.output.estimate
-    findings = (*force_findings(w), *outcome.brake_findings)
+    findings = outcome.findings
     outputs = max(1, sum(result.statuses))
     row: Row = {
         'status': result.output.status.name,

@@ -26,6 +26,11 @@ class Status(IntEnum):
     STALE = 4
     FAULT = 5
 
+    @property
+    def is_usable(self) -> bool:
+        """True if a controller may use the estimate: VALID, or HOLDING while there is nothing to learn."""
+        return self in {Status.VALID, Status.HOLDING}
+
 
 class Reason(IntEnum):
     """Why a record or a sample was not used; the same numbers as in the messages."""

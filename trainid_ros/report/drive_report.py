@@ -42,7 +42,7 @@ from trainid_ros.report.recording import (
     Track,
     input_panels,
 )
-from trainid_ros.report.verdict import USABLE, EstimateRow, Verdict, estimate_rows, middle_speed, speed_text
+from trainid_ros.report.verdict import EstimateRow, Verdict, estimate_rows, middle_speed, speed_text
 from trainid_ros.report.words import DASH, DAVIS_UNITS, number
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.forces import davis
@@ -221,7 +221,7 @@ def _cards(chapter: Chapter) -> list[dict[str, object]]:
         ),
     )  # fmt: skip
     names = ('name', 'value', 'unit', 'output', 'remark', 'more')
-    return [dict(zip(names, card, strict=True)) | {'usable': card[3].status in USABLE} for card in cards]
+    return [dict(zip(names, card, strict=True)) | {'usable': card[3].status.is_usable} for card in cards]
 
 
 def _estimates(chapter: Chapter) -> list[list[str]]:

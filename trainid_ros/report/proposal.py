@@ -18,10 +18,10 @@ import numpy as np
 from trainid_ros.client.train_model import TrainModel
 from trainid_ros.explain.result import Explanation, Gap
 from trainid_ros.interface.errors import NoAnswerError, TrainIdError
-from trainid_ros.interface.records import NS_PER_S
+from trainid_ros.interface.records import KM_H, NS_PER_S
 from trainid_ros.report import words
 from trainid_ros.report.words import DASH, number
-from trainid_ros.resistance.suggested_drive import KM_H, top_speed
+from trainid_ros.resistance.suggested_drive import top_speed
 from trainid_ros.sim.plant import Driver, DriverModel, Plant
 from trainid_ros.sim.scenario import DEFAULT_START_NS, MAX_RUN_S, TICK_NS
 from trainid_ros.train.line import profile_of
@@ -113,7 +113,7 @@ def what_if_rows(before: TrainFile, after: TrainFile) -> list[tuple[str, str, st
         ('traction energy, rising positions', 'kWh'),
         ('running time, falling positions', 's'),
         ('traction energy, falling positions', 'kWh'),
-        (f'stopping distance from {speed / KM_H:.0f} km/h, rising positions', 'm'),
+        (f'stopping distance from {speed * KM_H:.0f} km/h, rising positions', 'm'),
     )
     return [
         (

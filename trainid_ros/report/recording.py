@@ -280,7 +280,7 @@ class _Outputs:
         return Track(
             np.array([output.stamp_ns for output in kept], dtype=np.int64) - start_ns,
             tuple(output.estimate for output in kept),
-            np.array([output.status in (Status.VALID, Status.HOLDING) for output in kept], dtype=np.bool_),
+            np.array([output.status.is_usable for output in kept], dtype=np.bool_),
             _series(self._tested.items(), 1, start_ns),
             self.statuses.spans(start_ns, end_ns),
             self._faults.spans(start_ns, end_ns),

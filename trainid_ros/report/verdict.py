@@ -18,7 +18,6 @@ from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.results import Reason, ResistanceEstimate, Status, deviations, quantities
 from trainid_ros.interface.text import plus_minus
 from trainid_ros.monitor.trains import resistance_at
-from trainid_ros.setup.pipelines import force_findings
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import Replay, Result
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 SPEEDS: Final = (10.0, 15.0, 20.0)
 """Speeds at which the resistance is stated [m/s]."""
-USABLE: Final = (Status.VALID, Status.HOLDING)
 _WHY: Final = {
     Status.UNINITIALIZED: 'no sample was used',
     Status.CONVERGING: 'not certain enough yet',
@@ -121,7 +119,7 @@ def judge(
     ``drives`` are those suggested for resistance and brake rate; ``named`` gives topics the names of the bag.
     """
     results = results_of(outcome)
-    unusable = {name: result for name, result in results.items() if result.output.status not in USABLE}
+    unusable = {name: result for name, result in results.items() if not result.output.status.is_usable}
     level = Level.NOT if len(unusable) == len(results) else Level.PART if unusable else Level.USABLE
     info = f'{shlex.join(("trainid", "info", bag))} shows what the bag holds'
     reasons = [_why(name, result) for name, result in unusable.items()]
@@ -129,7 +127,7 @@ def judge(
     steps = [drive.text for name, drive in suggested if name in unusable and drive is not None]
     if reason := outcome.why_no_resistance():
         reasons = [reason]
-    elif not unusable and (findings := (*force_findings(outcome.resistance.output.estimate), *outcome.brake_findings)):
+    elif not unusable and (findings := outcome.findings):
         reasons, steps = [*findings], ['correct the train file or what publishes the topic']
     optimistic = [
         f'uncertainty of {name}: {result.consistency.advice}'

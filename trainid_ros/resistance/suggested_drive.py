@@ -19,14 +19,13 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Final, Protocol, runtime_checkable
 
+from trainid_ros.interface.records import KM_H
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.resistance.davis_posterior import SEEN_SHARE, resistance_std
 from trainid_ros.train.forces import lag_response, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile, profile_of
 from trainid_ros.train.train_file import Davis, TrainFile
 
-KM_H: Final = 1.0 / 3.6
-"""One kilometre per hour [m/s]."""
 STEP_S: Final = 0.4
 """Duration of a step of a plan [s]."""
 ACCELERATION: Final = 0.9  # limit of a service start [m/s^2]
@@ -62,12 +61,12 @@ class Manoeuvre:
     def text(self) -> str:
         """The manoeuvre in words."""
         if self.coasts:
-            return f'coast from {self.start / KM_H:.0f} to {self.end / KM_H:.0f} km/h'
+            return f'coast from {self.start * KM_H:.0f} to {self.end * KM_H:.0f} km/h'
         if self.braking < 0.0:
-            return f'brake from {self.start / KM_H:.0f} km/h with {self.braking:g} m/s²'
+            return f'brake from {self.start * KM_H:.0f} km/h with {self.braking:g} m/s²'
         if self.held_s > 0.0:
-            return f'hold {self.start / KM_H:.0f} km/h for {self.held_s:.0f} s'
-        return f'accelerate with full traction to {self.start / KM_H:.0f} km/h'
+            return f'hold {self.start * KM_H:.0f} km/h for {self.held_s:.0f} s'
+        return f'accelerate with full traction to {self.start * KM_H:.0f} km/h'
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +148,7 @@ def top_speed(train_file: TrainFile) -> float:
     """Return the highest speed of train and line in whole steps of 5 km/h [m/s]."""
     limits = [limit for _, limit in train_file.line.speed_limit]
     fastest = min(train_file.train.max_speed, max(limits, default=math.inf))
-    return max(1.0, math.floor(fastest / (5.0 * KM_H) + 1e-6)) * 5.0 * KM_H
+    return max(1.0, math.floor(fastest * KM_H / 5.0 + 1e-6)) * 5.0 / KM_H
 
 
 def _manoeuvres(top: float) -> Iterator[Manoeuvre]:
@@ -161,7 +160,7 @@ def _manoeuvres(top: float) -> Iterator[Manoeuvre]:
 
 
 def _round(speed: float) -> float:
-    return round(speed / (5.0 * KM_H)) * 5.0 * KM_H
+    return round(speed * KM_H / 5.0) * 5.0 / KM_H
 
 
 def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_scale: float = 1.0) -> Run | None:
@@ -389,7 +388,7 @@ def _quantities(
     for share in (0.25, 0.5, 0.75, 1.0):
         v = share * top_speed(train_file)
         w = now.a + v * (now.b + v * now.c)
-        yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', partial(_at, v), math.hypot(valid_std, valid_share * w))
+        yield Wanted(f'w at {v * KM_H:.0f} km/h', 'N/kN', partial(_at, v), math.hypot(valid_std, valid_share * w))
     if not math.isnan(prior.force_scale_std):
         yield Wanted('force scale', '', attrgetter('force_scale_std'), max(0.01, left * prior.force_scale_std))
 

@@ -134,7 +134,7 @@ class Checkpoints:
 
     def _is_worth_saving(self, pipeline: EstimatorPipeline[Any]) -> bool:
         """Return whether a state may replace the one in the file: after a reset, too, but not after a jump at once."""
-        if pipeline.status in (Status.VALID, Status.HOLDING):
+        if pipeline.status.is_usable:
             self.is_wiped = False
         return pipeline.status is not Status.FAULT and not self.is_wiped and bool(pipeline.samples or pipeline.resets)
 

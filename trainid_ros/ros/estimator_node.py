@@ -71,7 +71,6 @@ from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_
 # Statuses that are published again without new samples, after this time [ns]: in time for the deadline of 1 s.
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
 HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
-_FIT: Final = frozenset({Status.VALID, Status.HOLDING})
 _NOT_FIT: Final = frozenset({Status.CONVERGING, *REPEATED})
 
 
@@ -101,7 +100,9 @@ class StatusChanges:
         if status is self._status:
             return
         before, self._status = self._status, status
-        if not {before, status} <= _FIT:  # VALID and HOLDING count as one: they take turns at every brake
+        if not (
+            before.is_usable and status.is_usable
+        ):  # VALID and HOLDING count as one: they take turns at every brake
             self._log(before, now_ns)
             self._context.since_ns = now_ns
         self._had_inputs |= status is not Status.STALE
@@ -117,9 +118,9 @@ class StatusChanges:
             if self._had_inputs and 0 < self._context.since_ns <= now_ns:
                 text += f', {(now_ns - self._context.since_ns) / NS_PER_S:.1f} s after STALE'
             logger.info(f'{name}: {text}', throttle_duration_sec=1.0)
-        elif self._status in _FIT:
+        elif self._status.is_usable:
             logger.info(f'{name}: the estimate is fit to use', throttle_duration_sec=1.0)
-        elif before in _FIT and self._status is not Status.FAULT:
+        elif before.is_usable and self._status is not Status.FAULT:
             logger.warning(f'{name}: the estimate is not fit to use any more', throttle_duration_sec=1.0)
         elif before is Status.FAULT:
             logger.info(f'{name}: the estimator works again', throttle_duration_sec=1.0)
@@ -230,7 +231,7 @@ class EstimatePublisher:
 
     def latch_loaded(self, estimate: SerializedEstimate) -> None:
         """Latch the estimate of a loaded state, if it is worth it."""
-        if estimate.status in _FIT or estimate.status is Status.STALE:
+        if estimate.status.is_usable or estimate.status is Status.STALE:
             self._latch(estimate)
 
     def _latch(self, estimate: SerializedEstimate) -> None:

@@ -84,7 +84,7 @@ class Watch:
         if finding and not self._had_finding:
             yield 'contradiction', f'inputs contradict each other: {finding}'
         self._was_fault, self._had_finding = is_fault, bool(finding)
-        if pipeline.status not in (Status.VALID, Status.HOLDING) or pipeline.samples == self._samples:
+        if not pipeline.status.is_usable or pipeline.samples == self._samples:
             return
         self._samples, estimate = pipeline.samples, pipeline.current().estimate
         step = '' if self._reference is None else step_of(self._reference, estimate)
