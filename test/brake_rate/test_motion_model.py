@@ -257,10 +257,24 @@ def test_a_changeover_adds_its_shape_error_to_the_std(train_file: TrainFile, jou
     fast = next(k for k, item in enumerate(samples) if item.speed < 2.1 * CONFIG.blend_speed)
     during, before = braked(train_file, samples[: slow + 1]), braked(train_file, samples[:fast])
     shape = BLEND_SHAPE * CONFIG.blend_std
-    for estimator, blending in ((during, shape), (before, 0.0)):
-        state, e = estimator.state, estimator.estimate(6.0)
-        modelled = state.rate_variance + (CONFIG.scale_std * state.rate) ** 2
-        assert e.brake_rate_std**2 - modelled == pytest.approx(blending**2, abs=1e-12)
+    for estimator, item, blending in ((during, samples[slow], shape), (before, samples[fast - 1], 0.0)):
+        share = MotionModel(train_file, CONFIG).share(item.speed, abs(estimator.state.filtered_target))
+        _, modelled = estimator.posterior.total_rate(share)
+        assert estimator.state.rate_variance - modelled == pytest.approx(blending**2, abs=1e-12)
+
+
+def test_a_weak_braking_widens_the_band_and_keeps_the_rate_valid(train_file: TrainFile, journey: Journey) -> None:
+    brake = {True: -0.7, False: -0.085}
+    samples = journey(32.0, brake=lambda t: brake[t < 14.0] if 2.0 < t < 14.0 or t > 24.0 else 0.0, speed=25.0)
+    estimator = Gsma(train_file, CONFIG, np.random.default_rng(1))
+    weak = [item.stamp_ns for item in samples if item.brake_command == brake[False]]
+    for item in samples:
+        estimator.step(item)
+        if item.stamp_ns == weak[10]:
+            assert estimator.state.observable
+            assert estimator.estimate(item.speed).brake_rate_std > 2.0 * CONFIG.valid_std
+        assert estimator.converged or item.stamp_ns < weak[0]
+    assert estimator.converged
 
 
 def test_excess_innovations_increase_the_noise(train_file: TrainFile, journey: Journey) -> None:

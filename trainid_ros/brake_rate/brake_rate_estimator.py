@@ -170,7 +170,6 @@ class EstimatorState:
     timing: Timing  # Estimated dead time and lag of the brake
     rate: float = 1.0  # Brake rate at the speed and level of its last update, at medium speed once that is over [1]
     rate_variance: float = 0.0  # Its variance [1]
-    blending: float = 0.0  # Standard deviation due to the changeover between brakes, at the newest sample [1]
     # Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1
     excess: float = 1.0
     gain: float = 1.0  # Brake rate by the table and the effects of the train file, for f = 1 [1]
@@ -264,10 +263,15 @@ class BrakeRateEstimator:
         return result
 
     def _check_validity(self) -> None:
-        """Decide whether the rate is valid, with a hysteresis of factor two; one within 3 stds of its limit is not."""
-        state, std = self.state, self._std()
+        """Decide whether the rate is valid, with a hysteresis of factor two; one within 3 stds of its limit is not.
+
+        What counts is the rate at medium speed and level: the wider band of a weak braking, or at a changeover, is no
+        lack of learning.
+        """
+        state, rate = self.state, self.posterior.rate
+        std = self._std(rate, self.posterior.variance)
         limit = self._valid_std * (2.0 if state.converged else 1.0)
-        is_known = std < limit and state.rate + 3.0 * std < self._max_rate
+        is_known = std < limit and rate + 3.0 * std < self._max_rate
         state.converged = is_known and not state.is_mistimed
 
     def idle(self, seconds: float) -> None:
@@ -307,8 +311,8 @@ class BrakeRateEstimator:
         state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MAX_EXCESS)
         share = self._model.share(sample.speed, abs(state.filtered_target))
         state.rate, state.rate_variance = posterior.total_rate(share)
-        # The model has the width of a changeover, but not its exact shape.
-        state.blending = BLEND_SHAPE * self.config.blend_std if share[CHANGEOVER] > 0.0 else 0.0
+        if share[CHANGEOVER] > 0.0:  # the model has the width of a changeover, but not its exact shape
+            state.rate_variance += (BLEND_SHAPE * self.config.blend_std) ** 2
         state.unbraked_s = 0.0
         state.observable = True
         return None
@@ -316,7 +320,7 @@ class BrakeRateEstimator:
     def _conclude(self) -> None:
         """After a braking, state the brake rate at medium speed for the next one."""
         state, posterior = self.state, self.posterior
-        state.rate, state.rate_variance, state.blending = posterior.rate, posterior.variance, 0.0
+        state.rate, state.rate_variance = posterior.rate, posterior.variance
 
     def _unknown(self, sample: Sample) -> Rejection | None:
         """Return a rejection if the motion since the last sample, or the state of the brake, is not known."""
@@ -429,11 +433,10 @@ class BrakeRateEstimator:
         """Return the variance of measured speed, scaled to match the innovations while braking [(m/s)^2]."""
         return self.state.noise.variance * self.state.excess
 
-    def _std(self) -> float:
-        """Return the standard deviation of the brake rate [1]: sqrt(s^2 + drift^2 t) while no brake acts."""
-        state, scale = self.state, self._scale_std * self.state.rate
-        added = self._q * state.unbraked_s + scale * scale + state.blending * state.blending
-        return math.sqrt(state.rate_variance + added)
+    def _std(self, rate: float, variance: float) -> float:
+        """Return the standard deviation of a brake rate [1]: sqrt(s^2 + drift^2 t) while no brake acts."""
+        scale = self._scale_std * rate
+        return math.sqrt(variance + self._q * self.state.unbraked_s + scale * scale)
 
     @property
     def innovation(self) -> tuple[float, float]:
@@ -447,7 +450,7 @@ class BrakeRateEstimator:
             self._conclude()
         return BrakeRateEstimate(
             brake_rate=min(max(0.0, state.rate), self._max_rate),
-            brake_rate_std=self._std(),
+            brake_rate_std=self._std(state.rate, state.rate_variance),
             position=state.position,
             speed=max(0.0, posterior.speed),
             control_acceleration=posterior.acceleration,
