@@ -169,7 +169,7 @@ class EstimatorState:
     commands: CommandHistory  # Brake commands that may still act
     timing: Timing  # Estimated dead time and lag of the brake
     rate: float = 1.0  # Brake rate at the speed and level of its last update, at medium speed once that is over [1]
-    rate_variance: float = 0.0  # Its variance [1]
+    rate_variance: float = 0.0  # Its variance, with that of the shape of a changeover [1]
     # Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1
     excess: float = 1.0
     gain: float = 1.0  # Brake rate by the table and the effects of the train file, for f = 1 [1]
@@ -446,11 +446,12 @@ class BrakeRateEstimator:
     def estimate(self, speed: float) -> BrakeRateEstimate:
         """Return the brake rate, eq. (19), and the filtered train state, eq. (22), for a train at a speed [m/s]."""
         state, posterior = self.state, self.posterior
-        if speed < self._min_speed:  # also where samples were rejected on the way to the stop
-            self._conclude()
+        rate, variance = state.rate, state.rate_variance
+        if speed < self._min_speed:  # the next braking counts, also where samples were rejected on the way to the stop
+            rate, variance = posterior.rate, posterior.variance
         return BrakeRateEstimate(
-            brake_rate=min(max(0.0, state.rate), self._max_rate),
-            brake_rate_std=self._std(state.rate, state.rate_variance),
+            brake_rate=min(max(0.0, rate), self._max_rate),
+            brake_rate_std=self._std(rate, variance),
             position=state.position,
             speed=max(0.0, posterior.speed),
             control_acceleration=posterior.acceleration,

@@ -125,7 +125,8 @@ class Prior:
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
-        self.is_of_line = (self.ignores_line and row.speed == 1.0) or row.gradient != 1.0
+        self.is_of_odometer = row.is_of_odometer
+        self.is_of_line = (self.ignores_line and not row.is_of_odometer) or row.gradient != 1.0
         if self.ignores_gradient or row.gradient != 1.0:
             self.anew[OFFSET] = 1.0
 
@@ -455,6 +456,7 @@ class Forces:
     def correct(self, prior: Prior, at: Block, force: Block, command: Block) -> None:
         """Correct force and brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
+        # Where a brake builds up, the step of a force without sign is wrong for one block, and counts as jitter.
         factor = -row.force if row.signless and command.brake < -BRAKES else row.force
         F, dF = factor * force.force, factor * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command

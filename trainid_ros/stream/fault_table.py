@@ -115,6 +115,11 @@ class Row:
         return self.late is not None
 
     @property
+    def is_of_odometer(self) -> bool:
+        """True if speed and position have the same wrong scale, as of one odometer."""
+        return self.speed == self.position != 1.0
+
+    @property
     def has_speed(self) -> bool:
         """True if it says something about speed over position."""
         return self.speed != self.position or self.wheel_std != WHEEL.std
@@ -175,7 +180,7 @@ TABLE: Final[tuple[Row, ...]] = (
             speed=factor,
             position=factor,
             ignores=_only(Input.LINE),
-            asks=_FOLLOWS_NOTHING,  # explains any force that is too small
+            asks=_FOLLOWS_NOTHING,  # explains a force that is stuck at a small value
             misread=True,
         )
         for size, factor in (

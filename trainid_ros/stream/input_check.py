@@ -253,7 +253,7 @@ class InputCheck:
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
-        if prior.has_speed or (prior.row.ignores and prior.row.speed == 1.0):
+        if prior.has_speed or (prior.row.ignores and not prior.is_of_odometer):
             is_line_off = prior.is_of_line and self._line_score < _START
             is_distance_off = (prior.has_speed or prior.ignores_position) and self._distance_score < _START
             is_braked_off = (prior.ignores_command or prior.ignores_braking) and self._mismatch > _START_MISMATCH
@@ -479,7 +479,7 @@ class InputCheck:
             self._accept(self._spare[0])
         elif health > _CLEAR and health > first - _LEAD and self._others[0].rise_s > _LEAD_S:
             self._accept(self._others[0])
-        elif first > _FIND and first - second > _LEAD:
+        elif first > _FIND and first - max(second, health) > _LEAD:
             self._accept(best)
         elif self._waited_s > _LEAD_S:
             # The first row of the table that explains the inputs as well as the best one.
@@ -495,7 +495,10 @@ class InputCheck:
         theirs = PRIORS[self._accepted.row]
         if trial.row > 0 and prior.held < theirs.held and not (prior.is_of_line and theirs.is_of_line):
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
-        if not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S)):
+        is_stuck = self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
+        if prior.is_of_odometer:
+            is_stuck = self.blocks.still[2] <= _STILL_S  # what is asked for is a force that changes
+        if not is_stuck:
             score -= prior.row.asks
         is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
         return min(score, _SUSPECT) if is_open else score
