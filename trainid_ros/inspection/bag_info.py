@@ -63,6 +63,8 @@ from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 _GAP_S: Final = 1.0  # time that a value holds, unless it is known
+_MAX_DISTANCE_ERROR: Final = 0.05  # share by which distances by speed and by position may differ [1]
+_MAX_OPPOSITE: Final = -0.5  # correlation of a force whose sign is wrong [1]
 _UNITS: Final = {
     'speed': 'm/s', 'position': 'm', 'force': 'N', 'gradient': 'per mille', 'curve_radius': 'm',
     'target_acceleration': 'm/s^2', 'mass': 'kg',
@@ -329,9 +331,9 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     # Positions are unknown, or corrected at a balise by 100 m or more.
     known = (elapsed > 0.0) & (elapsed < _GAP_S) & np.isfinite(by_speed + by_position) & (by_position < 100.0)
     distance = float(by_position[known].sum())
-    if distance < 500.0 or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < 0.05:
+    if distance < 500.0 or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _MAX_DISTANCE_ERROR:
         return []
-    unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < 0.05 * KM_H else ''
+    unit = ', so it looks like km/h' if abs(ratio + 1.0 - KM_H) < _MAX_DISTANCE_ERROR * KM_H else ''
     return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
 
 
@@ -515,9 +517,9 @@ class _Check:
             found.append(_wrong_brake(self._out_of_range[BRAKE]))
         if self.is_most(Reason.CONTRADICTION):
             return found
-        if _correlation(self._released) < -0.5:
+        if _correlation(self._released) < _MAX_OPPOSITE:
             found.append(f'{FORCE_TOPIC.name} has the wrong sign: it is against the acceleration')
-        elif _correlation(self._braked, about_zero=True) < -0.5:
+        elif _correlation(self._braked, about_zero=True) < _MAX_OPPOSITE:
             found.append(f'{FORCE_TOPIC.name} drives while {BRAKE_TOPIC.name} brakes: its sign is missing or wrong')
         return found
 

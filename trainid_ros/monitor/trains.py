@@ -557,6 +557,7 @@ class Trains:
         If no other train is left, they stay: what has ended is the news.
         """
         trains = self.by_namespace.items()
+        # A minute of silence is longer than a node takes to start again.
         ended = [name for name, train in trains if train.silent_s(now_s) > 60.0 and name not in published]
         if len(ended) == len(trains):
             return []

@@ -163,4 +163,4 @@ def drive(train_file: TrainFile, direction: int) -> tuple[float, float]:
             train.command(decision.brake)
             for _ in range(steps):
                 train.step(decision.traction, TICK_NS // steps)
-    return (train.now_ns - DEFAULT_START_NS) / NS_PER_S, train.work / 3.6e6
+    return (train.now_ns - DEFAULT_START_NS) / NS_PER_S, train.work / 3.6e6  # J to kWh
