@@ -138,7 +138,7 @@ class BrakeRateConfig:
     acceleration_noise: float = setting(0.003, 'white acceleration noise', 'm/s per sqrt(s)', 0.0, 1.0)
     resistance_std: float = setting(0.25, 'relative error of the resistance of the train file', '1', 0.0, 2.0)
     slope_std: float = setting(0.08, 'change of the brake rate from standstill to full speed', '1', 0.0, 1.0)
-    # Valves act in steps: 2.5 % of 1.3 m/s^2, over sqrt(12).
+    # Valves act in steps, assumed as 2.5 % of 1.3 m/s^2, over sqrt(12); benchmarks have 1 to 3 %.
     level_std: float = setting(
         0.0094, 'error of the brake acceleration that depends on the brake level', 'm/s^2', 0.0, 0.2
     )
