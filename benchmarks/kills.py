@@ -231,7 +231,8 @@ class Train(Peer):
         self._sender = threading.Thread(target=self._publish, daemon=True)
 
     def _note(self, topic: OutputTopic, message: Any) -> None:
-        if message.status != message.STALE:  # as before the first sample
+        # STALE is the status before the first sample; the adhesion comes with each brake rate.
+        if topic in self._names and message.status != message.STALE:
             self._estimates.setdefault(self._names[topic], []).append(stamp_of(message))
 
     @property
