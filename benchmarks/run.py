@@ -41,7 +41,8 @@ PARTS: Final[Mapping[str, Part]] = {
     'replay': Part('benchmarks.replay:measure', 0, 1.5),
     'commands': Part('benchmarks.cost:commands', 0, 1.5),
     'memory': Part('benchmarks.memory:measure', 0, 1.0),
-    # Running nodes and damaged files; of kills, soak [min] and damage the number is not of seeds.
+    # Running nodes and damaged files; of kills, soak [min] and damage the number is not of seeds. With the peers they
+    # may be of another revision than the other parts.
     'kills': Part('benchmarks.kills:measure', 30, 2.5),
     'soak': Part('benchmarks.soak:measure', 2, 4.5),
     'damage': Part('benchmarks.damage:measure', 100, 1.0),
