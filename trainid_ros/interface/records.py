@@ -208,7 +208,10 @@ def stamp_of(message: Any) -> int:
 
 def status_of(message: Any) -> Status:
     """Return the status of a message of an estimate; one that is not known is a fault."""
-    return Status(message.status) if message.status in tuple(Status) else Status.FAULT
+    try:
+        return Status(message.status)
+    except ValueError:
+        return Status.FAULT
 
 
 def record_from_message(topic: InputTopic, message: Any) -> Record:

@@ -11,9 +11,10 @@ One row is accepted, at first that all is well. For each other row
     (4)  S = sum of log likelihoods of its blocks - the same of the accepted row,
 
 from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
-ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``: accepted, a finding.
-S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays are scored by applications of the brake,
-since the errors within one are the same. What holds back an estimator is not replaced by what does not.
+ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``, ahead of health too:
+accepted, a finding. S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays are scored by
+applications of the brake, since the errors within one are the same. What holds back an estimator is not replaced by
+what does not.
 
 A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
 """
@@ -495,10 +496,11 @@ class InputCheck:
         theirs = PRIORS[self._accepted.row]
         if trial.row > 0 and prior.held < theirs.held and not (prior.is_of_line and theirs.is_of_line):
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
-        is_stuck = self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
         if prior.is_of_odometer:
-            is_stuck = self.blocks.still[2] <= _STILL_S  # what is asked for is a force that changes
-        if not is_stuck:
+            asks = self.blocks.still[2] > _STILL_S  # a force that is stuck explains as much
+        else:
+            asks = not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
+        if asks:
             score -= prior.row.asks
         is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
         return min(score, _SUSPECT) if is_open else score
