@@ -171,6 +171,24 @@ def test_missing_input_makes_the_status_stale_within_one_second_of_stamps(
 
 
 @ALL
+def test_nothing_is_learned_while_an_input_is_missing(name: str, metro: TrainFile, day: Records) -> None:
+    pipeline = make(name, metro)
+    run(pipeline, seconds(day, 0.0, 20.0))
+    used = pipeline.used
+    # A clock of the speed that is ahead: the other topics reach each of its stamps after stale_after.
+    ahead = [
+        replace(r, stamp_ns=r.stamp_ns + round(0.9 * NS_PER_S)) if isinstance(r, SpeedRecord) else r
+        for r in seconds(day, 20.0, 120.0)
+    ]
+    outputs = run(pipeline, ahead)
+    late = [o for o in outputs if o.status is Status.STALE and o.stamp_ns > ahead[0].stamp_ns + 2 * NS_PER_S]
+    assert len(late) > 400
+    assert {o.used for o in late} == {late[0].used}
+    assert late[0].used - used < 20
+    assert pipeline.rejections[Reason.LATE] > 0
+
+
+@ALL
 def test_an_input_that_never_begins_makes_the_status_stale(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro)
     records = [r for r in seconds(day, 0.0, 5.0) if not isinstance(r, GradientRecord)]

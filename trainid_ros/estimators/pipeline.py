@@ -331,11 +331,7 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._count(event)
             else:
                 self._follow_jump(event)
-        if (
-            self.stream.behind_ns > self.stale_ns
-            and self._status not in (Status.STALE, Status.FAULT)
-            and self.stream.is_input_missing(self.stale_ns)
-        ):
+        if self._status not in (Status.STALE, Status.FAULT) and self._is_input_missing():
             self._status = Status.STALE
             self.statuses[Status.STALE] += 1
             if publish is not None:
@@ -346,6 +342,9 @@ class EstimatorPipeline(Generic[EstimateT]):
         publish(self.current())
         if self._is_brake_rate:
             publish(self.adhesion())
+
+    def _is_input_missing(self) -> bool:
+        return self.stream.behind_ns > self.stale_ns and self.stream.is_input_missing(self.stale_ns)
 
     def _follow_jump(self, jump: TimeJump) -> None:
         """Start over where another drive begins; forget what was learned, and aged, by stamps that were wrong."""
@@ -422,6 +421,9 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _step(self, sample: Sample) -> None:
         self._estimate, self._adhesion = None, sample.adhesion
         rejection = sample.brake_rejection if self._is_brake_rate else sample.rejection
+        is_stale = self._is_input_missing()
+        if is_stale and rejection is None:
+            rejection = Rejection(sample.stamp_ns, Reason.LATE, seconds(self.stream.behind_ns), seconds(self.stale_ns))
         trust = self.trust
         self._keep_snapshots(sample, trust)
         if rejection is None:
@@ -436,7 +438,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         else:
             self._count(rejection)
         # The consistency of this sample counts from the next one on.
-        self._status = self._judge(rejection, trust)
+        self._status = self._judge(rejection, trust, is_stale=is_stale)
         innovation, variance = self.estimator.innovation
         self._consistency.add(innovation, variance, used=rejection is None)
 
@@ -486,10 +488,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.estimator.restore(self._snapshots.newest.estimator)
         restore(self._consistency, self._snapshots.newest.consistency)
 
-    def _judge(self, rejection: Rejection | None, trust: Trust) -> Status:
+    def _judge(self, rejection: Rejection | None, trust: Trust, *, is_stale: bool) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
-        if self.stream.behind_ns > self.stale_ns and self.stream.is_input_missing(self.stale_ns):
+        if is_stale:
             return Status.STALE
         if not (self.estimator.converged and trust.is_full) or self._consistency.refuted:
             return Status.CONVERGING
