@@ -20,7 +20,14 @@ from trainid_ros.explain.dataset import MAX_RUN_S, Dataset, Run, RunCollector, a
 from trainid_ros.explain.model import Model
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.forces import BrakeActuator, BrakeCommandChange, specific_force, specific_inertia
+from trainid_ros.train.forces import (
+    BRAKE_APPLIED,
+    BrakeActuator,
+    BrakeCommandChange,
+    held_by,
+    specific_force,
+    specific_inertia,
+)
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 START = 1_700_000_000 * NS_PER_S
@@ -131,6 +138,16 @@ def test_brake_force_follows_the_command() -> None:
     assert math.isinf(run.since_release[10])
     assert run.heat[10] == 0.0
     assert run.heat[80] == pytest.approx(0.9 * 0.8 * 15.0 * 5.0, rel=0.1)
+
+
+def test_a_train_that_stands_as_its_record_begins_was_held_by_its_brake() -> None:
+    held = {k: {'force': -60e3 * 0.8**k} for k in range(10)}
+    (run,) = collect(samples([0.0] * 3 + [2.0 + 0.2 * k for k in range(100)], held))
+    # What the force tells of the brake lets go with the lag of the train file.
+    released_s = FILE.brake.time_constant * math.log(held_by(FILE.train, -60e3) / BRAKE_APPLIED)
+    assert run.since_release[-1] == pytest.approx(run.time[-1] - released_s, abs=0.2)
+    (moving,) = collect(samples([2.0 + 0.2 * k for k in range(100)]))
+    assert math.isinf(moving.since_release[-1])
 
 
 def test_traction_against_the_brake_is_the_difference() -> None:

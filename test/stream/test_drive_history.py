@@ -46,6 +46,15 @@ def test_time_distance_heat_and_brake_are_those_of_the_train(train_file: TrainFi
     assert train.heat > 100.0
 
 
+def test_a_train_that_stands_at_first_was_held_by_its_brake(train_file: TrainFile, sample: Make) -> None:
+    moving, standing = (DriveHistory(train_file) for _ in range(2))
+    assert math.isinf(moving.follow(sample(0, speed=5.0)).since_release)
+    assert standing.follow(sample(0, speed=0.0, force=0.0)).since_release == 0.0
+    assert standing.follow(sample(1, speed=0.0, force=0.0)).since_release == pytest.approx(0.2)
+    held = DriveHistory(train_file)
+    assert held.follow(sample(0, speed=0.0, force=-0.4 * train_file.train.mass)).brake < BRAKE_APPLIED
+
+
 def test_a_restored_state_continues_to_the_bit(train_file: TrainFile, sample: Make) -> None:
     first, second = DriveHistory(train_file), DriveHistory(train_file)
     for i in range(20):

@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-from trainid_ros.train.forces import STANDING, BrakeActuator, davis, load_drag, specific_force, specific_inertia
+from trainid_ros.train.forces import (
+    STANDING,
+    BrakeActuator,
+    davis,
+    held_by,
+    load_drag,
+    specific_force,
+    specific_inertia,
+)
 from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
@@ -61,7 +69,7 @@ class Run:
     traction: Array  # Mean reported force without that of the brake, per weight [N/kN]
     brake: Array  # Mean brake force by the brake model of the train file, per weight [N/kN, <= 0]
     heat: Array  # Energy stored in the brake per mass of the train [J/kg]
-    since_release: Array  # Time since the brake was released [s], infinite before its first use
+    since_release: Array  # Time since the brake was released [s], infinite if it never was
     distance_run: Array  # Distance since the first sample of the bag [m]
     positioned: bool  # True if the position was measured, except for interpolated gaps
     weighed: bool  # True if the mass was measured
@@ -186,6 +194,9 @@ class RunCollector:
         before, self._stamp_ns = self._stamp_ns, now
         if gap or before == 0:  # what has acted until now is not known
             actuator.output = min(0.0, actuator.commands.value(now - actuator.delay_ns))
+            if before == 0 and sample.speed < STANDING:
+                self._since_release = 0.0
+                actuator.output = min(actuator.output, held_by(self._train_file.train, sample.force))
             actuator.commands.prune(now - actuator.delay_ns)
             return rate * actuator.output
         mean = rate * actuator.advance(before, now) / sample.dt

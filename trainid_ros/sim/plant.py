@@ -83,7 +83,7 @@ class Plant:
         self._actuator = BrakeActuator(self._brake)
         self._terms = resistance_terms(train_file.effects)
         self._tractions, self._brakes = DelayLine(), DelayLine()
-        self._since_release = math.inf
+        self._since_release = 0.0  # it was held until now
 
     @property
     def brake(self) -> float:

@@ -25,7 +25,7 @@ from trainid_ros.stream.input_faults import InputFaults
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.effects import BRAKE_APPLIED, effect_value, heat_after
-from trainid_ros.train.forces import STANDING, BrakeActuator, CommandHistory
+from trainid_ros.train.forces import STANDING, BrakeActuator, CommandHistory, held_by
 from trainid_ros.train.train_file import Effect, TrainFile
 
 
@@ -81,7 +81,7 @@ class DriveHistory:
     STATE: ClassVar[State] = declare('_stamp_ns', '_speed', 'motion', '_actuator')
 
     def __init__(self, train_file: TrainFile) -> None:
-        self._brake = train_file.brake
+        self._brake, self._train = train_file.brake, train_file.train
         self.reset()
 
     def reset(self) -> None:
@@ -93,6 +93,8 @@ class DriveHistory:
     def follow(self, sample: Sample) -> Motion:
         """Take in a sample; return the motion of the drive up to its stamp."""
         start_ns, before = self._stamp_ns, self.motion
+        if start_ns == 0 and sample.speed < STANDING:
+            before, self._actuator.output = replace(before, since_release=0.0), held_by(self._train, sample.force)
         if not 0 < start_ns <= sample.stamp_ns:  # another drive
             start_ns, self._actuator.commands = sample.stamp_ns, CommandHistory()
         self._actuator.commands.follow(sample.brake_changes)

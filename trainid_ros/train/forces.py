@@ -24,7 +24,7 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.scalars import is_finite, seconds
 from trainid_ros.interface.state import State, declare, stored
-from trainid_ros.train.train_file import Brake, Davis
+from trainid_ros.train.train_file import Brake, Davis, Train
 
 G: Final = 9.80665
 """Standard gravity g0 [m/s^2] (3rd CGPM, 1901), used throughout the package."""
@@ -190,6 +190,14 @@ class BrakeActuator:
         return integral
 
 
+def held_by(train: Train, force: float) -> float:
+    """Return the output of the brake that has held a train until its record begins [m/s^2], by its force [N].
+
+    No train stands without a brake, whatever the command says by then.
+    """
+    return min(0.0, force / (train.mass * (1.0 + train.rotary_mass)))  # 0 where the force is not known
+
+
 def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:
     """Return the output of a first-order lag after a constant target has acted for a duration [s].
 
@@ -269,7 +277,8 @@ class TrackPoint:
     tunnel: bool = False  # True in a tunnel
     length: float = 0.0  # Length of the train [m]; 0 treats it as a point at its front
     distance_run: float = 0.0  # Distance run since the start [m]
-    # Time since the brake was released [s]; 0 while it is applied, infinite before its first use
+    # Time since the brake was released [s]; 0 while it is applied, infinite if it never was. A train that stands as
+    # its record begins was held until then.
     since_release: float = math.inf
     traction: float = 0.0  # Reported traction, 1000 F/(M g0) with the assumed mass M [N/kN]
     brake: float = 0.0  # Braking force of the assumed brake, including its rate, per assumed weight [N/kN, <= 0]
