@@ -96,12 +96,16 @@ def test_error_names_the_failing_user_effect(
 def test_the_prior_is_normal_in_the_amplitude_and_uniform_in_the_place(dataset: Dataset) -> None:
     kind = EFFECTS['mass_error']
     term = EffectTerm('mass_error', {'ratio': kind.neutral + 9.0 * kind.typical_size})  # three of its prior std
-    assert prior_cost(term, dataset) == pytest.approx(9.0)
+    assert prior_cost(term, dataset) == pytest.approx(9.0 + 2.0 * math.log(3.0))  # narrower ones have no part in it
+    typical = EffectTerm('mass_error', {'ratio': kind.neutral + kind.typical_size})
+    mixed = np.mean([3.0 / std * math.exp(-0.5 / std**2) for std in (0.3, 1.0, 3.0)])
+    assert prior_cost(typical, dataset) == pytest.approx(-2.0 * math.log(mixed))
     assert term.std == {}  # before a fit
     share = np.ptp(dataset.joined('position')) / (math.sqrt(2.0 * math.pi) * 80.0)
     assert share > 2.0
     drag = EffectTerm('local_drag', local_drag(0.0, 200.0, 0.0).parameters)
-    assert prior_cost(drag, dataset) == pytest.approx(2.0 * 2.0 * math.log(share))
+    nothing = -2.0 * math.log(2.0 * (10.0 + 3.0 + 1.0) / 3.0)  # a drag has one sign
+    assert prior_cost(drag, dataset) == pytest.approx(2.0 * 2.0 * math.log(share) + nothing)
 
 
 def test_effect_found_again_is_removed_from_the_train_file() -> None:

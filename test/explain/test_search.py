@@ -14,14 +14,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from test.explain.made_runs import TRAIN, Maker, drag, local_drag
+from test.explain.made_runs import DT, TRAIN, Maker, drag, local_drag
 from trainid_ros.explain.dataset import Dataset, Run
 from trainid_ros.explain.effects import EffectEvaluator, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, Noise
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.nuisances import Bins, Spread
+from trainid_ros.explain.result import Hypothesis, probabilities
 from trainid_ros.explain.search import (
     SECTIONS,
+    EffectScore,
     EffectScorer,
     Search,
     _section,
@@ -160,8 +162,46 @@ def test_onset_has_at_least_the_variance_of_its_grid() -> None:
     """A step so large that only one time of the grid is possible."""
     model, true = stepped(40.0)
     found = with_onset(EffectTerm('resistance_step', {'time': true, 'a': 40.0}, 1e-12 * np.eye(2)), model, HYPER)
-    cell = float(np.ptp(model.dataset.time)) / 121.0
+    cell = model.dataset.time.size * DT / 121.0
     assert found.std['time'] == pytest.approx(cell / np.sqrt(12.0), rel=0.05)
+
+
+def test_duration_of_a_drag_is_found_from_afar() -> None:
+    since, true = 0.0, 11.0
+
+    def clinging(_: float, speed: float, __: int) -> float:
+        nonlocal since
+        since = DT if speed == 0.4 else since + DT  # a run begins with that speed
+        return 2.0 * (since <= true)
+
+    runs = [replace(run, since_release=run.time - run.time[0]) for run in Maker().runs(6, 62, clinging)]
+    model = Model.of(runs, TRAIN)
+    term = model.with_terms((EffectTerm('dragging_brake', {'time': 60.0, 'permille': 1.0}),)).fit(HYPER).terms[0]
+    assert abs(term.parameters['time'] - true) > 10.0
+    found = with_onset(term, model, HYPER)
+    assert abs(found.parameters['time'] - true) < 3.0 * found.std['time'] < 6.0
+
+
+def test_a_large_effect_is_no_dependence_without_a_name() -> None:
+    """With the gusts that stand for both at first, the dependence seems the better one."""
+    model = Model.of(Maker().runs(6, 63, lambda _, speed, __: 0.002 * speed**3), TRAIN)
+    found = Search(model).run(slipping=False)
+    assert found.final.names == ('higher_order_drag',)
+    assert probabilities(found.hypotheses).other < 0.1
+
+
+def test_a_fit_replaces_the_score_of_an_effect_not_linear_in_its_amplitude(dragged_model: Model) -> None:
+    search, scores = Search(dragged_model), [EffectScore(name, 9.0, {}) for name in ('brake_delay', 'brake_slope')]
+    assert [one.names for one in search._scored((), 1.0, scores)] == [('brake_delay',), ('brake_slope',)]
+    search._fitted += [Hypothesis(('brake_delay',), 2.0), Hypothesis(('brake_slope',), 2.0)]
+    assert [*search._scored((), 1.0, scores)] == [Hypothesis(('brake_slope',), 10.0)]
+
+
+def test_search_finds_an_onset_beyond_a_stop() -> None:
+    model, true = stepped(0.8)
+    search, far = Search(model), {'time': true + 150.0, 'a': 0.6}
+    (term,) = search._extend(model, (EffectScore('resistance_step', 0.0, far),), search.base).model.terms
+    assert abs(term.parameters['time'] - true) < 20.0
 
 
 def test_effect_without_onset_or_fit_is_unchanged(dragged_model: Model) -> None:

@@ -26,6 +26,8 @@ SIGNIFICANT: Final = 2.5
 """Distance of the amplitude of an effect from its neutral value, by chance exceeded once in 80 times [std]."""
 SHOWN: Final = 6.0
 """2 ln of a Bayes factor, or ratio of likelihoods of held-out runs, that is strong evidence (Kass, Raftery 1995)."""
+SIZES: Final = (0.3, 1.0, 3.0)
+"""Prior std of the amplitude of an effect, in units of its typical value; each is as probable."""
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
 
@@ -99,14 +101,18 @@ class EffectTerm:
 def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
     """Return -2 ln of the prior of an effect relative to the priors of the fit, which are centred at its parameters.
 
-    The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
-    a place or a time that of the data. Any set of runs of a size is as probable as any other.
+    The prior of an amplitude is normal about its neutral value, with one of :data:`SIZES`; that of another parameter is
+    uniform over its range, for a place or a time that of the data. Any set of runs of a size is as probable as any
+    other.
     """
     cost = runs_cost(len(dataset.runs), len(term.runs))
     for name, value in term.parameters.items():
         width, limits = prior_width(term.kind, name, value), term.kind.parameters[name]
         if name == term.kind.amplitude:
-            cost += (term.amount / width) ** 2
+            # That of the fit has the largest std; one side alone is twice as probable.
+            square, widest = term.size**2, SIZES[-1]
+            density = sum(widest / std * math.exp(0.5 * square * (widest**-2 - std**-2)) for std in SIZES) / len(SIZES)
+            cost += square / widest**2 - 2.0 * math.log(2.0 * density if term.kind.sign else density)
             continue
         if limits.search is None:
             span = float(np.ptp(dataset.joined('position') if limits.is_place else dataset.time))
@@ -126,7 +132,7 @@ def runs_cost(runs: int, chosen: int) -> float:
 def prior_width(kind: EffectKind, name: str, value: float) -> float:
     """Return the prior std of a parameter about its initial value; 80 m for a position, 60 s for a time."""
     if name == kind.amplitude:
-        return 3.0 * kind.typical_size
+        return SIZES[-1] * kind.typical_size
     limits = kind.parameters[name]
     if limits.search is None:
         return 80.0 if limits.is_place else 60.0

@@ -302,7 +302,7 @@ def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     final = selection.final
     left = max(selection.groups[0].evidence, 0.0 if slipping else final.excess)
     is_other = _is_other(selection) and left > _LEFT_OVER * sum(selection.evidence)
-    if is_other or any(term.size >= 12.0 for term in final.model.terms):  # typical amplitudes
+    if is_other:
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP

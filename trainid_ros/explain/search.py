@@ -31,6 +31,7 @@ from trainid_ros.explain.dataset import Array, Dataset, Indices
 from trainid_ros.explain.effects import (
     SHOWN,
     SIGNIFICANT,
+    SIZES,
     EffectEvaluator,
     EffectTerm,
     prior_cost,
@@ -117,8 +118,8 @@ def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
     return [float(value) for value in values]
 
 
-# Prior std of the amplitude of an effect, in units of its typical value; the Bayes factor is averaged over them.
-_SHARES: Final = (0.3, 1.0)
+# Prior std of the coefficients of a dependence without a name [N/kN]; the Bayes factor is averaged over them.
+_GROUP_STDS: Final = (0.1, 0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +159,7 @@ class EffectScorer:
             named.append(_score(family.kind, np.diag(A), b, family.shapes.__getitem__))
         for name, group in self._groups.items():
             A, b = next(blocks)
-            values = [group_log_bayes(A, b, std) for std in (0.1, 0.3, 1.0)]  # prior std of coefficients [N/kN]
-            groups.append(EffectScore(name, _mean_evidence(np.array(values)), {}, group.text))
+            groups.append(EffectScore(name, _group_evidence(A, b), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return _by_evidence(named), _by_evidence(groups)
 
@@ -206,6 +206,10 @@ class EffectScorer:
         return self._columns[len(self._families) + [*self._groups].index(name)]
 
 
+def _group_evidence(A: Array, b: Array) -> float:
+    return _mean_evidence(np.array([group_log_bayes(A, b, std) for std in _GROUP_STDS]))
+
+
 def _at_random(found: Information, columns: Indices) -> float:
     """Return the evidence that the effects of some columns differ from run to run at random."""
     A, b = found.A[np.ix_(columns, columns)], found.b[columns]
@@ -236,8 +240,8 @@ def _best_sets(
         for j, other in enumerate(sets):
             sums = one @ found.A[np.ix_(places[i], places[j])] @ other.T
             joint[..., i, j] = sums.diagonal().reshape(axis) if i == j else sums if i < j else sums.T
-    values = np.array([group_log_bayes(joint, along, share) for share in _SHARES]) - cost
-    evidence = 2.0 * (logsumexp(0.5 * values, axis=0) - math.log(len(_SHARES)))
+    values = np.array([group_log_bayes(joint, along, share) for share in SIZES]) - cost
+    evidence = 2.0 * (logsumexp(0.5 * values, axis=0) - math.log(len(SIZES)))
     best = np.unravel_index(int(np.argmax(evidence)), shape)
     amounts: list[float] = np.linalg.solve(joint[best] + np.eye(k), along[best]).tolist()
     return float(evidence[best]), amounts, [one[place] for one, place in zip(sets, best, strict=True)]
@@ -266,7 +270,7 @@ def _score(
     kind: EffectKind, A: Array, b: Array, shape: Callable[[int], Mapping[str, float]], weight: Array | None = None
 ) -> EffectScore:
     """Return the evidence of an effect, averaged over its shapes; A is the diagonal of the matrix."""
-    values = np.array([log_bayes(A, b, share * kind.typical_size, kind.sign) for share in _SHARES])
+    values = np.array([log_bayes(A, b, share * kind.typical_size, kind.sign) for share in SIZES])
     best = int(np.argmax(values[-1]))
     size = b[best] / (A[best] + kind.typical_size**-2)
     parameters = {**shape(best), kind.amplitude: kind.neutral + float(size)}
@@ -304,7 +308,6 @@ CERTAIN: Final = 0.8
 # Limits of evidence are in 2 ln of the Bayes factor.
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
-_CERTAIN_SCORE: Final = 18.0  # Evidence from which a dependence is fitted no further: it decides as it is
 _MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted in full
 
 
@@ -357,7 +360,7 @@ class Search:
         self._scorer = EffectScorer(model)
         self._scores = cache(self._scorer.scores)
         self._fitted: list[Hypothesis] = []
-        self._alone: dict[str, float] = {}  # Evidence of single effects on all runs
+        self._generic_of_base: list[EffectScore] | None = None
 
     def gradient_point(self) -> str | None:
         """Return the point of the train at which gradients are given, None if they are means under it."""
@@ -397,28 +400,30 @@ class Search:
         """Yield what was compared: sets that were fitted, those with one effect more or another, and other causes."""
         yield Hypothesis((), 0.0)
         yield from self._fitted
-        base, groups_of_base = self._scores(self.base.model, self.base.hyper)
-        for score in base:
-            yield Hypothesis((score.name,), score.evidence)
-        # Hyperparameters fitted without an effect hide as much of a dependence as of the best effect.
-        hidden = max(self._alone.get(base[0].name, 0.0) - base[0].evidence, 0.0)
-        for score in groups_of_base:
-            evidence = score.evidence + (hidden if score.evidence > _MIN_SCORE else 0.0)
-            yield dependence((), evidence)
+        yield from self._scored((), 0.0, self._scores(self.base.model, self.base.hyper)[0])
+        if self._generic_of_base is None:
+            self._generic_of_base = self._generic(self.base)
+        for score in self._generic_of_base:
+            yield dependence((), score.evidence)
         names, reached = final.names, self._beyond(final)
         for k, gain in enumerate(gains):
             rest = _less(names, k)
             yield Hypothesis(rest, reached - gain)
-            for score in self._named(final.model.without(k), final.hyper):
-                yield Hypothesis((*rest, score.name), reached - gain + score.evidence)
+            yield from self._scored(rest, reached - gain, self._named(final.model.without(k), final.hyper))
         if names:
             yield Hypothesis(names, reached)
-            for score in self._named(final.model, final.hyper):
-                yield Hypothesis((*names, score.name), reached + score.evidence)
+            yield from self._scored(names, reached, self._named(final.model, final.hyper))
         for score in groups:
             yield dependence(names, reached + score.evidence)
         if not slipping:  # whose bursts look like gusts
             yield noise(names, reached + final.excess)
+
+    def _scored(self, names: Sequence[str], reached: float, scores: Iterable[EffectScore]) -> Iterator[Hypothesis]:
+        """Yield sets with one effect more by its score; one that is not linear in its amplitude only if not fitted."""
+        fitted = {frozenset(item.names) for item in self._fitted}
+        for score in scores:
+            if EFFECTS[score.name].linear or frozenset((*names, score.name)) not in fitted:
+                yield Hypothesis((*names, score.name), reached + score.evidence)
 
     def _add(self, state: State) -> State | None:
         """Add the best effect; None if none is more probable than not, or others are no longer.
@@ -470,11 +475,13 @@ class Search:
         judged = []
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
-            if _MIN_SCORE < found < _CERTAIN_SCORE:
+            if found > _MIN_SCORE:
                 columns = self._scorer.group_columns(score.name)
-                model = state.model.with_columns(columns, np.full(columns.shape[1], 0.3))  # N/kN
-                hyper, _ = model.evidence().maximise(state.logs)
-                found = max(found, hyper.evidence - state.hyper.evidence)
+                model = state.model.with_columns(columns, np.full(columns.shape[1], _GROUP_STDS[-1]))
+                hyper, logs = model.evidence().maximise(state.logs)
+                (alone,) = state.model.informations(hyper, [columns])
+                lost = state.hyper.evidence - state.model.evidence().at(logs)
+                found = max(found, _group_evidence(alone.A, alone.b) - lost)
             judged.append(replace(score, evidence=found))
         return _by_evidence([*judged, *groups[_MAX_GROUPS:]])
 
@@ -483,10 +490,12 @@ class Search:
         added = (EffectTerm(score.name, score.parameters, runs=score.runs) for score in scores)
         model = model.with_terms((*model.terms, *added)).fit(before.hyper)
         hyper, logs = model.evidence().maximise(before.logs)
+        # Gusts that stood for the effect have hidden its onset, which no fit finds from afar.
+        if (timed := with_onsets(model, hyper)) is not model:
+            model = timed.fit(hyper)
+            hyper, logs = model.evidence().maximise(logs)
         state = State(model.fit(hyper), hyper, logs)
-        self._fitted.append(fitted := Hypothesis(state.names, self._beyond(state)))
-        if len(state.names) == 1 and not scores[0].runs:
-            self._alone[scores[0].name] = max(fitted.evidence, self._alone.get(scores[0].name, 0.0))
+        self._fitted.append(Hypothesis(state.names, self._beyond(state)))
         return state
 
     def _beyond(self, state: State) -> float:
@@ -547,22 +556,29 @@ def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
 
 
 def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> EffectTerm:
-    """Return an effect fitted to a model ``without`` it, with posterior mean and variance of any onset time it has."""
+    """Return an effect fitted to a model ``without`` it, with posterior mean and variance of its onset or duration.
+
+    The forces change by steps there, which a fit does not follow from afar.
+    """
     kind = term.kind
-    names = [n for n in kind.shape if kind.parameters[n].unit == 's' and kind.parameters[n].search is None]
+    names = [n for n in kind.shape if kind.parameters[n].unit == 's']
     if len(names) != 1 or term.covariance is None:
         return term
     name, dataset = names[0], without.dataset
-    times = np.linspace(dataset.time.min(), dataset.time.max(), 122)[1:-1]
-    times = np.sort(np.append(times, term.parameters[name]))
+    limits, is_log = kind.parameters[name].search, kind.parameters[name].grid == 'log'
+    if limits is None:
+        grid = np.quantile(dataset.time, np.linspace(0.0, 1.0, 122)[1:-1])  # where the train moves
+    else:
+        grid = np.geomspace(*limits, 40) if is_log else np.linspace(*limits, 40)
+    times = np.sort(np.append(grid, term.parameters[name]))
     columns = [unit_resistance(without.evaluator, kind, {**term.shape, name: float(t)}) for t in times]
     (information,) = without.informations(hyper, [dataset.column(np.stack(columns, axis=1))])
     value = log_bayes(np.diag(information.A), information.b, kind.typical_size, kind.sign)
     weight = np.exp(0.5 * (value - value.max()))
-    weight = weight * np.gradient(times)
+    weight = weight * np.gradient(np.log(times) if is_log else times)
     weight /= weight.sum()
     mean = float(weight @ times)
-    variance = float(weight @ np.square(times - mean)) + float(np.median(np.diff(times))) ** 2 / 12.0
+    variance = float(weight @ np.square(times - mean)) + float(np.interp(mean, grid, np.gradient(grid))) ** 2 / 12.0
     at = term.index(name)
     covariance = term.covariance.copy()
     covariance[at, at] = max(covariance[at, at], variance)
