@@ -59,8 +59,9 @@ def test_number_of_effects_and_other_causes() -> None:
     of_none = dict(found.shares)[NONE]
     assert found.at_least(0) == pytest.approx(1.0)
     assert found.at_least(1) == pytest.approx(1.0 - of_none)
-    assert found.other == pytest.approx(dict(found.shares)[OTHER])
+    assert found.other == pytest.approx(2.0 * dict(found.shares)[OTHER])  # it shares with the wind
     assert 0.0 < found.other < 1.0
+    assert found.of('headwind') > found.other
     assert probabilities([NOTHING]).other == 0.0
 
 

@@ -9,7 +9,7 @@ number of effects, its weight is
 
 The temperature T > 1 allows for real effects whose equations differ from those of the library. Beside sets of effects
 there are other causes: a dependence without a name, which is added to a set, or more noise than is usual with it. The
-probability of a set is divided equally among its effects, so that all of them add up to one.
+probability of a set is divided equally among its effects and another cause, so that all causes add up to one.
 """
 
 from __future__ import annotations
@@ -87,6 +87,7 @@ class Probabilities:
     shares: tuple[tuple[str, float], ...]  # Cause and probability, largest first; they add up to one
     present: tuple[tuple[str, float], ...]  # Effect and probability that it is among the causes
     counts: tuple[tuple[int, float], ...]  # Number of effects and its probability
+    other: float  # Probability that something outside the library is missing, alone or with effects
 
     def of(self, name: str) -> float:
         """Return the probability that an effect is among the causes."""
@@ -95,11 +96,6 @@ class Probabilities:
     def at_least(self, count: int) -> float:
         """Return the probability that so many effects or more are missing."""
         return sum(p for number, p in self.counts if number >= count)
-
-    @property
-    def other(self) -> float:
-        """Probability that something outside the library is missing."""
-        return dict(self.shares).get(OTHER, 0.0)
 
 
 def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = ()) -> Probabilities:
@@ -111,10 +107,11 @@ def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = (
             best[key] = item
     most = max(item.weight for item in best.values())
     share, present = defaultdict[str, float](float), defaultdict[str, float](float)
-    counts = defaultdict[int, float](float)
+    counts, other = defaultdict[int, float](float), 0.0
     for item in best.values():
         p, names = math.exp(item.weight - most), {*item.names, *certain}
-        causes = [OTHER] if item.is_other else sorted(names) or [NONE]
+        causes = [*sorted(names), OTHER] if item.is_other else sorted(names) or [NONE]
+        other += p * item.is_other
         for cause in causes:
             share[cause] += p / len(causes)
         counts[len(item.names)] += p
@@ -126,6 +123,7 @@ def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = (
         tuple((name, p / total) for name, p in ordered),
         tuple((name, min(p / total, 1.0)) for name, p in present.items()),
         tuple((count, p / total) for count, p in counts.items()),
+        other / total,
     )
 
 
