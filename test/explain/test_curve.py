@@ -120,3 +120,12 @@ def test_a_shape_without_width_is_no_function(form: Form) -> None:
     value, size = scored(form, level=True, knots=knots, found=found, count=100, shape=(0.0, 0.0))
     assert not math.isnan(value)
     assert np.isfinite(size).all()
+
+
+def test_a_bump_between_two_knots_is_no_function() -> None:
+    """Nothing of it is known, so its size would have no limit."""
+    bump, knots = next(form for form in FORMS if 'exp(-((' in form.terms[0]), np.linspace(0.0, 23.0, 24)
+    found = Information(np.eye(24), np.ones(24), 1.0, 0.0)
+    narrow, wide = (scored(bump, (5.5, q), level=False, knots=knots, found=found, count=100) for q in (0.02, 0.5))
+    assert narrow[0] == -math.inf
+    assert wide[0] > -math.inf

@@ -180,7 +180,7 @@ def scored(
     """Return the BIC of a function relative to none, larger is better, and its coefficients."""
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         G = form.at(knots, shape, level=level)
-    if not np.isfinite(G).all():  # a width of zero
+    if not np.isfinite(G).all() or (np.abs(G).max(axis=0) < 1e-6).any():  # a width of zero, or a bump between two knots
         return -math.inf, np.zeros(G.shape[1])
     size = np.asarray(np.linalg.lstsq(G.T @ found.A @ G, G.T @ found.b, rcond=1e-12)[0], dtype=np.float64)
     return float(found.b @ G @ size) - (G.shape[1] + form.free) * math.log(count), size
