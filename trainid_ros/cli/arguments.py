@@ -110,7 +110,8 @@ VERBS: Final = (
     ),
     Verb(
         'replay', 'run the estimators over bags, off line',
-        'bags --map --max-chunk --train --params --algorithm --out --report --truth --jobs --namespace --json',
+        'bags --map --max-chunk --train --params --algorithm --checkpoint --out --report --truth --jobs --namespace '
+        '--json',
     ),
     Verb(
         'play', "publish a bag's inputs with /clock",
@@ -190,6 +191,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         'FILE.yaml', 'ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given'
     ),
     '--algorithm': _repeated('algorithm instead of the default, or resistance=NAME and so on; repeatable'),
+    '--checkpoint': _path(
+        'FOLDER',
+        'start from the checkpoints NODE.json in this folder, such as the folder of a recording (run --record)',
+    ),
     'demo --out': _path('DIR', 'report and logs (default: out/demo)', default=Path('out/demo')),
     'view --out': _path('FILE.rrd', 'write a recording instead of opening the viewer'),
     'replay --out': _path(
