@@ -155,7 +155,7 @@ VERBS: Final = (
 
 OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'bag': _path('BAG', 'rosbag2 directory, .mcap or .db3 file'),
-    'demo bag': _path('BAG', 'bags with train.yaml inside (default: those of the package)', nargs='*'),
+    'demo bag': _path('BAG', 'bags with train.yaml inside (default: those of the source tree)', nargs='*'),
     'bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file', nargs='+'),
     'fleet bags': _path('BAG', 'bags, folders that hold bags, or patterns', nargs='+'),
     'tables': _path('TABLE', 'tables of trainid fleet', nargs='+'),

@@ -34,7 +34,7 @@ from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, pri
 from trainid_ros.cli.processes import ProcessGroup, isolate
 from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.explain.result import Explanation
-from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     bags = [load_demo_bag(path) for path in args.bag or map(stock_bag, names)]
     report = prepare_page(args.out / 'report.html') if bags else None
     hides = not args.bag and args.only in (None, EXPLAIN_CHAPTER)
-    folder, train = args.out / EXPLAIN_CHAPTER, stock_bag('yizhuang') / 'train.yaml'
+    folder, train = args.out / EXPLAIN_CHAPTER, shared_path('config/trains/yizhuang.yaml')
     hidden = {seed: folder / f'seed_{seed}' for seed in range(args.seed, args.seed + 3)} if hides else {}
     for place in hidden.values():
         prepare_folder(place, train)
@@ -134,8 +134,15 @@ class DemoBag(NamedTuple):
 
 
 def stock_bag(name: str) -> Path:
-    """Return the folder of a bag of the package; InputError if it is not there."""
-    return shared_path(f'bags/{DEMO_BAGS[name]}')
+    """Return the folder of a bag in the source tree; InputError, with what to do instead, if it is not there."""
+    try:
+        return shared_path(f'bags/{DEMO_BAGS[name]}')
+    except InputError:
+        path = f'SOURCE/bags/{DEMO_BAGS[name]}'
+        raise InputError(
+            f'{path}: the bags of the demo are not installed: get the source tree (SOURCE) of trainid_ros and run '
+            f'trainid demo {path}, or run trainid demo --only {EXPLAIN_CHAPTER}, which needs no bag'
+        ) from None
 
 
 def load_demo_bag(path: Path) -> DemoBag:
