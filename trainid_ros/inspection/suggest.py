@@ -45,6 +45,7 @@ from trainid_ros.inspection.number_series import (
 )
 from trainid_ros.interface.text import listed, printable
 from trainid_ros.train.forces import G
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import TrainFile
 
 
@@ -184,7 +185,7 @@ def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
     total = None
     if forces:  # the force [N] at the common times, shape (n,)
         total = _sum_at([(p.series, find_unit(p.unit, 'force').factor * p.sign) for p in forces[0].parts], motion)
-    gradients = _choose_gradient(rest, motion, total, has_position=bool(position))
+    gradients = _choose_gradient(rest, motion, total, position)
     masses = _choose_mass([item for item in own if item.field == 'mass'] or rest, train_file)
     brakes = _choose_brake(rest, motion, _specific_force(total, masses, train_file))
     return [speed, *position, *forces, *gradients, *brakes, *masses]
@@ -472,7 +473,10 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
         choice.decisions.append('the unit; with --train the mass shows it')
         return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    fitting = nearest_unit(newtons, unit_factors('force'))
+    # A thousand pounds are like a per cent of the force of many trains.
+    fitting = nearest_unit(
+        newtons, {x: size for x, size in unit_factors('force').items() if x in {named, 'N', 'kN', 'lbf'}}
+    )
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -494,7 +498,7 @@ def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: T
 
 
 def _choose_gradient(
-    series: Iterable[NumberSeries], motion: _Motion, total: Array | None, *, has_position: bool
+    series: Iterable[NumberSeries], motion: _Motion, total: Array | None, position: Sequence[Choice]
 ) -> list[Choice]:
     """Return the gradient, from a topic or the line, with the position where that needs one; empty if there is none.
 
@@ -506,7 +510,8 @@ def _choose_gradient(
     if motion.train_file is None or not motion.train_file.line.gradient:
         return []
     choice = Choice('gradient', text='{from: line}', reasons=['the train file has a line'])
-    if has_position:
+    if position:
+        _compare_line(choice, position[0].parts[0], motion, total, motion.train_file)
         return [choice]
     where = Choice('position', text='{from: speed, start: 0.0, direction: 1}')
     where.reasons = ['the line is looked up by position']
@@ -514,13 +519,40 @@ def _choose_gradient(
     return [where, choice]
 
 
+def _compare_line(choice: Choice, position: Part, motion: _Motion, total: Array | None, train_file: TrainFile) -> None:
+    """Note whether a position lies on the line of the train file, and the train is slowed as by its gradients."""
+    line = profile_of(train_file)
+    metres = find_unit(position.unit, 'length').factor * position.sign * at_times(position.series, motion.times)
+    known = np.isfinite(metres)
+    if outside := float(np.mean((metres[known] < line.first) | (metres[known] > line.last))) if known.any() else 0.0:
+        choice.decisions.append(
+            f'{outside:.0%} of the positions are off the line, {line.first:.0f} to {line.last:.0f} m'
+        )
+    directions = np.where(derivative(metres) < 0.0, -1, 1).tolist()
+    gradients = [line.gradient(x, sign) for x, sign in zip(metres.tolist(), directions, strict=True)]
+    share, gain = _slowing(np.array(gradients), motion, total)
+    if gain <= _MIN_GAIN:
+        choice.decisions.append('whether the drive is on this line: forces and speeds do not show its gradients')
+    elif share > 0.0 and is_near(share, 1.0):
+        choice.reasons.append(f'the train is slowed as by {share:.2f} times the gradients at its positions')
+    else:
+        choice.decisions.append(
+            f'the train is slowed as by {share:.2f} times the gradients at its positions: is it on this line, and do '
+            'positions count from its begin?'
+        )
+
+
+# Share of the variance of the acceleration from which on a gradient shows [1].
+_MIN_GAIN: Final = 1e-3
+
+
 def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, Choice]:
     """Return how much more of the acceleration a gradient explains [1], and the choice."""
     named = unit_in(series, 'gradient')
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
     unit, sign = named or _unit_by_range('gradient', top), 1.0
-    permille, gain = _slowing(series, motion, total)
-    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > 1e-3 else ''
+    permille, gain = _slowing(at_times(series, motion.times), motion, total)
+    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _MIN_GAIN else ''
     if by_slope:
         choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
         unit, sign = named or by_slope, math.copysign(1.0, permille)
@@ -531,11 +563,14 @@ def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tup
     return gain, choice
 
 
-def _slowing(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, float]:
-    """Return as how many per mille each unit slows the train, and the share of the variance that this explains [1]."""
+def _slowing(x: Array, motion: _Motion, total: Array | None) -> tuple[float, float]:
+    """Return as how many per mille each unit of a gradient at the common times, shape (n,), slows the train.
+
+    Also the share of the variance that this explains [1].
+    """
     if total is None:
         return 1.0, 0.0
-    y, x, others = motion.acceleration, at_times(series, motion.times), [total, motion.speed, motion.speed**2]
+    y, others = motion.acceleration, [total, motion.speed, motion.speed**2]
     known = motion.moving & np.isfinite(x) & np.isfinite(y) & np.isfinite(total)
     if np.count_nonzero(known) < MIN_NUMBERS:
         return 1.0, 0.0
