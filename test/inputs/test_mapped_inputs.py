@@ -271,9 +271,9 @@ def test_a_jump_of_the_wrong_sign_is_doubted(jump: float, direction: int) -> Non
             mapped.take('x', message(post, at(5 * k)), 0)
             mapped.take('v', message(10.0, at(5 * k)), 0)
         doubts.append(mapped.warnings)
-    size = 2.0 * abs(jump)
-    text = f'chainage: at 1250 m position and speed disagree by {size:.0f} m: is the sign of the jump of {-jump:g} m'
-    assert doubts == [[], [f'{text} right?']]
+    size = f'{2.0 * abs(jump):.0f} m'
+    text = f'chainage: is [1250, {-jump:g}] of the right sign? Position and speed disagree there by {size}'
+    assert doubts == [[], [text]]
 
 
 def test_a_post_that_is_there_twice_says_nothing_of_the_place() -> None:

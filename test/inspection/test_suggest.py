@@ -242,7 +242,7 @@ def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: Trai
 
 
 @pytest.mark.parametrize(
-    ('shift', 'said'), [(0.0, 'times the gradients at its positions\n'), (600.0, 'is it on this line')]
+    ('shift', 'said'), [(0.0, 'times the gradients at its positions\n'), (600.0, 'is it this line')]
 )
 def test_the_gradients_of_the_line_are_compared_with_the_drive(
     ride: list[Record], metro: TrainFile, tmp_path: Path, shift: float, said: str

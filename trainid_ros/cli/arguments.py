@@ -191,10 +191,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         'FILE.yaml', 'ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given'
     ),
     '--algorithm': _repeated('algorithm instead of the default, or resistance=NAME and so on; repeatable'),
-    '--checkpoint': _path(
-        'FOLDER',
-        'start from the checkpoints NODE.json in this folder, such as the folder of a recording (run --record)',
-    ),
+    '--checkpoint': _path('FOLDER', 'start from the checkpoints there, such as those of a recording of run --record'),
     'demo --out': _path('DIR', 'report and logs (default: out/demo)', default=Path('out/demo')),
     'view --out': _path('FILE.rrd', 'write a recording instead of opening the viewer'),
     'replay --out': _path(

@@ -136,11 +136,10 @@ def stock_bag(name: str) -> Path:
     """Return the folder of a bag in the source tree; InputError, with what to do instead, if it is not there."""
     try:
         return shared_path(f'bags/{DEMO_BAGS[name]}')
-    except InputError:
-        path = f'SOURCE/bags/{DEMO_BAGS[name]}'
+    except InputError as error:
+        hint = f'trainid demo SOURCE/bags/{DEMO_BAGS[name]}, or run trainid demo --only {EXPLAIN_CHAPTER}'
         raise InputError(
-            f'{path}: the bags of the demo are not installed: get the source tree (SOURCE) of trainid_ros and run '
-            f'trainid demo {path}, or run trainid demo --only {EXPLAIN_CHAPTER}, which needs no bag'
+            f'{error}: bags are not installed; get the source tree of trainid_ros and run {hint}'
         ) from None
 
 
@@ -409,19 +408,14 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
 
 
 class Replayed:
-    """Replay of a bag through the pipelines of all nodes.
-
-    Attributes:
-        published: What each node should have published.
-        outcome: The outcome for the nodes of the mission.
-    """
+    """Replay of a bag: what each node should have published, and the outcome for those of the mission."""
 
     def __init__(self, bag: DemoBag, duration_s: float, recorder: Recorder) -> None:
         """Replay a bag up to a duration [s]; the inputs go to a recorder."""
         self.published = {node: Published() for node in NODES}
         self._v_mils = V_MILS.kind.pipeline(bag.train_file, V_MILS.settings)
         self._recorder = recorder
-        pipelines = Pipelines.of(bag.train_file, MISSION[0].settings)
+        pipelines = Pipelines.of(bag.train_file, EstimatorSettings())
         with BagReader(bag.path) as reader, progress('replay for comparison'):
             self.outcome = replay_through(pipelines, reader, observers=(self,), duration_s=duration_s)
 
@@ -460,7 +454,6 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         truth=truth,
         notes=tuple(f'{node.label}: {comparison}' for node, comparison in compared.items()),
         others=(('V-MILS', beside.resistance),),
-        adhesion=replayed.outcome.adhesion,
         verdict=judge(replayed.outcome, (None, None), str(bag.path), str(bag.train_path)),
     )
     answer = {

@@ -64,27 +64,26 @@ def _load_setups(
 
 
 def _start(
-    args: argparse.Namespace, setups: Sequence[Setup], warn: Callable[[str], None] = lambda _: None
+    args: argparse.Namespace, setups: Sequence[Setup], warn: Callable[[str], None]
 ) -> tuple[list[Setup], list[str]]:
     """Return set-ups and the states to start from, '' for the prior; with checkpoints also their alignment.
 
     InputError if there is no checkpoint in the folder given, or one does not fit.
     """
-    paths = [] if args.checkpoint is None else [args.checkpoint / f'{setup.kind.node_name}{SUFFIX}' for setup in setups]
-    found = [read_checkpoint(path) for path in paths]
-    if paths and not any(found):
-        raise InputError(f'{args.checkpoint}: there is no checkpoint such as {paths[0].name}')
     started, states = list(setups), [''] * len(setups)
-    for k, (path, checkpoint) in enumerate(zip(paths, found, strict=True)):
-        if checkpoint is None:
+    for k, setup in enumerate(setups if args.checkpoint is not None else ()):
+        path = args.checkpoint / f'{setup.kind.node_name}{SUFFIX}'
+        if (checkpoint := read_checkpoint(path)) is None:
             warn(f'{path}: there is no checkpoint, so this estimator starts from the train file')
             continue
         # A recording of other topics was aligned as its mapping needs.
-        started[k] = setups[k].aligned(checkpoint.provenance.values)
-        here = provenance_of(started[k].kind.name, started[k].train_file, started[k].settings)
+        started[k] = setup.aligned(checkpoint.provenance.values)
+        here = provenance_of(setup.kind.name, setup.train_file, started[k].settings)
         if reason := checkpoint.provenance.mismatch(here):
             raise InputError(f'{path}: checkpoint {reason}')
         states[k] = checkpoint.state
+    if args.checkpoint is not None and not any(states):
+        raise InputError(f'{args.checkpoint}: there is no checkpoint such as {path.name}')
     return started, states
 
 
@@ -100,9 +99,7 @@ def run(args: argparse.Namespace) -> int:
     """Replay bags and print what was identified."""
     args.map = args.map or mapping_in(args.params, args.namespace)
     # What cannot be used for any bag is reported once.
-    setups = _load_setups(args, args.train)
-    mapped_inputs(args.map, setups[0].train_file)
-    _start(args, setups)
+    mapped_inputs(args.map, _load_setups(args, args.train)[0].train_file)
     if len(args.bags) > 1:
         _check_outputs(args)
     for out, report in (_outputs(args, bag) for bag in args.bags):

@@ -275,7 +275,11 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     names = tuple(channel.name for channel in channels)
     step, std = np.array([steps[name] for name in names]).reshape(-1, 2).T
     noise = np.diag(std**2 + np.array([channel.slack for channel in channels]) ** 2)
-    found = [_log_evidence(kind, names, step, noise) for kind in _KINDS[:-1]]
+    found = []
+    for kind in _KINDS[:-1]:  # whose directions are equally probable
+        ways = [np.array([way.get(name, 0.0) for name in names]) for way in kind.directions]
+        each = [_log_evidence(kind, way, step, noise) for way in ways]
+        found.append(float(np.logaddexp.reduce(each)) - math.log(len(each)))
     other = noise + np.diag([channel.change**2 for channel in channels])
     log_p = np.array([*found, _log_normal(step, other)])
     p = np.exp(log_p - log_p.max())
@@ -284,17 +288,8 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     return tuple(sorted((c for c in causes if c.probability >= 0.05), key=lambda cause: -cause.probability))
 
 
-def _log_evidence(kind: _Kind, names: tuple[str, ...], step: Array, noise: Array) -> float:
-    """Return ln p(steps | cause), whose directions are equally probable."""
-    found = [_along(kind, np.array([way.get(name, 0.0) for name in names]), step, noise) for way in kind.directions]
-    return float(np.logaddexp.reduce(found)) - math.log(len(found))
-
-
-def _along(kind: _Kind, d: Array, step: Array, noise: Array) -> float:
-    """Return ln p(steps | cause) for a direction.
-
-    A cause of one sign has twice the density on that side and none on the other.
-    """
+def _log_evidence(kind: _Kind, d: Array, step: Array, noise: Array) -> float:
+    """Return ln p(steps | cause, direction); one of one sign has twice the density there and none on the other side."""
     if not d.any():
         return -math.inf
     log_p = _log_normal(step, noise + kind.size**2 * np.outer(d, d))

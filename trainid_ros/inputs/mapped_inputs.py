@@ -126,7 +126,8 @@ class MappedInputs:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
             case 'position':
-                self._position.correct(stamp_ns, self._chainage.follow(value, self._position.when(stamp_ns)))
+                near = self._position.at + self._position.travelled(stamp_ns)
+                self._position.correct(stamp_ns, self._chainage.follow(value, near))
                 return []
             case 'force':
                 return [ForceRecord(stamp_ns, value)]
@@ -202,13 +203,9 @@ class _DeadReckoning:
             self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
-        self.at = position - self._travelled(stamp_ns)
+        self.at = position - self.travelled(stamp_ns)
 
-    def when(self, stamp_ns: int) -> float:
-        """Return the position at a stamp near the last speed [m]."""
-        return self.at + self._travelled(stamp_ns)
-
-    def _travelled(self, stamp_ns: int) -> float:
+    def travelled(self, stamp_ns: int) -> float:
         """Return the change of the position from the last speed to a stamp [m], 0 in a gap."""
         since_ns = stamp_ns - self._stamp_ns
         moves = math.isfinite(self._speed) and abs(since_ns) <= _MAX_GAP_NS
@@ -261,8 +258,7 @@ class _Chainage:
     def doubts(self) -> list[str]:
         """What is doubtful: a jump of the wrong sign makes steps of twice its size, a right one none in sum."""
         return [
-            f'chainage: at {at:g} m position and speed disagree by {abs(step):.0f} m: is the sign of the jump of '
-            f'{jump:g} m right?'
+            f'chainage: is [{at:g}, {jump:g}] of the right sign? Position and speed disagree there by {abs(step):.0f} m'
             for (at, jump), step in zip(self._jumps, self._steps, strict=True)
             if abs(step) > 1.2 * abs(jump)
         ]

@@ -50,8 +50,10 @@ class Clock:
             clock, *dates = (columns[name] for name in self._time.columns)
             form = '' if dates and '%' in self._time.format else self._time.format
             values = _of_form(clock, form, f'{where}: {place}')
-            if dates:
-                values = _dated(values, dates[0], f'{where}: {place}')
+            for day in dates:
+                if values.dtype.kind != 'm' or day.dtype.kind != 'M':
+                    raise InputError(f'{where}: {place}: time: {{field, date}} must be times of day and dates')
+                values = np.asarray(day.astype('datetime64[D]') + values.astype('timedelta64[ns]'))
         else:
             values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
         known = np.isfinite(values)
@@ -111,13 +113,6 @@ def _of_form(values: Column, form: str, where: str) -> Column:
         raise InputError(f'{where} holds numbers that are no times like {CLOCK}')
     seconds = values % 100 + 60.0 * minutes + 3600.0 * hours
     return np.where(np.isnan(seconds), np.nan, np.rint(seconds * NS_PER_S)).astype('timedelta64[ns]')
-
-
-def _dated(times: Column, dates: Column, where: str) -> Column:
-    """Return times of day of dates; InputError if they are none."""
-    if times.dtype.kind != 'm' or dates.dtype.kind != 'M':
-        raise InputError(f'{where}: time: {{field, date}} in the mapping must be times of day and dates')
-    return np.asarray(dates.astype('datetime64[D]') + times.astype('timedelta64[ns]'))
 
 
 def numbers(column: Column) -> NDArray[np.float64]:

@@ -197,8 +197,11 @@ def _time(
     if column.dtype.kind in 'if':
         unit, form = _unit_of_time(series, column[np.isfinite(column)].astype(np.float64), choice, reader)
         words.append(f'format: {form}' if form else f'unit: {unit}')
-    dates = [other for other, values in columns.items() if _is_date(values)] if column.dtype.kind == 'm' else []
-    dates = dates[:1]
+    # A column of dates alone belongs to times of day.
+    days = {other: x.astype('datetime64[D]') for other, x in columns.items() if x.dtype.kind == 'M'}
+    dates = [x for x, day in days.items() if column.dtype.kind == 'm' and np.all(np.isnat(day) | (day == columns[x]))][
+        :1
+    ]
     words += [f'date: {quoted(date)}' for date in dates]
     for of_form in (name, *dates):
         if of_form in reader.forms:
@@ -214,12 +217,6 @@ def _time(
     choice.decisions += [f'also like a time: {listed(others, 3)}'] if others else []
     clock = Clock(TimeColumn((name, *dates), find_unit(unit, 'time'), format=form))
     return choice, clock.stamps({name: column, **columns}, name, 0, has_zone=True)
-
-
-def _is_date(column: Column) -> bool:
-    """Return whether a column holds dates alone."""
-    known = column[~np.isnat(column)] if column.dtype.kind == 'M' else column[:0]
-    return bool(known.size) and bool(np.all(known == known.astype('datetime64[D]')))
 
 
 # Since 1970 the least number in each unit [ns to s], from 1973 on, and the largest step from row to row in it.

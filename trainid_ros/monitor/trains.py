@@ -298,7 +298,6 @@ ESTIMATOR: Final = 'estimator'
 INPUT: Final = 'input '
 # A node reports once a second; older reports of it no longer hold [s].
 _REPORT_S: Final = 3.5
-_INPUTS: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,18 +359,19 @@ class Reports:
         return report if report is not None and now_s - report.time_s < _REPORT_S else None
 
     def inputs(self, now_s: float, namespace: str) -> dict[str, InputView]:
-        """Return the inputs by name, each as the node that heard it last reports it, be it long ago.
-
-        Those of the interface are in a namespace, unless they are remapped.
-        """
+        """Return the inputs by name, as the node that heard each last reports it; remapped: not in the namespace."""
         seen: dict[str, InputView] = {}
         for (node, subject), report in sorted(self._newest.items()):
             if not subject.startswith(INPUT):
                 continue
             name, topic = subject.removeprefix(INPUT), report.values.get('topic', '')
-            is_remapped = topic not in ('', f'{namespace.rstrip("/")}/{name}') and name in _INPUTS
-            shown = f'{topic} ({name})' if is_remapped else name
-            item = _input(shown, report, now_s - self._grew_s[node, subject], optional=name == MASS_TOPIC.name)
+            is_usual = topic in ('', f'{namespace.rstrip("/")}/{name}') or all(name != own.name for own in INPUT_TOPICS)
+            item = _input(
+                name if is_usual else f'{topic} ({name})',
+                report,
+                now_s - self._grew_s[node, subject],
+                optional=name == MASS_TOPIC.name,
+            )
             if name not in seen or item.silent_s < seen[name].silent_s:
                 seen[name] = item
         return seen

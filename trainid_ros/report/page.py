@@ -182,10 +182,7 @@ FAULTS: Final = {'contradiction': (BAD, 0.18), 'gap': (MUTED, 0.3), 'rejected': 
 
 
 def draw_faults(axes: Axes, spans: Sequence[Span], duration_s: float) -> list[Patch]:
-    """Shade what is wrong with the inputs, each at least as wide as a line; return the entries for the legend.
-
-    A wide band, as of a prior, hides the shade, but not its edge.
-    """
+    """Shade what is wrong with the inputs, each at least as wide as a line; return the entries for the legend."""
     patches, least_s = [], duration_s / 700.0
     for label, (colour, alpha) in FAULTS.items():
         joined: list[Span] = []
@@ -196,6 +193,7 @@ def draw_faults(axes: Axes, spans: Sequence[Span], duration_s: float) -> list[Pa
             else:
                 joined.append(span._replace(end_s=end_s))
         if joined:
+            # A wide band, as of a prior, hides the shade, but not its edge.
             draw_spans(axes, joined, {label: colour}, alpha=alpha, edge=0.05)
             patches.append(Patch(color=colour, alpha=alpha, linewidth=0, label=label))
     return patches

@@ -152,10 +152,7 @@ def parse_checkpoint(text: str, source: str) -> Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint | None:
-    """Return what a file holds, whether it fits or not; None if there is no file.
-
-    InputError if it cannot be read or is damaged, ForeignFileError if it is something else.
-    """
+    """Return what a file holds, None if there is none; InputError if that is unusable, ForeignFileError if foreign."""
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):

@@ -13,10 +13,9 @@ import shutil
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Row
@@ -70,13 +69,12 @@ def step_of(before: Any, now: Any) -> str:
     return f'{name} from {old:.3g} ± {old_std:.2g} to {new:.3g} ± {new_std:.2g}' if is_step else ''
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(NamedTuple):
     """Inputs without a gap, from a checkpoint on."""
 
     begin_ns: int  # Log time of the first input [ns]
     files: dict[str, str]  # What the estimators had learned before, and their train file, by name of the file
-    entries: list[bytes] = field(default_factory=list)  # The inputs, packed
+    entries: list[bytes]  # The inputs, packed
 
 
 class Watch:
@@ -111,8 +109,7 @@ class EventRecorder:
     """Keeps the last inputs of some estimators, and writes them to a bag after an event.
 
     Attributes:
-        files: What makes the texts that go into the folder of the bag, by name, as of its first input; empty ones are
-            left out.
+        files: What makes the texts in the folder of the bag, by name, as of its first input; empty ones are left out.
     """
 
     def __init__(
@@ -139,13 +136,10 @@ class EventRecorder:
     def take(self, row: Row) -> None:
         """Keep an input that arrives now, before the estimators take it in."""
         self._newest_ns = log_ns = max(self._newest_ns + 1, self._offset_ns + self._clock())
-        segments = self._segments
-        if (
-            not segments
-            or log_ns - segments[-1].begin_ns >= self._span_ns // (SEGMENTS - 1)
-            or len(segments[-1].entries) >= MAX_ROWS // SEGMENTS
-        ):
-            segments.append(Segment(log_ns, {name: make() for name, make in self.files.items()}))
+        segments, span_ns = self._segments, self._span_ns // (SEGMENTS - 1)
+        last = segments[-1] if segments else None
+        if last is None or log_ns - last.begin_ns >= span_ns or len(last.entries) >= MAX_ROWS // SEGMENTS:
+            segments.append(Segment(log_ns, {name: make() for name, make in self.files.items()}, []))
             while len(segments) > 1 and segments[1].begin_ns <= log_ns - self._span_ns:
                 segments.popleft()
         segments[-1].entries.append(_ENTRY.pack(log_ns, *row))
@@ -161,8 +155,8 @@ class EventRecorder:
             if not self._due:
                 self._due_ns = max(self._free_ns, now_ns + _AFTER_NS)
             self._due[f'{name}: {text}'] = f'{name}_{kind}'
-        is_due = bool(self._due and self._segments) and now_ns >= self._due_ns
-        if is_due and (self._writing is None or self._writing.done()):
+        is_free = self._writing is None or self._writing.done()
+        if self._due and self._segments and now_ns >= self._due_ns and is_free:
             self._begin(now_ns)
 
     def request(self, name: str) -> str:
