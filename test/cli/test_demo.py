@@ -30,6 +30,7 @@ from trainid_ros.cli.demo import (
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Output, Status
 from trainid_ros.report import HTML_START
@@ -222,3 +223,20 @@ def test_hidden_effects_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert case['hidden'] in err
         assert {path.name for path in folder.iterdir()} == {'bag', 'report.html', 'report.json', 'train.yaml'}
         assert case['hidden'] in (folder / 'report.html').read_text(encoding='utf-8')
+
+
+@pytest.mark.usefixtures('_nothing_runs')
+def test_without_the_source_tree_the_demo_says_what_to_run(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing(relative: str) -> Path:
+        if relative.startswith('bags/'):
+            raise InputError(f'{relative}: not found')
+        return shared_path(relative)
+
+    monkeypatch.setattr(demo, 'shared_path', missing)
+    assert main(['demo', '--out', str(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'trainid demo SOURCE/bags/altrios_manifest, or run trainid demo --only explain' in line
+    with pytest.raises(pytest.fail.Exception, match='a chapter ran'):
+        main(['demo', '--only', 'explain', '--out', str(tmp_path)])

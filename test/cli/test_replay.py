@@ -15,6 +15,7 @@ import pytest
 from pyarrow import parquet
 
 from test.own_bag import messages_of
+from trainid_ros import __version__
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
@@ -29,6 +30,7 @@ from trainid_ros.interface.records import (
     stamp_of,
 )
 from trainid_ros.interface.results import Status
+from trainid_ros.setup.checkpoint import Checkpoint, Provenance
 from trainid_ros.setup.pipelines import EstimatorSettings
 from trainid_ros.stream.sample_stream import Contradiction
 from trainid_ros.train.train_file import dump_train_file, load_train_file
@@ -343,3 +345,15 @@ def test_csv_holds_the_estimates_with_units_in_its_header(outputs: Path, expecte
         assert float(row['resistance_a [N/kN]']) == message.a
         assert float(row['resistance_a_std [N/kN]']) ** 2 == pytest.approx(message.covariance[0])
         assert row['resistance_status'] == Status(message.status).name
+
+
+def test_a_checkpoint_must_be_there_and_fit(
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'resistance_estimator.json'
+    other = Checkpoint(Provenance(__version__, 'resistance', 'V-MILS', {}), 0, 0, '{}')
+    for text, problem in (('', 'there is no checkpoint such as'), (other.text(), 'is of V-MILS, not of filter-bank')):
+        if text:
+            path.write_text(text, encoding='utf-8')
+        assert call(driven_bag, '--checkpoint', str(tmp_path)) == 2
+        assert problem in capsys.readouterr().err

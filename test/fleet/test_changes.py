@@ -113,6 +113,7 @@ STD = {'w15': 0.02, 'brake_rate': 0.006, 'force_scale': 0.004, 'wheel_ratio': 0.
     ('steps', 'effect'),
     [
         ({'w15': 0.25}, 'dragging_brake'),
+        ({'w15': 0.7, 'brake_rate': -0.035}, 'dragging_brake'),
         ({'w15': -0.25}, 'resistance_step'),
         ({'brake_rate': -0.1}, 'brake_scale'),
         ({'wheel_ratio': 0.02, 'force_scale': 0.021, 'brake_rate': 0.017, 'w15': 0.03}, 'wheel_diameter'),

@@ -261,6 +261,21 @@ def test_posts_that_jump_give_a_distance_without_jumps(jumps: str, shift: float,
     assert measured(jumps, ends[::direction]) == pytest.approx(line[::direction])
 
 
+@pytest.mark.parametrize('direction', [1, -1])
+@pytest.mark.parametrize('jump', [150.0, -100.0])
+def test_a_jump_of_the_wrong_sign_is_doubted(jump: float, direction: int) -> None:
+    posts, doubts = [x + jump * (x > 1250.0) for x in (1000.0 + 10.0 * k for k in range(80))], []
+    for stated in (jump, -jump):
+        mapped = inputs(f'{POSTS}[[1250.0, {stated}]]')
+        for k, post in enumerate(posts[::direction]):
+            mapped.take('x', message(post, at(5 * k)), 0)
+            mapped.take('v', message(10.0, at(5 * k)), 0)
+        doubts.append(mapped.warnings)
+    size = f'{2.0 * abs(jump):.0f} m'
+    text = f'chainage: is [1250, {-jump:g}] of the right sign? Position and speed disagree there by {size}'
+    assert doubts == [[], [text]]
+
+
 def test_a_post_that_is_there_twice_says_nothing_of_the_place() -> None:
     found = measured('[[1250.0, -100.0]]', [1200.0, 1210.0])
     assert [math.isnan(position) for position in found] == [True, True]

@@ -262,6 +262,17 @@ def test_the_mapping_says_how_times_are_written(tmp_path: Path, text: str, time:
     assert first_stamp(tmp_path, text, time) == pytest.approx(1_700_000_000 * S, abs=1000)
 
 
+def test_date_and_clock_may_be_two_columns(tmp_path: Path) -> None:
+    path = tmp_path / 'log.csv'
+    path.write_text('day;t;v\n03/04/2024;23:59:59;1\n04/04/2024;00:00:00;2\n', encoding='utf-8')
+    mapping = '{time: {field: t, date: day, format: "%d/%m/%Y", zone: "+02:00"}, speed: {field: v}}'
+    found = records(TableRecords(path, MappedInputs(parse_mapping(mapping, 'map.yaml'), None)))
+    assert [record.stamp_ns - 1_712_181_600 * S for record in found] == [-S, 0]
+    wrong = parse_mapping('{time: {field: t, date: v}, speed: {field: v}}', 'map.yaml')
+    with pytest.raises(InputError, match='must be times of day and dates'):
+        records(TableRecords(path, MappedInputs(wrong, None)))
+
+
 def test_codes_of_no_value_are_left_out_of_all_files(tmp_path: Path) -> None:
     source = mapped(tmp_path, f'{SPEED}, missing: [-999, off]}}', t=[at(0), at(1)], v=[-999.0, 2.0])
     assert [record.stamp_ns for record in records(source)] == [at(1)]

@@ -16,6 +16,7 @@ from trainid_ros.inputs.units import find_unit, written_unit
         ('mph', 'speed', 10.0, 4.4704),
         ('kN', 'force', -1.5, -1500.0),
         ('lbf', 'force', 1.0, 4.4482216152605),
+        ('klbf', 'force', 1.0, 4448.2216152605),
         ('percent', 'gradient', 1.2, 12.0),
         ('deg', 'gradient', 1.0, 17.4524064),
         ('rad', 'gradient', 0.01, 9.99983333),

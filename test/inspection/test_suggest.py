@@ -241,6 +241,24 @@ def test_what_is_missing_is_said_with_what_to_do(ride: list[Record], metro: Trai
     assert force.unit.factor == pytest.approx(4e3, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ('shift', 'said'), [(0.0, 'times the gradients at its positions\n'), (600.0, 'is it this line')]
+)
+def test_the_gradients_of_the_line_are_compared_with_the_drive(
+    ride: list[Record], metro: TrainFile, tmp_path: Path, shift: float, said: str
+) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/tacho', FLOAT, record.stamp_ns, data=3.6 * record.speed)
+            bag.write('/odo/chainage', FLOAT, record.stamp_ns, data=record.position + shift)
+        if isinstance(record, ForceRecord):
+            bag.write('/force', FLOAT, record.stamp_ns, data=record.force)
+
+    suggestion = suggested(written(tmp_path / 'foreign', ride, write), metro)
+    assert 'gradient: {from: line}' in suggestion.text()
+    assert said in suggestion.text()
+
+
 def test_traction_and_brake_effort_with_signs_of_their_own_are_summed(
     ride: list[Record], metro: TrainFile, tmp_path: Path
 ) -> None:

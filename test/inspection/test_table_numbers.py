@@ -71,6 +71,11 @@ def english(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
     return f'{t:.1f},{2.23694 * v:.3f},{x / 1609.344:.5f},{f / 1e3:.1f},{i / 10.0:.2f},{b:.2f}'
 
 
+def american(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
+    when, rest = clock(t, '%m/%d/%Y,%I:%M:%S.%f %p'), f'{x / 1609.344:.5f},{f / 4448.2216:.4f},{0.1 * i:.2f},{-b:.2f}'
+    return f'{when},{v / 0.44704:.4f},{rest}'
+
+
 def german(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
     numbers = f'{3.6 * v + 1.0:.2f};{3.6 * v:.2f};{x:.1f};{f / 1e3:.1f};{i:.2f};{b / 0.01:.1f}'.replace('.', ',')
     return f'{clock(t, "%d.%m.%y %H:%M:%S.%f")};{numbers}'
@@ -99,6 +104,17 @@ def chinese(t: float, v: float, x: float, f: float, i: float, b: float) -> str:
                 'force: {field: "Tractive effort (kN)", unit: kN}',
                 'gradient: {field: "Grade (%)", unit: percent}',
                 'brake_command: {field: "Brake demand (m/s²)", unit: "m/s^2", sign: -1}',
+            ],
+        ),
+        (
+            'Date,Clock,Speed (mph),Milepost,Tractive Effort (klbf),Grade (%),Brake (m/s²)',
+            american,
+            'utf-8',
+            [
+                'time: {field: Clock, date: Date}',
+                'speed: {field: "Speed (mph)", unit: mph}',
+                'position: {field: Milepost, unit: mi}',
+                'force: {field: "Tractive Effort (klbf)", unit: klbf}',
             ],
         ),
         (

@@ -199,6 +199,18 @@ def test_inputs_of_a_mapping_are_shown_as_the_nodes_report_them(driven: Driven) 
     assert odometer.publishers == ('/odo',)
 
 
+def test_a_remapped_input_is_shown_under_both_names(driven: Driven) -> None:
+    trains = driven('/train_1')
+    values = {'rate [Hz]': '9.98', 'age [s]': '0.04', 'time since last message [s]': '0.1', 'heard': '/odo'}
+    for name, topic in (('ato/speed', '/odo/speed'), ('ato/force', '/train_1/ato/force'), ('ato/mass', '/scale/mass')):
+        report = Report(Level.OK, '10.0 Hz', values | {'topic': topic}, 9.8)
+        trains.on_diagnostics(f'train_1/resistance_estimator: input {name}', report)
+    inputs = {item.name: item for item in view(trains, 9.9).inputs}
+    assert {'/odo/speed (ato/speed)', 'ato/force', '/scale/mass (ato/mass)'} <= set(inputs)
+    assert inputs['/odo/speed (ato/speed)'].publishers == ('/odo',)
+    assert inputs['/scale/mass (ato/mass)'].optional
+
+
 def test_an_input_of_a_mapping_is_silent_when_its_count_stands_though_its_node_has_a_clock_that_stands(
     driven: Driven,
 ) -> None:

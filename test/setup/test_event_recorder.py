@@ -14,7 +14,7 @@ from trainid_ros.bag.writer import write_rows
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, BrakeRecord, ForceRecord, Record, Row, SpeedRecord
 from trainid_ros.interface.results import Output, ResistanceEstimate, Status
-from trainid_ros.setup.event_recorder import MAX_RECORDINGS, MAX_ROWS, MIN_PAUSE_NS, EventRecorder
+from trainid_ros.setup.event_recorder import MAX_RECORDINGS, MAX_ROWS, MIN_PAUSE_NS, SEGMENTS, EventRecorder
 from trainid_ros.train.train_file import load_train_file
 
 ROW: Row = (1, 17, 2.5, 0.0, False)
@@ -141,8 +141,26 @@ def test_only_the_last_minutes_are_kept(recorded: Recorded) -> None:
         recorded.recorder.take(ROW)
     recorded.recorder.request('node')
     recorded.at(2000.0)
-    assert recorded.bags == {'node_request': 601}
-    assert recorded.recorder._entries.maxlen == MAX_ROWS
+    assert 601 <= recorded.bags['node_request'] <= 601 + 120  # a segment lasts 120 s
+
+
+def test_the_number_of_messages_is_limited(recorded: Recorded) -> None:
+    for _ in range(MAX_ROWS + 10):
+        recorded.recorder.take(ROW)
+    recorded.recorder.request('node')
+    recorded.at(1.0)
+    assert MAX_ROWS * (SEGMENTS - 1) // SEGMENTS <= recorded.bags['node_request'] <= MAX_ROWS
+
+
+def test_files_are_as_of_the_first_message(recorded: Recorded) -> None:
+    recorded.recorder.files['node.json'] = lambda: f'{recorded.now_ns / NS_PER_S:g} s'
+    for k in range(1, 2000):
+        recorded.now_ns = k * NS_PER_S
+        recorded.recorder.take(ROW)
+    recorded.recorder.request('node')
+    recorded.at(2000.0)
+    begin_s = 2000 + 1 - recorded.bags['node_request']
+    assert recorded.files['node.json'] == f'{begin_s} s'
 
 
 def test_old_recordings_make_room_and_other_folders_stay(recorded: Recorded) -> None:

@@ -138,18 +138,23 @@ def replay_through(
     progress: Callable[[float], None] | None = None,
     observers: Sequence[Observer] = (),
     *,
+    states: Sequence[str] = (),
     duration_s: float = math.inf,
 ) -> Replay:
     """Run the three estimators over an open bag, or the first ``duration_s`` of it by log time [s].
 
-    ``progress`` is called with the number of inputs read since its last call. Observers receive inputs and outputs;
-    nothing else is kept, so memory does not grow with the bag. InputError if a required topic has no messages, or the
-    bag cannot be read.
+    They start from saved ``states``, or from the prior where that is ''. ``progress`` is called with the number of
+    inputs read since its last call. Observers receive inputs and outputs; nothing else is kept, so memory does not grow
+    with the bag. InputError if a required topic has no messages, the bag cannot be read or a state does not fit.
     """
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
-    group, records, log_ns = PipelineGroup(pipelines), 0, 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
+    each: Sequence[EstimatorPipeline[Any]] = pipelines
+    for pipeline, state in zip(each, states, strict=False):
+        if state:
+            pipeline.restore(state)
+    group, records, log_ns = PipelineGroup(pipelines), 0, 0
     start_ns, _ = reader.time_range() or (0, 0)
     end_ns = math.inf if math.isinf(duration_s) else start_ns + round(duration_s * NS_PER_S)
 

@@ -110,7 +110,8 @@ VERBS: Final = (
     ),
     Verb(
         'replay', 'run the estimators over bags, off line',
-        'bags --map --max-chunk --train --params --algorithm --out --report --truth --jobs --namespace --json',
+        'bags --map --max-chunk --train --params --algorithm --checkpoint --out --report --truth --jobs --namespace '
+        '--json',
     ),
     Verb(
         'play', "publish a bag's inputs with /clock",
@@ -154,7 +155,7 @@ VERBS: Final = (
 
 OPTIONS: Final[dict[str, dict[str, Any]]] = {
     'bag': _path('BAG', 'rosbag2 directory, .mcap or .db3 file'),
-    'demo bag': _path('BAG', 'bags with train.yaml inside (default: those of the package)', nargs='*'),
+    'demo bag': _path('BAG', 'bags with train.yaml inside (default: those of the source tree)', nargs='*'),
     'bags': _path('BAG', 'rosbag2 directory, .mcap or .db3 file', nargs='+'),
     'fleet bags': _path('BAG', 'bags, folders that hold bags, or patterns', nargs='+'),
     'tables': _path('TABLE', 'tables of trainid fleet', nargs='+'),
@@ -190,6 +191,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         'FILE.yaml', 'ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given'
     ),
     '--algorithm': _repeated('algorithm instead of the default, or resistance=NAME and so on; repeatable'),
+    '--checkpoint': _path('FOLDER', 'start from the checkpoints there, such as those of a recording of run --record'),
     'demo --out': _path('DIR', 'report and logs (default: out/demo)', default=Path('out/demo')),
     'view --out': _path('FILE.rrd', 'write a recording instead of opening the viewer'),
     'replay --out': _path(

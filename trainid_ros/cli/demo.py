@@ -25,22 +25,22 @@ from typing import Any, Final, NamedTuple, NoReturn
 import numpy as np
 import yaml
 
-from trainid_ros.bag.reader import BagReader, require_topics
+from trainid_ros.bag.bag_replay import AnyOutput, Pipelines, replay_through
+from trainid_ros.bag.reader import BagReader, LoggedRecord, require_topics
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.arguments import DEMO_BAGS, DEMO_QUICK_S, EXPLAIN_CHAPTER
 from trainid_ros.cli.explain import REPORT_HTML, explain_runs, prepare_folder, to_json, write_all
 from trainid_ros.cli.output import EXIT_NO_ANSWER, for_output, prepare_page, print_json, progress, show, table
 from trainid_ros.cli.processes import ProcessGroup, isolate
-from trainid_ros.estimators.pipeline import EstimatorPipeline, SharedRecord, share_streams
 from trainid_ros.explain.result import Explanation
-from trainid_ros.interface.errors import NoAnswerError
+from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import shared_path
-from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, record_of, stamp_of, status_of
+from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of, status_of
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.report import drive_report, words
 from trainid_ros.report.recording import Recorder
-from trainid_ros.report.verdict import SPEEDS
+from trainid_ros.report.verdict import SPEEDS, judge
 from trainid_ros.setup.pipelines import KINDS, RESISTANCE, RESISTANCE_KIND, EstimatorKind, EstimatorSettings
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.sim.truth import Truth, load_truth
@@ -49,7 +49,6 @@ from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis, TrainFile, load_train_file
 
 Say = Callable[[str], None]
-Replayed = dict['Node', tuple[EstimatorPipeline[Any], 'Published']]
 
 _TITLES: Final = {
     'altrios_manifest': 'Freight train on a real route, from an independent simulator',
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     bags = [load_demo_bag(path) for path in args.bag or map(stock_bag, names)]
     report = prepare_page(args.out / 'report.html') if bags else None
     hides = not args.bag and args.only in (None, EXPLAIN_CHAPTER)
-    folder, train = args.out / EXPLAIN_CHAPTER, stock_bag('yizhuang') / 'train.yaml'
+    folder, train = args.out / EXPLAIN_CHAPTER, shared_path('config/trains/yizhuang.yaml')
     hidden = {seed: folder / f'seed_{seed}' for seed in range(args.seed, args.seed + 3)} if hides else {}
     for place in hidden.values():
         prepare_folder(place, train)
@@ -134,8 +133,14 @@ class DemoBag(NamedTuple):
 
 
 def stock_bag(name: str) -> Path:
-    """Return the folder of a bag of the package; InputError if it is not there."""
-    return shared_path(f'bags/{DEMO_BAGS[name]}')
+    """Return the folder of a bag in the source tree; InputError, with what to do instead, if it is not there."""
+    try:
+        return shared_path(f'bags/{DEMO_BAGS[name]}')
+    except InputError as error:
+        hint = f'trainid demo SOURCE/bags/{DEMO_BAGS[name]}, or run trainid demo --only {EXPLAIN_CHAPTER}'
+        raise InputError(
+            f'{error}: bags are not installed; get the source tree of trainid_ros and run {hint}'
+        ) from None
 
 
 def load_demo_bag(path: Path) -> DemoBag:
@@ -198,7 +203,7 @@ def _play(bag: DemoBag, rate: float, duration_s: float, folder: Path, say: Say) 
             group.check(may_end='bag_player')
             live.take(subscriptions)
             time.sleep(_POLL_S)
-        replayed = _replay(bag, duration_s, live.recorder)
+        replayed = Replayed(bag, duration_s, live.recorder)
         last_s = time.monotonic()
         # Seconds of silence after which no estimate comes any more, or none that the replay does not have.
         while time.monotonic() < last_s + (15.0 if live.lacks(replayed) else 1.5):
@@ -301,7 +306,7 @@ class Live:
 
     def lacks(self, replayed: Replayed) -> bool:
         """Return whether a node has published fewer estimates than its replay."""
-        return any(len(self.published[node].digests) < len(other.digests) for node, (_, other) in replayed.items())
+        return any(len(self.published[node].digests) < len(x.digests) for node, x in replayed.published.items())
 
     def _receive(self, node: Node, message: Any) -> bool:
         kind = node.kind.topic.estimate
@@ -402,24 +407,34 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     return f'{head}, {output.status.name}, {counts}', f'  {", ".join(values)}'
 
 
-def _replay(bag: DemoBag, duration_s: float, recorder: Recorder) -> Replayed:
-    """Replay a bag through the pipelines of the nodes, up to a duration [s]; the inputs go to a recorder."""
-    replayed = {node: (node.kind.pipeline(bag.train_file, node.settings), Published()) for node in NODES}
-    share_streams(pipeline for pipeline, _ in replayed.values())
-    with BagReader(bag.path) as reader, progress('replay for comparison'):
-        span = reader.time_range()
-        end_ns = math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
-        for _, row in reader.rows(end_ns):
-            recorder.add_record(record_of(*row))
-            record = SharedRecord(row)
-            for pipeline, published in replayed.values():
-                pipeline.take(record.events(pipeline.stream), published.add)
-    return replayed
+class Replayed:
+    """Replay of a bag: what each node should have published, and the outcome for those of the mission."""
+
+    def __init__(self, bag: DemoBag, duration_s: float, recorder: Recorder) -> None:
+        """Replay a bag up to a duration [s]; the inputs go to a recorder."""
+        self.published = {node: Published() for node in NODES}
+        self._v_mils = V_MILS.kind.pipeline(bag.train_file, V_MILS.settings)
+        self._recorder = recorder
+        pipelines = Pipelines.of(bag.train_file, EstimatorSettings())
+        with BagReader(bag.path) as reader, progress('replay for comparison'):
+            self.outcome = replay_through(pipelines, reader, observers=(self,), duration_s=duration_s)
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """Pass an input to V-MILS, and to the recorder."""
+        self._recorder.add_record(entry.record)
+        for output in self._v_mils.push(entry.record):
+            self.published[V_MILS].add(output)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - an observer of a replay
+        """Take in an output of a node of the mission."""
+        for node in MISSION:
+            if isinstance(output.estimate, node.kind.topic.estimate):
+                self.published[node].add(output)
 
 
 def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
     """Compare what the nodes published with the replay, and score it."""
-    compared = {node: compare(live.published[node].digests, other.digests) for node, (_, other) in replayed.items()}
+    compared = {node: compare(live.published[node].digests, x.digests) for node, x in replayed.published.items()}
     # A node that published nothing live still has its prior.
     newest: dict[str, Any] = {
         node.key: live.published[node].newest or node.kind.pipeline(bag.train_file, node.settings).current()
@@ -435,10 +450,11 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         f'live over ROS 2 at {rate:.0f} x real time, then off line',
         recording,
         **{node.key: newest[node.key] for node in MISSION},
-        rejections={node.label: replayed[node][0].rejections for node in MISSION},
+        rejections={node.label: dict(getattr(replayed.outcome, node.key).rejections) for node in MISSION},
         truth=truth,
         notes=tuple(f'{node.label}: {comparison}' for node, comparison in compared.items()),
         others=(('V-MILS', beside.resistance),),
+        verdict=judge(replayed.outcome, (None, None), str(bag.path), str(bag.train_path)),
     )
     answer = {
         'bag': chapter.bag,

@@ -38,6 +38,7 @@ from trainid_ros.report import HTML_START
 from trainid_ros.report.verdict import Verdict, estimate_rows, judge, results_of
 from trainid_ros.resistance.davis_posterior import observe
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_braking, suggested_drive
+from trainid_ros.setup.checkpoint import SUFFIX, provenance_of, read_checkpoint
 from trainid_ros.setup.params_file import Setup, mapping_in, node_setups
 from trainid_ros.setup.pipelines import force_findings
 from trainid_ros.sim.truth import load_truth
@@ -60,6 +61,30 @@ def _load_setups(
     return node_setups(
         train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
     )
+
+
+def _start(
+    args: argparse.Namespace, setups: Sequence[Setup], warn: Callable[[str], None]
+) -> tuple[list[Setup], list[str]]:
+    """Return set-ups and the states to start from, '' for the prior; with checkpoints also their alignment.
+
+    InputError if there is no checkpoint in the folder given, or one does not fit.
+    """
+    started, states = list(setups), [''] * len(setups)
+    for k, setup in enumerate(setups if args.checkpoint is not None else ()):
+        path = args.checkpoint / f'{setup.kind.node_name}{SUFFIX}'
+        if (checkpoint := read_checkpoint(path)) is None:
+            warn(f'{path}: there is no checkpoint, so this estimator starts from the train file')
+            continue
+        # A recording of other topics was aligned as its mapping needs.
+        started[k] = setup.aligned(checkpoint.provenance.values)
+        here = provenance_of(setup.kind.name, setup.train_file, started[k].settings)
+        if reason := checkpoint.provenance.mismatch(here):
+            raise InputError(f'{path}: checkpoint {reason}')
+        states[k] = checkpoint.state
+    if args.checkpoint is not None and not any(states):
+        raise InputError(f'{args.checkpoint}: there is no checkpoint such as {path.name}')
+    return started, states
 
 
 def _pipelines(setups: Sequence[Setup], reader: BagReader) -> Pipelines:
@@ -114,7 +139,7 @@ def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | N
 
 def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> output.BagResult:
     warnings: list[str] = []
-    setups = _load_setups(args, args.train, warnings.append)
+    setups, states = _start(args, _load_setups(args, args.train, warnings.append), warnings.append)
     out, report = _outputs(args, bag)
     truth = args.truth or _beside(bag, 'truth.yaml')
     known = load_truth(truth) if report is not None and (args.truth or truth.is_file()) else None
@@ -126,7 +151,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         start = time.perf_counter()
         pipelines = _pipelines(setups, reader)
         count = max(reader.input_count, 1)
-        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
+        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers, states=states)
         wall_s = time.perf_counter() - start
         share = setups[0].train_file.train.mass_std
         if share < 0.02 and reader.missing(MASS_TOPIC):  # a load that nobody weighs varies by more

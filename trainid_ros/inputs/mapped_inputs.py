@@ -74,7 +74,7 @@ class MappedInputs:
         return [
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
             for (topic, raw), count in sorted(self._unlisted.most_common(5))
-        ]
+        ] + self._chainage.doubts
 
     def problem(self, topic: str) -> str:
         """Return why the last message of a topic gives no number, '' if it does."""
@@ -126,7 +126,8 @@ class MappedInputs:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
             case 'position':
-                self._position.correct(stamp_ns, self._chainage.distance(value, self._position.at))
+                near = self._position.at + self._position.travelled(stamp_ns)
+                self._position.correct(stamp_ns, self._chainage.follow(value, near))
                 return []
             case 'force':
                 return [ForceRecord(stamp_ns, value)]
@@ -202,10 +203,13 @@ class _DeadReckoning:
             self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
-        since_ns = self._stamp_ns - stamp_ns
+        self.at = position - self.travelled(stamp_ns)
+
+    def travelled(self, stamp_ns: int) -> float:
+        """Return the change of the position from the last speed to a stamp [m], 0 in a gap."""
+        since_ns = stamp_ns - self._stamp_ns
         moves = math.isfinite(self._speed) and abs(since_ns) <= _MAX_GAP_NS
-        travelled = self._speed * (since_ns / NS_PER_S) if moves else 0.0
-        self.at = position + self.direction * travelled
+        return self.direction * self._speed * (since_ns / NS_PER_S) if moves else 0.0
 
     def move(self, stamp_ns: int, speed: float) -> float:
         """Follow a speed [m/s]; return the position at it [m]."""
@@ -235,10 +239,29 @@ class _Chainage:
     """
 
     def __init__(self, jumps: tuple[tuple[float, ...], ...]) -> None:
+        self._jumps, self._steps = jumps, [0.0] * len(jumps)  # of the distance at each jump, in sum [m]
         starts = (-math.inf, *(at + jump for at, jump in jumps))
         ends = (*(at for at, _ in jumps), math.inf)
         shifts = accumulate((0.0, *(-jump for _, jump in jumps)))
         self._sections = tuple(zip(starts, ends, shifts, strict=True))
+
+    def follow(self, post: float, near: float) -> float:
+        """Return the distance as :meth:`distance`, and note a step of it where the posts jump."""
+        distance = self.distance(post, near)
+        step = abs(distance - near)
+        for place, ((_, jump), (_, end, shift)) in enumerate(zip(self._jumps, self._sections, strict=False)):
+            if abs(distance - end - shift) < 3.0 * abs(jump) and 0.5 * abs(jump) < step < 2.5 * abs(jump):
+                self._steps[place] += distance - near
+        return distance
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is doubtful: a jump of the wrong sign makes steps of twice its size, a right one none in sum."""
+        return [
+            f'chainage: is [{at:g}, {jump:g}] of the right sign? Position and speed disagree there by {abs(step):.0f} m'
+            for (at, jump), step in zip(self._jumps, self._steps, strict=True)
+            if abs(step) > 1.2 * abs(jump)
+        ]
 
     def distance(self, post: float, near: float) -> float:
         """Return the distance along the line at a post, near another one if that is known [m]; NaN if unclear."""

@@ -172,7 +172,7 @@ class Constant:
 class TimeColumn:
     """The times of the rows of a table."""
 
-    columns: tuple[str, ...]  # Names of the columns they are made of: one, without a function
+    columns: tuple[str, ...]  # Names of the columns they are made of; without a function the time, and perhaps its date
     unit: Unit  # Unit of times that are numbers
     start_ns: int | None = None  # What such times count from [ns], None if the file does not say so
     function: UserFunction | None = None  # Function of the columns, None without
@@ -491,8 +491,9 @@ def _time(top: Section) -> TimeColumn | None:
         section.fail('format', f"= {shown(form)} must be like '%d/%m/%Y', '%d/%m/%Y %H:%M:%S', {EXCEL} or {CLOCK}")
     start_ns = None if start is None else start.ns
     if 'function' not in section.data:
-        section.only(('field', 'unit', 'start', 'format', 'zone'))
-        return TimeColumn((section.text('field'),), unit, start_ns, None, form, zone)
+        section.only(('field', 'date', 'unit', 'start', 'format', 'zone'))
+        dates = (section.text('date'),) if 'date' in section.data else ()
+        return TimeColumn((section.text('field'), *dates), unit, start_ns, None, form, zone)
     section.only(('function', 'of', 'unit', 'start'))
     columns = tuple(_source(part, '', is_table=True).field for part in _parts(section, 'of'))
     return TimeColumn(columns, unit, start_ns, _function(section, unit))

@@ -68,7 +68,8 @@ class Table(ABC):
     def text_times(self, name: str) -> TextTimes:
         """Return how the texts of a column are read as times."""
         time = self._mapping.time
-        form = time.format if time is not None and name in time.columns and '%' in time.format else ''
+        # Of a date in another column than its clock.
+        form = time.format if time is not None and name == time.columns[-1] and '%' in time.format else ''
         return self.times.setdefault(name, TextTimes(form))
 
     def is_missing(self, cell: str) -> bool:

@@ -47,7 +47,13 @@ class Clock:
         """
         place = f'column {shown(", ".join(self._time.columns))}'
         if self._time.function is None:
-            values = _of_form(columns[self._time.columns[0]], self._time.format, f'{where}: {place}')
+            clock, *dates = (columns[name] for name in self._time.columns)
+            form = '' if dates and '%' in self._time.format else self._time.format
+            values = _of_form(clock, form, f'{where}: {place}')
+            for day in dates:
+                if values.dtype.kind != 'm' or day.dtype.kind != 'M':
+                    raise InputError(f'{where}: {place}: time: {{field, date}} must be times of day and dates')
+                values = np.asarray(day.astype('datetime64[D]') + values.astype('timedelta64[ns]'))
         else:
             values = self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
         known = np.isfinite(values)

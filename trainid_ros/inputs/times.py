@@ -29,6 +29,7 @@ _QUARTER_NS: Final = 900 * NS_PER_S  # at which offsets of zones change
 _FRACTION: Final = re.compile(
     r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
 )
+_UNDIVIDED: Final = re.compile(r'^(\d{4})(\d\d)(\d\d)(?=[T ]\d{2,6}\b)')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
 _TIME_OF_DAY: Final = re.compile(
     r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?(?: ?([AP])\.?M\.?)?', re.IGNORECASE
@@ -45,6 +46,7 @@ class Stamp(NamedTuple):
 def date_time(text: str) -> Stamp | None:
     """Return a date with time of ISO 8601, or with dots; None if the text is none."""
     text = _DOTTED.sub(lambda found: f'{found[3]}-{found[2]:>02}-{found[1]:>02}', text)
+    text = _UNDIVIDED.sub(r'\1-\2-\3', text)
     if text.count('-') < 2:  # datetime also takes 20240308
         return None
     fraction = _FRACTION.search(text)
@@ -86,7 +88,8 @@ def _since_1970(when: datetime) -> int:
     return since // timedelta(microseconds=1) * 1000
 
 
-_DATE: Final = re.compile(r'\d{1,4}([./-])\w{1,3}\1\d{1,4} ')
+# Before a clock, or alone; 1.2.3 alone is a version.
+_DATE: Final = re.compile(r'\d{1,4}(?:([./-])\w{1,3}\1\d{1,4} |([/-])\w{1,3}\2\d{1,4}$)')
 # Orders of dates; with dots the day comes first everywhere.
 _ORDERS: Final = ('%d %m %Y', '%d %m %y', '%Y %m %d', '%d %b %Y', '%m %d %Y', '%m %d %y', '%y %m %d')
 _OF_DAY: Final = 'time of day'
@@ -112,7 +115,7 @@ def _parsed_ns(text: str, form: str) -> int | None:
 class TextTimes:
     """Reads the times in the texts of one column, block by block; all have one form.
 
-    A form is that of ``strptime``. One of a date alone takes whatever clock stands after it.
+    A form is that of ``strptime``. One of a date alone takes whatever clock stands after it, and midnight without one.
     """
 
     def __init__(self, form: str = '') -> None:
@@ -148,7 +151,8 @@ class TextTimes:
         if (found := _DATE.match(texts[0])) is None:
             return ''
         dates = tuple(dict.fromkeys(text.partition(' ')[0] for text in texts))
-        forms = [x.replace(' ', found[1]) for x in _ORDERS if found[1] != '.' or x[1] in 'Yd']
+        sign = found[1] or found[2]
+        forms = [x.replace(' ', sign) for x in _ORDERS if sign != '.' or x[1] in 'Yd']
         forms = [form for form in forms if _parsed_ns(dates[0], form) is not None]
         all_fit = [form for form in forms if all(_parsed_ns(date, form) is not None for date in dates)]
         if len(all_fit) > 1:
@@ -169,7 +173,8 @@ class TextTimes:
             time_ns = _parsed_ns(text, self.form)
             return time_ns if time_ns is None or '%d' in self.form or '%j' in self.form else time_ns % DAY_NS
         words, count = text.split(' '), self.form.count(' ') + 1
-        day_ns, of_day_ns = _parsed_ns(' '.join(words[:count]), self.form), time_of_day_ns(' '.join(words[count:]))
+        day_ns, clock = _parsed_ns(' '.join(words[:count]), self.form), ' '.join(words[count:])
+        of_day_ns = time_of_day_ns(clock) if clock else 0
         return None if day_ns is None or of_day_ns is None else day_ns + of_day_ns
 
 

@@ -13,7 +13,7 @@ from trainid_ros.train.fields import did_you_mean
 _FACTORS: Final[dict[str, dict[str, float]]] = {
     'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
     'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},
-    'force': {'N': 1.0, 'kN': 1e3, 'lbf': 4.4482216152605},
+    'force': {'N': 1.0, 'kN': 1e3, 'klbf': 4448.2216152605, 'lbf': 4.4482216152605},
     'gradient': {'per_mille': 1.0, 'percent': 10.0},
     'angle': {'rad': 1.0, 'deg': math.pi / 180.0},
     'acceleration': {'m/s^2': 1.0},
@@ -70,7 +70,7 @@ _SPELLINGS: Final = {
     'm/s2': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h', 'kph': 'km/h', '公里/小时': 'km/h', '千米/小时': 'km/h',
     'mps': 'm/s', 'ms': 'm/s', 'meters/second': 'm/s', '米/秒': 'm/s', '公里': 'km', '千米': 'km', '米': 'm',
     '千牛': 'kN', 'newton': 'N', '牛': 'N', 'ton': 't', 'tons': 't', 'tonnes': 't', '吨': 't', 'sec': 's', '秒': 's',
-    'µs': 'us', '毫秒': 'ms',
+    'µs': 'us', '毫秒': 'ms', 'kip': 'klbf', 'kips': 'klbf', 'miles': 'mi', 'milepost': 'mi',
 }  # fmt: skip
 SUFFIXES: Final = frozenset({*_SPELLINGS, *(name.lower() for known in _FACTORS.values() for name in known)})
 """What may follow an underscore in a name as its unit, in lower case."""

@@ -370,8 +370,8 @@ def nearest_unit(size: float, units: dict[str, float]) -> str:
 # Words in names that speak for a quantity.
 _WORDS: Final = {quantity: frozenset(words.split()) for quantity, words in {
     'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v 速度 车速',
-    'position': 'position pos distance dist odometer chainage location where mileage kilometer km weg strecke pk 里程'
-    ' 位置 公里标 距离',
+    'position': 'position pos distance dist odometer chainage location where mileage milepost kilometer km weg strecke'
+    ' pk 里程 位置 公里标 距离',
     'force': 'force effort traction tractive wrench thrust kn te zugkraft bremskraft kraft 牵引力 制动力',
     'gradient': 'gradient grade slope incline inclination permille steigung neigung pente déclivité rampe 坡度',
     'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe bremsvorgabe'

@@ -45,6 +45,7 @@ from trainid_ros.inspection.number_series import (
 )
 from trainid_ros.interface.text import listed, printable
 from trainid_ros.train.forces import G
+from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import TrainFile
 
 
@@ -184,7 +185,7 @@ def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
     total = None
     if forces:  # the force [N] at the common times, shape (n,)
         total = _sum_at([(p.series, find_unit(p.unit, 'force').factor * p.sign) for p in forces[0].parts], motion)
-    gradients = _choose_gradient(rest, motion, total, has_position=bool(position))
+    gradients = _choose_gradient(rest, motion, total, position)
     masses = _choose_mass([item for item in own if item.field == 'mass'] or rest, train_file)
     brakes = _choose_brake(rest, motion, _specific_force(total, masses, train_file))
     return [speed, *position, *forces, *gradients, *brakes, *masses]
@@ -265,14 +266,19 @@ def _speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
         top = float(np.max(item.value))
         if not top > 0.0 or float(np.min(item.value)) < -0.02 * top:
             continue
-        steps = derivative(at_times(item, common_times(item)))
         # A speed changes by a quarter of its largest value in a second at most.
-        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > 0.25 * top:
+        if not _steepest(item) <= 0.25 * top:
             continue
         rank = _rank(item, series)
         if rank.position is not None or abs(rank.push[0]) > _MIN_NAMELESS:
             found.append(item)
     return found
+
+
+def _steepest(speed: NumberSeries) -> float:
+    """Return the size below which 99 % of the changes in a second are, NaN for too few seconds."""
+    changes = np.abs(derivative(at_times(speed, common_times(speed))))
+    return float(np.nanpercentile(changes, 99.0)) if np.isfinite(changes).any() else math.nan
 
 
 class _Ranked(NamedTuple):
@@ -304,15 +310,9 @@ def _choose_speed(
     fastest = float(np.nanmax(speed_si))
     # No train exceeds the largest speed of its train file by half.
     if train_file is not None and fastest > 1.5 * (limit := train_file.train.max_speed):
-        choice.decisions.append(
-            f'unit {unit} makes it up to {fastest:.3g} m/s; max_speed of the train file is {limit:.3g} m/s'
-        )
-    alike = [
-        item.speed.name
-        for item in ranked[1:]
-        if abs(correlation(motion.speed, np.abs(at_times(item.speed, times)))) > _MIN_ALIKE
-    ]
-    if alike:
+        choice.decisions.append(f'unit {unit} makes it up to {fastest:.3g} m/s, beyond max_speed = {limit:.3g} m/s')
+    others = ((item.speed.name, np.abs(at_times(item.speed, times))) for item in ranked[1:])
+    if alike := [name for name, other in others if abs(correlation(motion.speed, other)) > _MIN_ALIKE]:
         choice.decisions.append(f'also like a speed: {listed(alike, 3)}')
     if best.position is None:
         return choice, [], motion
@@ -379,12 +379,10 @@ def _speed_unit(best: _Ranked) -> tuple[str, str, str, list[str]]:
     if named:
         return named, '', f'unit {named}: by its name', []
     top = float(np.max(np.abs(speed.value)))
-    changes = np.abs(derivative(at_times(speed, common_times(speed))))
-    known = changes[np.isfinite(changes)]  # of too few seconds none is
-    steep = float(np.percentile(known, 99.0)) if known.size else 0.0
+    steep = _steepest(speed)
     unit = 'km/h' if top > 60.0 or steep > 1.6 else 'm/s'  # no train reaches 60 m/s, or changes by 1.6 m/s^2 for long
     reason = f'unit {unit}: up to {top:.3g}'
-    reason += f', and 99 % of its changes below {steep:.2g} a second' if known.size else ''
+    reason += f', and 99 % of its changes below {steep:.2g} a second' if steep >= 0.0 else ''
     return unit, '', reason, ['nothing but its range shows the unit of the speed']
 
 
@@ -426,18 +424,14 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choic
 
 def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberSeries]:
     """Return the number without a name that goes with the acceleration best and is not the acceleration; or none."""
-    best: tuple[float, list[NumberSeries]] = (_MIN_NAMELESS, [])
-    for item in series:
-        if item.is_whole or not is_nameless(item):
-            continue
+    ranked = []
+    for item in (item for item in series if is_nameless(item) and not item.is_whole):
         values = at_times(item, motion.times)
         fit = regress(motion.acceleration, [values], motion.moving)
-        with_it = abs(correlation(values, motion.acceleration))
-        if fit is None or any(0.8 < abs(fit.slopes[0]) / unit < 1.25 for unit in (1.0, G)):  # an acceleration
-            continue
-        if with_it > best[0]:
-            best = with_it, [item]
-    return best[1]
+        if fit is not None and not any(0.8 < abs(fit.slopes[0]) / unit < 1.25 for unit in (1.0, G)):  # no acceleration
+            ranked.append((abs(correlation(values, motion.acceleration)), item))
+    best = max(ranked, key=lambda entry: entry[0], default=None)
+    return [best[1]] if best is not None and best[0] > _MIN_NAMELESS else []
 
 
 def _sum_at(items: Iterable[tuple[NumberSeries, float]], motion: _Motion) -> Array:
@@ -472,7 +466,9 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
         choice.decisions.append('the unit; with --train the mass shows it')
         return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    fitting = nearest_unit(newtons, unit_factors('force'))
+    # A thousand pounds are like a per cent of the force of many trains.
+    units = {name: size for name, size in unit_factors('force').items() if name != 'klbf' or named == name}
+    fitting = nearest_unit(newtons, units)
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -494,7 +490,7 @@ def _specific_force(total: Array | None, masses: Sequence[Choice], train_file: T
 
 
 def _choose_gradient(
-    series: Iterable[NumberSeries], motion: _Motion, total: Array | None, *, has_position: bool
+    series: Iterable[NumberSeries], motion: _Motion, total: Array | None, position: Sequence[Choice]
 ) -> list[Choice]:
     """Return the gradient, from a topic or the line, with the position where that needs one; empty if there is none.
 
@@ -506,12 +502,31 @@ def _choose_gradient(
     if motion.train_file is None or not motion.train_file.line.gradient:
         return []
     choice = Choice('gradient', text='{from: line}', reasons=['the train file has a line'])
-    if has_position:
+    if position:
+        _compare_line(choice, position[0].parts[0], motion, total, motion.train_file)
         return [choice]
-    where = Choice('position', text='{from: speed, start: 0.0, direction: 1}')
-    where.reasons = ['the line is looked up by position']
-    where.decisions = ['where the bag starts on the line [m], and whether positions rise (1) or fall (-1)']
+    decision = 'where the bag starts on the line [m], and whether positions rise (1) or fall (-1)'
+    where = Choice(
+        'position', (), '{from: speed, start: 0.0, direction: 1}', ['the line is looked up by position'], [decision]
+    )
     return [where, choice]
+
+
+def _compare_line(choice: Choice, position: Part, motion: _Motion, total: Array | None, train_file: TrainFile) -> None:
+    """Note whether the train is slowed as by the gradients of the line at its positions."""
+    line = profile_of(train_file)
+    metres = find_unit(position.unit, 'length').factor * at_times(position.series, motion.times)
+    directions = np.where(derivative(metres) < 0.0, -1, 1).tolist()
+    gradients = [line.gradient(x, sign) for x, sign in zip(metres.tolist(), directions, strict=True)]
+    share, gain = _slowing(np.array(gradients), motion, total)
+    if gain > _MIN_GAIN and share > 0.0 and is_near(share, 1.0):
+        choice.reasons.append(f'the train is slowed as by {share:.2f} times the gradients at its positions')
+    else:
+        choice.decisions.append('is it this line, and do positions count from its begin? Its gradients do not show')
+
+
+# Share of the variance of the acceleration from which on a gradient shows [1].
+_MIN_GAIN: Final = 1e-3
 
 
 def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, Choice]:
@@ -519,8 +534,8 @@ def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tup
     named = unit_in(series, 'gradient')
     top, choice = float(np.max(np.abs(series.value))), Choice('gradient')
     unit, sign = named or _unit_by_range('gradient', top), 1.0
-    permille, gain = _slowing(series, motion, total)
-    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > 1e-3 else ''
+    permille, gain = _slowing(at_times(series, motion.times), motion, total)
+    by_slope = nearest_unit(abs(permille), PER_MILLE) if gain > _MIN_GAIN else ''
     if by_slope:
         choice.reasons.append(f'the train is slowed as by {permille:.3g} per mille for each unit, so {by_slope}')
         unit, sign = named or by_slope, math.copysign(1.0, permille)
@@ -531,11 +546,14 @@ def _gradient(series: NumberSeries, motion: _Motion, total: Array | None) -> tup
     return gain, choice
 
 
-def _slowing(series: NumberSeries, motion: _Motion, total: Array | None) -> tuple[float, float]:
-    """Return as how many per mille each unit slows the train, and the share of the variance that this explains [1]."""
+def _slowing(x: Array, motion: _Motion, total: Array | None) -> tuple[float, float]:
+    """Return as how many per mille each unit of a gradient at the common times, shape (n,), slows the train.
+
+    Also the share of the variance that this explains [1].
+    """
     if total is None:
         return 1.0, 0.0
-    y, x, others = motion.acceleration, at_times(series, motion.times), [total, motion.speed, motion.speed**2]
+    y, others = motion.acceleration, [total, motion.speed, motion.speed**2]
     known = motion.moving & np.isfinite(x) & np.isfinite(y) & np.isfinite(total)
     if np.count_nonzero(known) < MIN_NUMBERS:
         return 1.0, 0.0

@@ -44,7 +44,7 @@ def read_table(path: Path) -> tuple[BagNumbers, tuple[Choice, ...]]:
     name = max(points, key=lambda name: points[name], default='')
     if not name or points[name] <= 0.0:
         raise InputError(f'{path}: no column is a time (columns: {listed(names, 20) or "none"}){reader.why(columns)}')
-    choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points)
+    choice, (stamps, known) = _time(series[name], columns.pop(name), reader, points, columns)
     time = (stamps - stamps[known][0]) / NS_PER_S
     codes = _codes({other: column for other, column in columns.items() if column.dtype.kind in 'if'})
     numbers_of = sorted({code for some in codes.values() for code in some})
@@ -189,27 +189,34 @@ def _points(column: Column, series: NumberSeries) -> float:
 
 
 def _time(
-    series: NumberSeries, column: Column, reader: _Reader, points: dict[str, float]
+    series: NumberSeries, column: Column, reader: _Reader, points: dict[str, float], columns: dict[str, Column]
 ) -> tuple[Choice, tuple[Column, Column]]:
-    """Return the choice of the time, and its stamps with which are known."""
+    """Return the choice of the time, and its stamps with which are known; ``columns`` are the others."""
     name, choice = series.field, Choice('time', head=f'time: {series.field}')
     unit, form, words = 's', '', [f'field: {quoted(series.field)}']
     if column.dtype.kind in 'if':
         unit, form = _unit_of_time(series, column[np.isfinite(column)].astype(np.float64), choice, reader)
         words.append(f'format: {form}' if form else f'unit: {unit}')
-    elif name in reader.forms:
-        form = reader.forms[name].choice
-        words.append(f"format: '{form}'")
-        choice.decisions.append(str(reader.forms[name]).partition(' = ')[2])
-    if (column.dtype.kind == 'M' or form == EXCEL) and name not in reader.zoned:
+    # A column of dates alone belongs to times of day.
+    days = {other: x.astype('datetime64[D]') for other, x in columns.items() if x.dtype.kind == 'M'}
+    dates = [x for x, day in days.items() if column.dtype.kind == 'm' and np.all(np.isnat(day) | (day == columns[x]))][
+        :1
+    ]
+    words += [f'date: {quoted(date)}' for date in dates]
+    for of_form in (name, *dates):
+        if of_form in reader.forms:
+            form = reader.forms[of_form].choice
+            words.append(f"format: '{form}'")
+            choice.decisions.append(str(reader.forms[of_form]).partition(' = ')[2])
+    if (column.dtype.kind == 'M' or dates or form == EXCEL) and name not in reader.zoned:
         choice.decisions.append('the zone of its clock, such as zone: Europe/Berlin; it is taken for UTC')
     elif form == CLOCK or column.dtype.kind == 'm':
         choice.decisions.append('the day, such as start: 2024-03-08T00:00:00Z; it is taken for 2000-01-01')
     choice.text = f'{{{", ".join(words)}}}'
     others = [other for other, value in points.items() if value > 0.9 and other != name]
     choice.decisions += [f'also like a time: {listed(others, 3)}'] if others else []
-    clock = Clock(TimeColumn((name,), find_unit(unit, 'time'), format=form))
-    return choice, clock.stamps({name: column}, name, 0, has_zone=True)
+    clock = Clock(TimeColumn((name, *dates), find_unit(unit, 'time'), format=form))
+    return choice, clock.stamps({name: column, **columns}, name, 0, has_zone=True)
 
 
 # Since 1970 the least number in each unit [ns to s], from 1973 on, and the largest step from row to row in it.

@@ -73,7 +73,7 @@ class Finding:
 class InputView:
     """One input."""
 
-    name: str  # Topic, without the namespace of the train
+    name: str  # Topic, without the namespace of the train; of a remapped one both names
     value: str  # Its newest value with its unit, '' before the first
     rate: float  # Messages in a second [Hz], NaN if unknown
     age_s: float  # Age of the newest stamp [s], NaN if unknown or of another clock
@@ -358,15 +358,22 @@ class Reports:
         report = self._newest.get((node, ESTIMATOR))
         return report if report is not None and now_s - report.time_s < _REPORT_S else None
 
-    def inputs(self, now_s: float) -> dict[str, InputView]:
-        """Return the inputs by name, each as the node that heard it last reports it, be it long ago."""
+    def inputs(self, now_s: float, namespace: str) -> dict[str, InputView]:
+        """Return the inputs by name, as the node that heard each last reports it; remapped: not in the namespace."""
         seen: dict[str, InputView] = {}
         for (node, subject), report in sorted(self._newest.items()):
             if not subject.startswith(INPUT):
                 continue
-            item = _input(subject.removeprefix(INPUT), report, now_s - self._grew_s[node, subject])
-            if item.name not in seen or item.silent_s < seen[item.name].silent_s:
-                seen[item.name] = item
+            name, topic = subject.removeprefix(INPUT), report.values.get('topic', '')
+            is_usual = topic in ('', f'{namespace.rstrip("/")}/{name}') or all(name != own.name for own in INPUT_TOPICS)
+            item = _input(
+                name if is_usual else f'{topic} ({name})',
+                report,
+                now_s - self._grew_s[node, subject],
+                optional=name == MASS_TOPIC.name,
+            )
+            if name not in seen or item.silent_s < seen[name].silent_s:
+                seen[name] = item
         return seen
 
     def findings(self, now_s: float) -> Iterable[Finding]:
@@ -381,13 +388,13 @@ class Reports:
         yield from worst.values()
 
 
-def _input(name: str, report: Report, unchanged_s: float) -> InputView:
+def _input(name: str, report: Report, unchanged_s: float, *, optional: bool) -> InputView:
     """Return an input that a node reports, whose count of messages has been the same for some time [s]."""
     silent_s, heard = report.number('time since last message [s]'), report.values.get('heard', '')
     grows = unchanged_s < 1.5  # [s]; if not, it is silent, whatever the clock of its node says
     rate = report.number('rate [Hz]') if grows else math.nan
     silent_s = math.inf if math.isnan(silent_s) else silent_s if grows else max(silent_s, unchanged_s)
-    return InputView(name, '', rate, _known_age_s(report.number('age [s]')), silent_s, (heard,), optional=False)
+    return InputView(name, '', rate, _known_age_s(report.number('age [s]')), silent_s, (heard,), optional)
 
 
 def _known_age_s(age_s: float) -> float:
@@ -470,11 +477,13 @@ class Train:
         return math.nan
 
     def _all_inputs(self, now_s: float, clock_ns: int) -> Iterable[InputView]:
-        """Yield the inputs of the interface, and those of a mapping instead, as the nodes report them."""
-        reported = self.reports.inputs(now_s)
+        """Yield the inputs of the interface, and remapped ones and those of a mapping as the nodes report them."""
+        reported = self.reports.inputs(now_s, self.namespace)
         foreign = [item for name, item in reported.items() if name not in self._inputs]
         for name, item in self._inputs.items():
-            if not foreign or name in reported:
+            if name in reported and reported[name].name != name:
+                yield reported[name]
+            elif not foreign or name in reported:
                 yield self._input(name, item, now_s, clock_ns)
         yield from foreign
 

@@ -162,14 +162,19 @@ def draw_panel(axes: Axes, panel: Panel, colour: str = ESTIMATE, width: float | 
 
 def draw_spans(
     axes: Axes, spans: Iterable[Span], colours: Mapping[str, str], *,
-    alpha: float | None = None, lane: tuple[float, float] | None = None,
+    alpha: float | None = None, lane: tuple[float, float] | None = None, edge: float = 0.0,
 ) -> None:  # fmt: skip
-    """Shade spans of time: by default over the whole height, behind a plot; otherwise from a height on, and how far."""
+    """Shade spans of time: by default over the whole height, behind a plot; otherwise from a height on, and how far.
+
+    ``edge`` is the share of the height over which the upper edge is drawn opaque, before the plot [1].
+    """
     place: dict[str, Any] = {'transform': axes.get_xaxis_transform()} if lane is None else {}
     for label, colour in colours.items():
         bars = [(span.start_s / 60.0, (span.end_s - span.start_s) / 60.0) for span in spans if span.label == label]
         if bars:
             axes.broken_barh(bars, lane or (0.0, 1.0), facecolors=colour, alpha=alpha, linewidth=0, **place)
+            if edge:
+                axes.broken_barh(bars, (1.0 - edge, edge), facecolors=colour, linewidth=0, zorder=3, **place)
 
 
 FAULTS: Final = {'contradiction': (BAD, 0.18), 'gap': (MUTED, 0.3), 'rejected': (WAIT, 0.3), 'slip': (BAD, 0.3)}
@@ -188,7 +193,8 @@ def draw_faults(axes: Axes, spans: Sequence[Span], duration_s: float) -> list[Pa
             else:
                 joined.append(span._replace(end_s=end_s))
         if joined:
-            draw_spans(axes, joined, {label: colour}, alpha=alpha)
+            # A wide band, as of a prior, hides the shade, but not its edge.
+            draw_spans(axes, joined, {label: colour}, alpha=alpha, edge=0.05)
             patches.append(Patch(color=colour, alpha=alpha, linewidth=0, label=label))
     return patches
 

@@ -189,9 +189,9 @@ class Checkpoints:
         return self._file or CheckpointFile(default_path(self._node.get_fully_qualified_name()))
 
     def text(self) -> str:
-        """Return the content of a checkpoint of now, '' where nothing was learned."""
+        """Return the content of a checkpoint of now, '' before configure."""
         pipeline = self._context.pipeline
-        return '' if pipeline is None or not pipeline.samples else self._checkpoint(pipeline).text()
+        return '' if pipeline is None else self._checkpoint(pipeline).text()
 
     # Both ways
 

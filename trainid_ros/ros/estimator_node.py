@@ -333,6 +333,8 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(0.1, self._watch, clock=self.steady_clock)  # then as it decides
         result = super().on_activate(state)
         self._listening = result == TransitionCallbackReturn.SUCCESS
+        if self.shared.inputs is not None and self.shared.inputs.recorder is not None:
+            self.shared.inputs.recorder.start_over()
         self.checkpoints.resume()
         self.latch_loaded()
         return result

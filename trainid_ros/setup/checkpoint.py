@@ -151,6 +151,21 @@ def parse_checkpoint(text: str, source: str) -> Checkpoint:
     return Checkpoint(Provenance(version, estimate, algorithm, values), saved_ns, stamp_ns, state)
 
 
+def read_checkpoint(path: Path) -> Checkpoint | None:
+    """Return what a file holds, None if there is none; InputError if that is unusable, ForeignFileError if foreign."""
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise ForeignFileError(f'{path}: is not a file')
+        if found.st_size > _MAX_BYTES:
+            raise ForeignFileError(f'{path}: is not a checkpoint: {found.st_size} bytes, at most {_MAX_BYTES}')
+        return parse_checkpoint(path.read_text(encoding='utf-8', errors='replace'), str(path))
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(f'{path}: checkpoint cannot be read: {error.strerror or error}') from error
+
+
 class CheckpointFile:
     """One checkpoint file, which only one node may write.
 
@@ -167,32 +182,18 @@ class CheckpointFile:
         self._seen = self._identity()
         self._unmoved = ''
         try:
-            self._content()
+            read_checkpoint(self.path)
         except ForeignFileError:
             raise
         except InputError:
             return  # to be reported when it is read
-
-    def _content(self) -> Checkpoint | None:
-        """Return what the file holds, whether it fits or not; None if there is no file."""
-        try:
-            found = self.path.stat()
-            if not stat.S_ISREG(found.st_mode):
-                raise ForeignFileError(f'{self.path}: is not a file')
-            if found.st_size > _MAX_BYTES:
-                raise ForeignFileError(f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_MAX_BYTES}')
-            return parse_checkpoint(self.path.read_text(encoding='utf-8', errors='replace'), str(self.path))
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise InputError(f'{self.path}: checkpoint cannot be read: {error.strerror or error}') from error
 
     def read(self, provenance: Provenance) -> Checkpoint | None:
         """Return the checkpoint; None if there is no file. ForeignFileError if it is that of another estimate.
 
         InputError, which says why, if the file cannot be read, is damaged or does not fit.
         """
-        checkpoint = self._content()
+        checkpoint = read_checkpoint(self.path)
         if checkpoint is None:
             return None
         if (found := checkpoint.provenance).estimate != provenance.estimate:

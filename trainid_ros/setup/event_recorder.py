@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The last minutes of all inputs, written to a bag when something happens: fault, contradiction, step or request.
 
-The inputs are kept in memory as packed rows. Another thread writes the bag, so that no sample is late.
+The inputs are kept in memory as packed rows, in segments that begin with what the estimators had learned: a replay from
+there repeats their numbers to the bit. Another thread writes the bag, so that no sample is late.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Row
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 MAX_ROWS: Final = 200_000
 """Messages kept at most, 15 MB: ten minutes of five topics at 66 Hz."""
+SEGMENTS: Final = 6
+"""Segments kept at most: the newest five make the span asked for, each with checkpoints of some 300 kB."""
 MIN_PAUSE_NS: Final = 60 * NS_PER_S
 """Time between recordings, except for those requested [ns]."""
 MAX_RECORDINGS: Final = 20
@@ -66,6 +69,14 @@ def step_of(before: Any, now: Any) -> str:
     return f'{name} from {old:.3g} ± {old_std:.2g} to {new:.3g} ± {new_std:.2g}' if is_step else ''
 
 
+class Segment(NamedTuple):
+    """Inputs without a gap, from a checkpoint on."""
+
+    begin_ns: int  # Log time of the first input [ns]
+    files: dict[str, str]  # What the estimators had learned before, and their train file, by name of the file
+    entries: list[bytes]  # The inputs, packed
+
+
 class Watch:
     """Finds what is worth a recording in one estimator: the kind of event and a text."""
 
@@ -98,7 +109,7 @@ class EventRecorder:
     """Keeps the last inputs of some estimators, and writes them to a bag after an event.
 
     Attributes:
-        files: What makes the texts that go into the folder of the bag, by name; empty ones are left out.
+        files: What makes the texts in the folder of the bag, by name, as of its first input; empty ones are left out.
     """
 
     def __init__(
@@ -114,7 +125,7 @@ class EventRecorder:
         self._span_ns = round(minutes * 60.0 * NS_PER_S)
         # Log times go on where the clock of the machine is set.
         self._offset_ns = time.time_ns() - clock()
-        self._entries: deque[bytes] = deque(maxlen=MAX_ROWS)
+        self._segments: deque[Segment] = deque(maxlen=SEGMENTS)
         self._newest_ns = 0
         self._watches: dict[str, Watch] = {}
         self._due: dict[str, str] = {}  # Kind of the event by its text
@@ -123,12 +134,19 @@ class EventRecorder:
         self._writing: Future[None] | None = None
 
     def take(self, row: Row) -> None:
-        """Keep an input that arrives now."""
+        """Keep an input that arrives now, before the estimators take it in."""
         self._newest_ns = log_ns = max(self._newest_ns + 1, self._offset_ns + self._clock())
-        entries = self._entries
-        entries.append(_ENTRY.pack(log_ns, *row))
-        while int.from_bytes(entries[0][:8], 'little', signed=True) < log_ns - self._span_ns:
-            entries.popleft()
+        segments, span_ns = self._segments, self._span_ns // (SEGMENTS - 1)
+        last = segments[-1] if segments else None
+        if last is None or log_ns - last.begin_ns >= span_ns or len(last.entries) >= MAX_ROWS // SEGMENTS:
+            segments.append(Segment(log_ns, {name: make() for name, make in self.files.items()}, []))
+            while len(segments) > 1 and segments[1].begin_ns <= log_ns - self._span_ns:
+                segments.popleft()
+        segments[-1].entries.append(_ENTRY.pack(log_ns, *row))
+
+    def start_over(self) -> None:
+        """Forget the inputs: an estimator that begins to take them in has missed some."""
+        self._segments.clear()
 
     def look(self, name: str, pipeline: EstimatorPipeline[Any]) -> None:
         """Look for events in an estimator, by the name of its node; begin to write if that is due."""
@@ -137,12 +155,13 @@ class EventRecorder:
             if not self._due:
                 self._due_ns = max(self._free_ns, now_ns + _AFTER_NS)
             self._due[f'{name}: {text}'] = f'{name}_{kind}'
-        if self._due and now_ns >= self._due_ns and (self._writing is None or self._writing.done()):
+        is_free = self._writing is None or self._writing.done()
+        if self._due and self._segments and now_ns >= self._due_ns and is_free:
             self._begin(now_ns)
 
     def request(self, name: str) -> str:
         """Write a bag soon, for a node; return what will happen; InputError before the first message."""
-        if not self._entries:
+        if not self._segments:
             raise InputError('nothing is recorded: no message has come')
         self._due[f'{name}: requested'] = f'{name}_request'
         self._due_ns = 0
@@ -150,11 +169,12 @@ class EventRecorder:
 
     def _begin(self, now_ns: int) -> None:
         due, self._due, self._free_ns = self._due, {}, now_ns + MIN_PAUSE_NS
-        made = {name: make() for name, make in self.files.items()} | {'event.txt': '\n'.join([*due, ''])}
+        made = self._segments[0].files | {'event.txt': '\n'.join([*due, ''])}
+        entries = [entry for segment in self._segments for entry in segment.entries]
         at = datetime.fromtimestamp(self._newest_ns // NS_PER_S, UTC)
         path = self._folder / f'{at:%Y%m%dT%H%M%SZ}_{next(iter(due.values()))}'
         files = {name: text for name, text in made.items() if text}
-        self._writing = self._thread.submit(self._store, path, list(self._entries), files)
+        self._writing = self._thread.submit(self._store, path, entries, files)
 
     def _store(self, path: Path, entries: list[bytes], files: dict[str, str]) -> None:
         try:
@@ -169,5 +189,5 @@ class EventRecorder:
 
     def flush(self) -> None:
         """Begin to write what would be due later, as nodes stop; the process ends after that."""
-        if self._due and self._entries:
+        if self._due and self._segments:
             self._begin(0)

@@ -436,6 +436,12 @@ class Setup:
         """Name of the algorithm."""
         return str(getattr(self.settings, self.kind.name).algorithm)
 
+    def aligned(self, values: Mapping[str, Any]) -> Setup:
+        """Return it with the alignment in the values of a checkpoint, see ``Provenance``."""
+        names = {item.name: f'alignment.{item.name}' for item in fields(AlignmentConfig)}
+        stated = {name: values[key] for name, key in names.items() if key in values}
+        return replace(self, settings=replace(self.settings, alignment=AlignmentConfig(**stated)))
+
     def pipeline(
         self, align: Callable[[AlignmentConfig], AlignmentConfig] = lambda stated: stated
     ) -> EstimatorPipeline[Any]:
