@@ -108,6 +108,11 @@ def test_the_prior_is_normal_in_the_amplitude_and_uniform_in_the_place(dataset: 
     assert prior_cost(drag, dataset) == pytest.approx(2.0 * 2.0 * math.log(share) + nothing)
 
 
+def test_a_parameter_beyond_its_range_is_less_probable(dataset: Dataset) -> None:
+    inside, beyond = (EffectTerm('brake_fade', {'energy': energy, 'loss': 0.1}) for energy in (30.0, 10.0))
+    assert prior_cost(beyond, dataset) > prior_cost(inside, dataset) + 3.0
+
+
 def test_effect_found_again_is_removed_from_the_train_file() -> None:
     """But not one that is new, repeatable or corrected on the records."""
     file = replace(TRAIN, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))

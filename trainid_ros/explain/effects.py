@@ -28,6 +28,7 @@ SHOWN: Final = 6.0
 """2 ln of a Bayes factor, or ratio of likelihoods of held-out runs, that is strong evidence (Kass, Raftery 1995)."""
 SIZES: Final = (0.3, 1.0, 3.0)
 """Prior std of the amplitude of an effect, in units of its typical value; each is as probable."""
+_BEYOND: Final = 0.5  # Std of the log of a parameter beyond the range of its search [1]; fits end at a factor of three
 _DAVIS_STEPS: Final = {'a': 0.1, 'b': 0.01, 'c': 0.0002}  # Steps for derivatives [N/kN, ... per m/s, ... per (m/s)^2]
 _MIN_LENGTH_M: Final = 50.0  # Minimum length of an effect: shorter ones cannot be resolved under a train [m]
 
@@ -118,7 +119,11 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
             span = float(np.ptp(dataset.joined('position') if limits.is_place else dataset.time))
         else:
             low, high = limits.search
-            span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
+            span = high - low
+            if limits.grid == 'log':
+                span = math.log(high / low) * abs(value)
+                # Less probable beyond its range, where it may look like another effect.
+                cost += (math.log(max(low / value, value / high, 1.0)) / _BEYOND) ** 2
         # A uniform density as high as the peak of a normal one is sqrt(2 pi) std wide.
         cost += 2.0 * math.log(max(span / (math.sqrt(2.0 * math.pi) * width), 1.0))
     return cost

@@ -308,6 +308,7 @@ CERTAIN: Final = 0.8
 # Limits of evidence are in 2 ln of the Bayes factor.
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
+_CERTAIN_SCORE: Final = 18.0  # Evidence of a dependence beside effects that needs no further fit to decide
 _MAX_GROUPS: Final = 2  # Maximum number of generic dependences that are fitted in full
 
 
@@ -475,7 +476,7 @@ class Search:
         judged = []
         for score in groups[:_MAX_GROUPS]:
             found = score.evidence
-            if found > _MIN_SCORE:
+            if found > _MIN_SCORE and (not state.names or found < _CERTAIN_SCORE):
                 columns = self._scorer.group_columns(score.name)
                 model = state.model.with_columns(columns, np.full(columns.shape[1], _GROUP_STDS[-1]))
                 hyper, logs = model.evidence().maximise(state.logs)
