@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
 from trainid_ros.client.live_estimate import Normal, Parameter
-from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, RateShape
+from trainid_ros.client.stopping import EXTRA_SPEEDS, MAX_SPEED, RateShape
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import TrackPoint, effect_value, resistance_terms
@@ -153,9 +153,9 @@ class FileValues:
         self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
         self._shape = self._rate_shape([], hot=False)
         self._along = cache(self.effects.along)
-        self._worst, speeds = {}, [EXTRA_STEP * k for k in range(math.ceil(MAX_SPEED / EXTRA_STEP) + 1)]
+        self._worst = {}
         for direction in (1, -1):
-            extra = [self.effects.resistance(speed, direction) for speed in speeds]
+            extra = [self.effects.resistance(speed, direction) for speed in EXTRA_SPEEDS]
             self._worst[direction] = self._rate_shape(extra if any(extra) else [], hot=True)
 
     def _rate_shape(self, extra: list[float], *, hot: bool) -> RateShape:
@@ -215,6 +215,5 @@ class FileValues:
         """
         if speed is None:
             return self.effects.brake_share(self._speeds[len(_SHARES) // 2]), 0.0
-        shape, config = self._shape, self.config
-        over_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
-        return shape.table(speed), over_speed
+        s, p, m = self._shape.parts(speed)
+        return s, math.hypot(self.config.slope_std * p, self.config.blend_std * m)

@@ -384,14 +384,11 @@ class TrainModel:
         M = train.mass if mass is None else MASS.checked(mass)
         with self._lock:
             self._go_on()
-            w = self._resistance_at(v, direction)
-            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+            w, scale = self._resistance_at(v, direction), self._traction_scale(v, direction)
         load = load_drag(self._file.train_file.c_of_load, train.mass, M, v)
         force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + load + i))
         if force > 0.0:
-            # As the estimators do: they subtract what effects take from the reported force, which they scale.
-            s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
-            share = math.sqrt(variance) / s
+            s, share = scale[0], scale[1] / scale[0]
         else:
             s, share = max(self._file.effects.brake_share(v), MIN_SCALE), train.mass_std
         force, by_w = force / s, M * 0.001 * G / s
@@ -461,11 +458,10 @@ class TrainModel:
             self._go_on()
             posterior, of_rate = self._posterior(i + load), self._brake_rate.state()
             live, reason = self._resistance.state()
-            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+            scale = self._traction_scale(v, direction)
         if u0 or any(u for _, u in plan.command):
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
-        s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
-        found = predicted_speeds(v, times, plan, shape, posterior, (s, math.sqrt(variance)), self._file.config)
+        found = predicted_speeds(v, times, plan, shape, posterior, scale, self._file.config)
         answers = tuple(Value(mean, std, live, reason) for mean, std in found)
         return answers[0] if isinstance(horizon, (float, Real)) else answers
 
@@ -569,6 +565,12 @@ class TrainModel:
         if live and not low <= speed <= high:
             reason = f'{reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s'
         return Value(w + extra, math.sqrt(variance), live, reason)
+
+    def _traction_scale(self, speed: float, direction: int) -> tuple[float, float]:
+        """Return the actual over the reported traction, and its standard deviation [1]."""
+        scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        # As the estimators do: they subtract what effects take from the reported force, which they scale.
+        return max(scale + (self._file.effects.traction_share(speed, direction) - 1.0), MIN_SCALE), math.sqrt(variance)
 
     def _brake_rate_at(self, speed: float | None) -> Value:
         table, over_speed = self._file.rate_direction(speed)
