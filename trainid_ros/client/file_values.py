@@ -175,15 +175,26 @@ class FileValues:
         shape = self._worst[direction]
         if position is None:
             return shape
-        profile = self.effects.profile
-        if not profile.line.gradient:
-            raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
-        if not profile.first <= position <= profile.last:
-            raise InputError(f'position = {position:g} m is not on the line, {profile.first:g} to {profile.last:g} m')
+        self.check_place('position', position)
         (places, *along), place = self._along(direction), direction * position
         first = bisect_right(places, place) - 1
         ahead, (z, y) = [x - place for x in places[first:]], (values[first:] for values in along)
         return replace(shape, ahead=ahead, at_place=z, by_square=y)
+
+    def check_place(self, name: str, position: float) -> None:
+        """Raise InputError unless a position [m] of this name is on the line, and its gradients are known."""
+        line = self.effects.profile
+        if not line.line.gradient:
+            raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
+        if not line.first <= position <= line.last:
+            raise InputError(f'{name} = {position:g} m is not on the line, {line.first:g} to {line.last:g} m')
+
+    def beyond_line(self, way: float, direction: int, position: float | None) -> str:
+        """Return what to add to the reason of an answer if a way [m] from a position [m] leads off the line."""
+        line = self.effects.profile
+        if position is None or line.first <= position + direction * way <= line.last:
+            return ''
+        return f'; beyond the end of the line at {line.last if direction > 0 else line.first:g} m'
 
     def motion_shape(self, direction: int, position: float | None) -> RateShape:
         """Return the same for a cold brake."""

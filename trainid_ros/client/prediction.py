@@ -53,8 +53,8 @@ class Plan:
 def predicted_speeds(
     speed: float, horizons: Sequence[float], plan: Plan, shape: RateShape, known: StopPosterior,
     scale: tuple[float, float], config: BrakeRateConfig,
-) -> list[tuple[float, float]]:  # fmt: skip
-    """Return mean and standard deviation of the speed at times from now on [m/s, s, > 0].
+) -> list[tuple[float, float, float]]:  # fmt: skip
+    """Return mean and standard deviation of the speed [m/s], and the way [m], at times from now on [s, > 0].
 
     ``scale`` is the force scale and its standard deviation [1]; ``shape`` and what is ``known`` are as for a stop.
     """
@@ -86,7 +86,7 @@ def predicted_speeds(
     moved = (_noise(t, run, shape.k, known, config) for t, run in zip(horizons, passed, strict=True))
     noise = [_beyond(held, std) for held, std in zip(margin, moved, strict=True)]
     stds = np.sqrt(np.sum(shares * shares, axis=1) + np.square(noise))
-    return list(zip(members[:, 0].tolist(), stds.tolist(), strict=True))
+    return list(zip(members[:, 0].tolist(), stds.tolist(), passed, strict=True))
 
 
 def _beyond(margin: float, std: float) -> float:

@@ -462,7 +462,9 @@ class TrainModel:
         if u0 or any(u for _, u in plan.command):
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
         found = predicted_speeds(v, times, plan, shape, posterior, scale, self._file.config)
-        answers = tuple(Value(mean, std, live, reason) for mean, std in found)
+        answers = tuple(
+            Value(mean, std, live, reason + self._file.beyond_line(run, direction, place)) for mean, std, run in found
+        )
         return answers[0] if isinstance(horizon, (float, Real)) else answers
 
     def stopping_distance(
@@ -483,7 +485,7 @@ class TrainModel:
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
             direction: As of :meth:`resistance`.
             position: Of the train's front [m]. With it, gradients and effects over the line of the train file act along
-                the way, and ``gradient`` is added to them.
+                the way, and ``gradient`` is added to them; ``reason`` says so if the way leads off that line.
 
         Raises:
             NoAnswerError: The train may not stop at all.
@@ -493,6 +495,7 @@ class TrainModel:
         found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
+        reason += self._file.beyond_line(found.distance, direction, position)
         return Value(found.distance, found.std, live, reason)
 
     def braking_speed(
@@ -503,18 +506,23 @@ class TrainModel:
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
         It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s. Where the
-        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m].
+        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m], both on the
+        line of the train file.
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
         """
         if (distance is None) == (target_position is None) or (target_position is None) != (position is None):
             raise InputError('give either distance, or target_position and position')
+        passed = ''
         if distance is None:
-            distance = distance_to(_TARGET.checked(target_position), position, checked_direction(direction))
+            target = _TARGET.checked(target_position)
+            self._file.check_place('target_position', target)
+            distance = distance_to(target, position, checked_direction(direction))
+            passed = '' if distance > 0.0 else '; the target is not ahead in this direction'
         away = DISTANCE.checked(distance)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
-        return Value(*bounds.speed(away), live, reason)
+        return Value(*bounds.speed(away), live, reason + passed)
 
     def braking_curve(
         self, stop: float, positions: Iterable[float], gradient: float = 0.0, command: float = FULL_SERVICE,
