@@ -35,11 +35,11 @@ from benchmarks.fleet_bags import FAULTS, Fault, drive, stated_train
 from benchmarks.processes import TRAINID, Cost, cluster, measure_command
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Table
+from trainid_ros.bag.bag_replay import Odometer
 from trainid_ros.bag.types import table_of
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.fleet.analysis import FleetView, TrainView, analyse
 from trainid_ros.fleet.mixed_model import CHANNELS
-from trainid_ros.fleet.run_fleet import Odometer
 from trainid_ros.fleet.table_file import Row, empty_row, read_table
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.sim.fleet import draw_day, draw_train

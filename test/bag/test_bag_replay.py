@@ -13,12 +13,20 @@ import numpy as np
 import pytest
 
 from test.own_bag import messages_of, write_bag
-from trainid_ros.bag.bag_replay import COLUMNS, EstimateTable, Pipelines, TableRow, estimate_table, replay_through
+from trainid_ros.bag.bag_replay import (
+    COLUMNS,
+    EstimateTable,
+    Odometer,
+    Pipelines,
+    TableRow,
+    estimate_table,
+    replay_through,
+)
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.types import definition, fields_of
+from trainid_ros.bag.types import definition, fields_of, table_of
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, ForceRecord, Record
+from trainid_ros.interface.records import NS_PER_S, OUTPUT_TOPICS, ForceRecord, Record, SpeedRecord
 from trainid_ros.interface.results import AdhesionEstimate, Output, Reason, Status
 from trainid_ros.setup.pipelines import (
     RESISTANCE,
@@ -255,3 +263,34 @@ def test_a_table_is_there_when_it_is_complete(tmp_path: Path, suffix: str) -> No
     with pytest.raises(InputError, match='exists already and is not overwritten'):
         write(None)
     assert path.read_bytes() == before
+
+
+RATIO = 1.02
+
+
+def ride(legs: int, ratio: float, lost: float = 0.0) -> Odometer:
+    """Return an odometer after legs of 1 km, there and back, at 10 m/s measured as ``ratio`` times that."""
+    speed = np.concatenate([np.r_[np.zeros(5), np.full(100, 10.0)] for _ in range(legs)] + [np.zeros(5)])
+    position = np.cumsum(speed) * 1.0
+    folded = 1000.0 - np.abs(position % 2000.0 - 1000.0)
+    rows = [
+        SpeedRecord((k + 1) * NS_PER_S + round(lost * NS_PER_S * (k > 50)), ratio * v, s)
+        for k, (v, s) in enumerate(zip(speed.tolist(), folded.tolist(), strict=True))
+    ]
+    odometer, table = Odometer(), table_of([(record.stamp_ns, record.row()) for record in rows])
+    for first in range(0, len(table), 37):
+        odometer.add(table[first : first + 37])
+    return odometer
+
+
+@pytest.mark.parametrize(('legs', 'lost', 'max_std'), [(6, 0.0, 1e-3), (2, 10.0, 1e-2)])
+def test_the_ratio_is_that_of_the_distances(legs: int, lost: float, max_std: float) -> None:
+    found = ride(legs, RATIO, lost).ratio
+    assert found is not None
+    assert found[0] == pytest.approx(RATIO, abs=1e-9)
+    assert 0.0 < found[1] < max_std
+
+
+def test_legs_with_a_gap_or_in_another_unit_do_not_count() -> None:
+    assert ride(1, RATIO, lost=10.0).ratio is None
+    assert ride(4, 3.6).ratio is None

@@ -89,7 +89,16 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert printed.out.count('\n') == 1
     assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
-    more = {'adhesion', 'algorithms', 'verdict', 'suggested_drive', 'suggested_braking', 'inputs', 'holds_back'}
+    more = {
+        'adhesion',
+        'algorithms',
+        'verdict',
+        'suggested_drive',
+        'suggested_braking',
+        'inputs',
+        'holds_back',
+        'wheel_ratio',
+    }
     assert agreed | more | {*FINDING} == set(answer)
     assert (answer['inputs'], answer['holds_back']) == ([], [])
     assert [answer[key] for key in FINDING] == ['', None, None]

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -12,12 +14,14 @@ from trainid_ros.client.live_estimate import (
     FALL_BACK_S,
     MAX_AGE_S,
     MAX_RATE,
+    LiveAdhesion,
     LiveEstimate,
     Normal,
     Parameter,
     RateLimitedValue,
 )
-from trainid_ros.interface.results import Status
+from trainid_ros.interface.results import AdhesionEstimate, Status
+from trainid_ros.stream.adhesion import RAIL, RAIL_STD
 
 FILE = Normal((1.0,), (0.04,))
 LEARNED = Normal((0.8,), (1e-4,))
@@ -441,3 +445,53 @@ def test_parameters_of_small_and_large_units_are_judged_alike(correlation: float
     stds = (1e-4, 1.0, 1e2)
     P = tuple(a * b * (1.0 if i == k else correlation) for i, a in enumerate(stds) for k, b in enumerate(stds))
     assert Normal((0.0, 0.0, 0.0), P).is_possible() is is_possible
+
+
+DRY = AdhesionEstimate(0.05, 0.09, 0.20, 0.06, 0.0, slipping=False, slip_share=0.0)
+SLIDE = AdhesionEstimate(0.05, 0.0, 0.05, 0.01, -0.12, slipping=True, slip_share=0.1)
+NO_LIMIT = (math.inf, '')
+
+
+def adhesion_after(*estimates: AdhesionEstimate, status: Status = Status.VALID) -> LiveAdhesion:
+    """Return an adhesion that has had estimates at 5 Hz from 0 s on."""
+    out = LiveAdhesion(MAX_AGE_S)
+    for k, one in enumerate(estimates):
+        out.take_new(status, one, 0.2 * k, k)
+    return out
+
+
+def test_the_adhesion_is_that_of_usual_rails_unless_a_new_estimate_states_it() -> None:
+    assert adhesion_after().value() == (RAIL, RAIL_STD, False, 'dry to wet rail: no estimate yet')
+    one = adhesion_after(DRY, SLIDE)
+    assert one.value() == (0.05, 0.01, True, 'VALID')
+    one.go_on(2.0)
+    assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: no new estimate for more than 0.75 s')
+
+
+def test_a_slide_limits_the_brake_until_it_is_a_km_away_also_while_nothing_comes() -> None:
+    assert adhesion_after(DRY).limit(0.95) == NO_LIMIT
+    least = 0.05 * math.exp(-1.6449 * 0.2)
+    for one in (adhesion_after(SLIDE), adhesion_after(SLIDE, replace(SLIDE, slipping=False, slip=0.0))):
+        one.go_on(60.0)
+        most, why = one.limit(0.95)
+        assert most == pytest.approx(least, rel=1e-4)
+        assert why == 'braking limited to an adhesion of 0.036 by a slide'
+        assert one.limit(0.5)[0] == pytest.approx(0.05)
+    assert adhesion_after(SLIDE, DRY).limit(0.95) == NO_LIMIT
+
+
+def test_slip_under_traction_does_not_limit_the_brake() -> None:
+    assert adhesion_after(replace(SLIDE, slip=0.2)).limit(0.95) == NO_LIMIT
+
+
+@pytest.mark.parametrize('wrong', [{'adhesion': 0.0}, {'adhesion_std': -1.0}, {'adhesion': math.nan}])
+def test_an_adhesion_that_cannot_be_is_not_used(wrong: dict[str, Any]) -> None:
+    one = adhesion_after(replace(SLIDE, **wrong))
+    assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: its numbers are not possible')
+    assert one.limit(0.95) == NO_LIMIT
+
+
+def test_a_status_that_is_not_fit_to_use_gives_usual_rails_but_keeps_the_limit() -> None:
+    one = adhesion_after(SLIDE, status=Status.CONVERGING)
+    assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: CONVERGING, not fit to use')
+    assert one.limit(0.95)[0] < 0.05

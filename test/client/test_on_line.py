@@ -112,7 +112,7 @@ def test_derivatives_are_those_of_the_distance() -> None:
         below[place] -= step
         numeric = (distance(above) - distance(below)) / (2.0 * step)
         assert stop.gradient[place] == pytest.approx(numeric, rel=0.03), place
-    assert stop.dD_dv == pytest.approx(
+    assert stop.by_speed == pytest.approx(
         (distance(theta, 19.0 + step) - distance(theta, 19.0 - step)) / (2.0 * step), rel=0.01
     )
 
@@ -160,7 +160,29 @@ def test_the_speed_is_the_inverse_of_the_distance() -> None:
         back = model.stopping_distance(speed.value, command=-0.8, position=position, direction=direction, applied=-0.2)
         assert back.value == pytest.approx(abs(target - position), abs=1e-6)
         assert speed.std > 0.0
-    assert model.braking_speed(target_position=2631.0, position=2700.0).value == 0.0
+
+
+def test_a_target_that_is_not_ahead_permits_no_speed_and_is_named() -> None:
+    model = TrainModel(None, METRO)
+    for target, direction in ((2631.0, 1), (2769.0, -1), (2700.0, 1)):
+        found = model.braking_speed(target_position=target, position=2700.0, direction=direction)
+        assert found.value == 0.0
+        assert found.reason == 'train file: no estimate yet; the target is not ahead in this direction'
+
+
+@pytest.mark.parametrize(('position', 'direction', 'end'), [(22700.0, 1, 22846), (100.0, -1, -118)])
+def test_a_stop_beyond_the_end_of_the_line_is_named(position: float, direction: int, end: int) -> None:
+    model = TrainModel(None, METRO)
+    slow, fast = (model.stopping_distance(v, position=position, direction=direction) for v in (8.0, 18.0))
+    assert slow.reason == 'train file: no estimate yet'
+    assert fast.reason == f'train file: no estimate yet; beyond the end of the line at {end} m'
+    away = model.stopping_distance(18.0, position=position, direction=-direction)
+    assert away.reason == 'train file: no estimate yet'
+
+
+def test_a_line_without_stops_has_no_end() -> None:
+    model = TrainModel(None, replace(METRO, line=replace(METRO.line, stops=())))
+    assert model.stopping_distance(18.0, position=1e5).reason == 'train file: no estimate yet'
 
 
 def test_a_speed_that_carries_the_train_over_a_summit_is_not_allowed() -> None:
@@ -182,6 +204,10 @@ def test_a_speed_that_carries_the_train_over_a_summit_is_not_allowed() -> None:
         ({'target_position': 100.0}, 'give either'),
         ({'target_position': math.nan, 'position': 0.0}, '^target_position = '),
         ({'target_position': 100.0, 'position': '7'}, '^position = .* must be a number'),
+        (
+            {'target_position': 23000.0, 'position': 100.0},
+            '^target_position = 23000 m is not on the line',
+        ),
         ({'target_position': 100.0, 'position': -400.0}, r'^position = -400 m is not on the line, -118 to 22846 m'),
     ],
 )

@@ -76,13 +76,13 @@ def known(**variances: float) -> StopPosterior:
 def test_each_parameter_has_its_share_of_the_std(
     plan: Plan, posterior: StopPosterior, scale_std: float, std: float
 ) -> None:
-    ((_, found),) = predicted_speeds(40.0, [20.0], plan, SHAPE, posterior, (1.0, scale_std), STILL)
+    ((_, found, _),) = predicted_speeds(40.0, [20.0], plan, SHAPE, posterior, (1.0, scale_std), STILL)
     assert found == pytest.approx(std, rel=0.01, abs=1e-9)
 
 
 def test_the_error_of_the_map_averages_out_over_its_correlation_length() -> None:
     posterior = known(gradient=0.5**2)
-    (_, soon), (_, late) = predicted_speeds(40.0, [0.5, 300.0], NOTHING, SHAPE, posterior, (1.0, 0.0), STILL)
+    (_, soon, _), (_, late, _) = predicted_speeds(40.0, [0.5, 300.0], NOTHING, SHAPE, posterior, (1.0, 0.0), STILL)
     assert soon == pytest.approx(0.009 * 0.5 * 0.5, rel=0.03)
     lengths = (40.0 - 0.5 * 0.018 * 300.0) * 300.0 / 200.0  # it slows down by 0.018 m/s^2
     assert late == pytest.approx(0.009 * 0.5 * 300.0 * math.sqrt(2.0 / lengths), rel=0.02)
@@ -90,7 +90,7 @@ def test_the_error_of_the_map_averages_out_over_its_correlation_length() -> None
 
 def test_noise_of_speed_and_motion_count() -> None:
     config = replace(GsmaConfig(), speed_std=0.03, acceleration_noise=0.02)
-    ((_, std),) = predicted_speeds(20.0, [4.0], NOTHING, SHAPE, known(), (1.0, 0.0), config)
+    ((_, std, _),) = predicted_speeds(20.0, [4.0], NOTHING, SHAPE, known(), (1.0, 0.0), config)
     assert std == pytest.approx(math.hypot(0.03, 0.02 * 2.0))
 
 
@@ -146,6 +146,13 @@ def test_an_argument_that_cannot_be_is_named(arguments: dict[str, Any], reason: 
     given: dict[str, Any] = {'horizons': (5.0,), 'speed': 10.0, **arguments}
     with pytest.raises(InputError, match=reason):
         TrainModel(None, METRO).predict(given.pop('horizons'), **given)
+
+
+def test_a_way_that_leads_off_the_line_is_named() -> None:
+    model = TrainModel(None, METRO)
+    on, off = model.predict((5.0, 20.0), speed=20.0, position=22600.0)
+    assert on.reason == 'train file: no estimate yet'
+    assert off.reason == 'train file: no estimate yet; beyond the end of the line at 22846 m'
 
 
 def test_one_time_gives_one_answer() -> None:

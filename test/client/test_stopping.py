@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.client.stopping import (
     DELAY,
-    EXTRA_STEP,
+    EXTRA_SPEEDS,
     GRADIENT,
     LAG,
     MAX_SPEED,
@@ -96,24 +96,23 @@ def test_derivatives_are_those_of_the_distance(table: Pairs, speed: float) -> No
         numeric = (distance(above) - distance(below)) / (2.0 * step)
         assert stop.gradient[place] == pytest.approx(numeric, rel=0.05), place
     numeric = (distance(theta, speed + step) - distance(theta, speed - step)) / (2.0 * step)
-    assert stop.dD_dv == pytest.approx(numeric, rel=0.01)
+    assert stop.by_speed == pytest.approx(numeric, rel=0.01)
 
 
 def test_a_table_is_interpolated_linearly() -> None:
     form = shape(EMU)
     for v in (0.0, 2.0, 5.0, 8.0, 13.9, 14.0, 20.0, 25.0, 40.0):
-        assert form.table(v) == pytest.approx(Brake(rate_table=EMU).shape_at(v))
+        assert form.parts(v)[0] == pytest.approx(Brake(rate_table=EMU).shape_at(v))
 
 
 def test_an_extra_resistance_acts_as_that_of_the_train() -> None:
-    form = shape()
-    form.resistances = [0.002 * (EXTRA_STEP * k) ** 2 for k in range(601)]
+    form = replace(shape(), resistances=[0.002 * v**2 for v in EXTRA_SPEEDS])
     assert [form.extra(v) for v in (-1.0, 0.0, 10.0, 150.0, 400.0)] == pytest.approx([0.0, 0.0, 0.2, 45.0, 45.0])
     drag = parameters()
     drag[5] += 0.002
     extra, expected = (Braking(x, y, 0.7, 0.0).stop(20.0) for x, y in ((form, parameters()), (shape(), drag)))
     assert extra.distance == pytest.approx(expected.distance, rel=1e-5)
-    assert extra.dD_dv == pytest.approx(expected.dD_dv, rel=1e-3)
+    assert extra.by_speed == pytest.approx(expected.by_speed, rel=1e-3)
 
 
 def test_a_train_that_is_braking_already_stops_sooner() -> None:
@@ -236,7 +235,7 @@ def test_a_bound_with_a_drop_is_longer_and_smooth_and_has_an_inverse(
         found = bounds.at(speed)
         assert found.distance > StoppingBounds(shape(), posterior, 0.9, 0.0, confidence).at(speed).distance
         numeric = (bounds.at(speed + step).distance - bounds.at(speed - step).distance) / (2.0 * step)
-        assert found.dD_dv == pytest.approx(numeric, rel=0.01)
+        assert found.by_speed == pytest.approx(numeric, rel=0.01)
         other = mixed(dropped, loss, confidence, posterior)  # by other speeds on the way
         assert other.speed(found.distance)[0] == pytest.approx(speed, abs=1e-6)
 

@@ -26,7 +26,7 @@ from trainid_ros.client.train_model import SPEED, Argument, ForwardClock, distan
 from trainid_ros.estimators.settings import FilterBankConfig, GsmaConfig
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC, NS_PER_S, RESISTANCE_TOPIC, SpeedRecord
-from trainid_ros.interface.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.setup.pipelines import BRAKE_RATE, EstimatorSettings
 from trainid_ros.train.forces import G, acceleration
@@ -613,3 +613,19 @@ def test_a_clock_that_is_no_function_or_returns_no_number_is_named(wrong: Any) -
     if wrong != 5.0:
         with pytest.raises(InputError, match=r'^clock\(\) = '):
             ForwardClock(lambda: wrong)
+
+
+def test_a_bound_relies_on_no_more_than_the_adhesion_of_a_slide() -> None:
+    drive = Drive()
+    before = drive.on(60.0).stopping_distance(20.0)
+    slide = AdhesionEstimate(0.05, 0.0, 0.05, 0.01, -0.12, slipping=True, slip_share=0.1)
+    drive.model.take(Output(round(drive.now * 1e9), slide, Status.VALID, 1, 0, None))
+    assert drive.model.adhesion() == Value(0.05, 0.01, True, 'VALID')
+    after = drive.model.stopping_distance(20.0)
+    least = 0.05 * math.exp(-1.645 * 0.2)
+    # The resistance of the train helps the brake.
+    longest = 20.0**2 / (2.0 * least * G / 1.1) + 20.0 * 1.5
+    assert 0.7 * longest < after.value < longest
+    assert after.value > 2.0 * before.value
+    assert 'limited to an adhesion of 0.036 by a slide' in after.reason
+    assert 'adhesion' not in before.reason

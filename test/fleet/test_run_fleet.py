@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A row holds what ``trainid replay`` prints, and the ratio of distances; rows are kept, and made on a cluster too."""
+"""A row holds what ``trainid replay`` prints; rows are kept, and made on a cluster too."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
-from trainid_ros.bag.types import table_of
 from trainid_ros.cli.main import main
 from trainid_ros.fleet.mixed_model import has_estimate, is_known
 from trainid_ros.fleet.run_fleet import (
     TASK_BAGS,
-    Odometer,
     bag_row,
     killed_row,
     known_rows,
@@ -25,7 +22,6 @@ from trainid_ros.fleet.run_fleet import (
 )
 from trainid_ros.fleet.table_file import COLUMNS, NAMES, Plan, PlannedBag, Row, Setup, empty_row, make_plan
 from trainid_ros.interface.errors import InputError
-from trainid_ros.interface.records import NS_PER_S, SpeedRecord
 from trainid_ros.interface.results import Status
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
@@ -50,6 +46,7 @@ def test_numbers_are_those_of_replay(tiny: Path, setup: Setup, capsys: pytest.Ca
     assert [row[f'{name}_std'] for name in 'abc'] == w['std']
     assert row['w15'] == w['a'] + w['b'] * 15 + w['c'] * 225
     assert (row['brake_rate'], row['brake_rate_std']) == (shown['brake_rate']['value'], shown['brake_rate']['std'])
+    assert {'value': row['wheel_ratio'], 'std': row['wheel_ratio_std']} == shown['wheel_ratio']
     assert (row['used'], row['status'], row['duration_s']) == (shown['used'], w['status'], shown['duration_s'])
     assert {name: row[f'rejected_{name.lower()}'] for name in shown['rejected']} == shown['rejected']
     assert row['rejected'] == sum(shown['rejected'].values())
@@ -94,37 +91,6 @@ def test_failures_are_rows(tmp_path: Path, setup: Setup) -> None:
     assert (row['train'], row['status'], row['error']) == ('T1', None, f'{bag.path}: no such bag')
     assert bag_row(setup, 'r1', replace(bag, error='is empty'), lambda _: None)['error'] == 'is empty'
     assert 'killed' in killed_row('r1', bag)['error']
-
-
-RATIO = 1.02
-
-
-def ride(legs: int, ratio: float, lost: float = 0.0) -> Odometer:
-    """Return an odometer after legs of 1 km, there and back, at 10 m/s measured as ``ratio`` times that."""
-    speed = np.concatenate([np.r_[np.zeros(5), np.full(100, 10.0)] for _ in range(legs)] + [np.zeros(5)])
-    position = np.cumsum(speed) * 1.0
-    folded = 1000.0 - np.abs(position % 2000.0 - 1000.0)
-    rows = [
-        SpeedRecord((k + 1) * NS_PER_S + round(lost * NS_PER_S * (k > 50)), ratio * v, s)
-        for k, (v, s) in enumerate(zip(speed.tolist(), folded.tolist(), strict=True))
-    ]
-    odometer, table = Odometer(), table_of([(record.stamp_ns, record.row()) for record in rows])
-    for first in range(0, len(table), 37):
-        odometer.add(table[first : first + 37])
-    return odometer
-
-
-@pytest.mark.parametrize(('legs', 'lost', 'max_std'), [(6, 0.0, 1e-3), (2, 10.0, 1e-2)])
-def test_the_ratio_is_that_of_the_distances(legs: int, lost: float, max_std: float) -> None:
-    found = ride(legs, RATIO, lost).ratio
-    assert found is not None
-    assert found[0] == pytest.approx(RATIO, abs=1e-9)
-    assert 0.0 < found[1] < max_std
-
-
-def test_legs_with_a_gap_or_in_another_unit_do_not_count() -> None:
-    assert ride(1, RATIO, lost=10.0).ratio is None
-    assert ride(4, 3.6).ratio is None
 
 
 BROKEN = PlannedBag('none', error='none: no such bag')

@@ -25,6 +25,7 @@ from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
     OUTPUT_TOPICS,
+    SPEED,
     OutputTopic,
     Row,
     output_topic,
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from trainid_ros.bag.types import RecordTable
     from trainid_ros.inputs.mapping import Mapping
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
@@ -98,6 +100,8 @@ class Replay:
     adhesion: Output[AdhesionEstimate]  # Last output
     contradiction: Contradiction  # The last contradiction between the inputs, if there was one
     brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
+    # Measured over true speed by distances from stop to stop, and its standard deviation [1]; None if there was none
+    wheel_ratio: tuple[float, float] | None = None
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -132,6 +136,63 @@ class Pipelines(NamedTuple):
         return cls(*(kind.pipeline(train_file, settings) for kind in KINDS))
 
 
+class Odometer:
+    """Compares distances by the speed with those by the position, from stop to stop: the error of the wheel diameter.
+
+    Positions corrected by balises or at platforms do not depend on the wheels. Where they are integrated from the same
+    wheels, the ratio is one and says nothing. Tables of records come in the order of the log.
+    """
+
+    def __init__(self) -> None:
+        self._rest = math.nan  # position at the last stop [m]
+        self._driven = self._speed = 0.0
+        self._stamp_ns = 0
+        self._ratios: list[tuple[float, float]] = []
+
+    def add(self, table: RecordTable) -> None:
+        """Take in records; others than speeds do not count."""
+        chosen = np.flatnonzero(table.topic == SPEED)
+        if not chosen.size:
+            return
+        stamp_ns, speed, position = table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen]
+        gap = np.diff(stamp_ns, prepend=self._stamp_ns or stamp_ns[0]) / NS_PER_S
+        before = np.concatenate(([self._speed], speed[:-1]))
+        # A leg with a gap of two seconds has no known distance.
+        steps = np.where((gap >= 0.0) & (gap < 2.0), 0.5 * (before + speed) * gap, math.nan)
+        self._stamp_ns, self._speed = int(stamp_ns[-1]), float(speed[-1])
+        standing = speed < 0.05  # m/s
+        # Pieces that start where the train stops or departs.
+        edges = np.flatnonzero(np.diff(standing)) + 1
+        for first, end in zip([0, *edges.tolist()], [*edges.tolist(), speed.size], strict=True):
+            if standing[first]:
+                self._driven += float(steps[first])  # the last step before the stop
+                self._arrive(float(position[end - 1]))
+            else:
+                self._driven += float(steps[first:end].sum())
+
+    def _arrive(self, position: float) -> None:
+        """Close a leg at a stop; positions are corrected while the train stands, so the last one counts."""
+        leg = abs(position - self._rest)
+        # From 200 m the error of a stop is below 1 %. Beyond a ratio of 20 % a unit is wrong, or the positions are not
+        # those of the train.
+        if self._driven > 0.0 and leg > 200.0 and abs(self._driven / leg - 1.0) < 0.2:
+            self._ratios.append((self._driven / leg, leg))
+        self._rest, self._driven = position, 0.0
+
+    @property
+    def ratio(self) -> tuple[float, float] | None:
+        """Mean ratio and its standard deviation, None if there was no leg."""
+        if not self._ratios:
+            return None
+        ratio, leg = np.array(self._ratios).T
+        weight = leg * leg
+        mean = float(np.average(ratio, weights=weight))
+        # Std of the distance between two stops, by balises, overshoot and slip: 1 m.
+        stated = 1.0 / math.sqrt(float(weight.sum()))
+        scatter = float(np.average((ratio - mean) ** 2, weights=weight)) / max(1, ratio.size - 1)
+        return mean, math.hypot(stated, math.sqrt(scatter))
+
+
 def replay_through(
     pipelines: Pipelines,
     reader: BagReader,
@@ -158,20 +219,26 @@ def replay_through(
     start_ns, _ = reader.time_range() or (0, 0)
     end_ns = math.inf if math.isinf(duration_s) else start_ns + round(duration_s * NS_PER_S)
 
-    def observed() -> Iterator[Row]:
+    odometer = Odometer()
+
+    def observed(table: RecordTable) -> Iterator[Row]:
         """Yield the rows, each after the observers have received it."""
         nonlocal log_ns
-        for log_ns, row in reader.rows(end_ns):
+        for log_ns, row in zip(table.log_ns.tolist(), table.rows(), strict=True):
             entry = LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
             for observer in observers:
                 observer.on_record(entry)
             yield row
 
+    def rows_of(table: RecordTable) -> Iterator[Row]:
+        odometer.add(table)
+        return observed(table) if observers else table.rows()
+
     def publish(output: AnyOutput) -> None:
         for observer in observers:
             observer.on_output(output, log_ns)
 
-    rows = observed() if observers else chain.from_iterable(table.rows() for table in reader.tables(end_ns))
+    rows = chain.from_iterable(map(rows_of, reader.tables(end_ns)))
     while count := group.push_rows(islice(rows, PROGRESS_EVERY), publish if observers else None):
         records += count
         if progress is not None:
@@ -187,6 +254,7 @@ def replay_through(
         brake_rate.adhesion(),
         group.contradiction,
         tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
+        odometer.ratio,
     )
 
 

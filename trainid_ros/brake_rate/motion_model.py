@@ -204,8 +204,7 @@ def brake_step(
     commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
 ) -> BrakeStep:
     """Return the response over (start, end] [ns] to commands after a dead time, with a time constant [s], eq. (1)."""
-    delay_ns = round(delay * NS_PER_S)
-    a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
+    a, v = _response(commands, start_ns, end_ns, 0.0, delay, tau)
     elapsed = seconds(end_ns - start_ns)
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)
 
@@ -291,6 +290,16 @@ _CHANGING: Final = 0.1
 _MIN_LEVEL: Final = 0.08
 
 
+def rate_slope(speed: float, max_speed: float) -> float:
+    """Return p at a speed [m/s], see the module; above the maximum speed it stays constant."""
+    return min(speed / max_speed, 1.0) - 0.5
+
+
+def rate_changeover(speed: float, blend_speed: float) -> float:
+    """Return m at a speed [m/s], see the module; 1 at that of the changeover."""
+    return max(0.0, 1.0 - abs(speed / blend_speed - 1.0))
+
+
 class MotionModel:
     """Train and line according to the train file.
 
@@ -359,22 +368,23 @@ class MotionModel:
         step.reach, step.decay = motion.reach * gain / before, motion.decay * gain / before
         step.gain_v, step.gain_a = gain * motion.gain_v, gain * motion.gain_a
         step.rho, step.known = rho, known if is_finite(known) else 0.0
-        step.q_v = slack * dt + rate * rate * self._timing_variance(motion, dt, v)
+        share = self.share(v, 0.0)
+        step.q_v = slack * dt + rate * rate * self._timing_variance(motion, dt, share[CHANGEOVER])
         step.q_b = variance * (1.0 - rho * rho)
         gain_e, braked = step.gain_e, gain * motion.integral
         gain_e[DELAY], gain_e[LAG] = gain * motion.delay_gain, gain * motion.lag_gain
         gain_e[ROLLING], gain_e[AIR], gain_e[TRACTION] = -rolling * dt, -air * dt, traction * dt
-        gain_e[SLOPE], gain_e[CHANGEOVER] = braked * self._slope(v), braked * self._changeover(v)
+        gain_e[SLOPE], gain_e[CHANGEOVER] = braked * share[SLOPE], braked * share[CHANGEOVER]
         gain_e[LEVEL] = -dt if motion.end_target <= -_MIN_LEVEL else 0.0
         self.forget(dt, motion.end_target - motion.start_target, step.decay_e, step.q_e)
         step.steadiness = self._steadiness(motion, dt)
         return step
 
-    def _timing_variance(self, motion: BrakeStep, dt: float, v: float) -> float:
-        """Return the variance of speed by timing and variation between changeovers, for f = 1 [(m/s)^2]."""
+    def _timing_variance(self, motion: BrakeStep, dt: float, changeover: float) -> float:
+        """Return the variance of speed by timing and variation between changeovers, for f = 1 [(m/s)^2]; with m [1]."""
         level = motion.end_target
         early = _JITTER_S * self._timing_std * (level - motion.start_target)
-        blend = _BLEND_VARIES * self._blend_std * self._changeover(v) * level
+        blend = _BLEND_VARIES * self._blend_std * changeover * level
         return motion.variance + early * early + 2.0 * _BLEND_S * dt * blend * blend
 
     def _steadiness(self, motion: BrakeStep, dt: float) -> float:
@@ -385,21 +395,14 @@ class MotionModel:
         slow = dt * max(abs(motion.end_target), self._min_braking) * _CHANGING
         return math.exp(-change / slow) if slow > 0.0 else 0.0
 
-    def _slope(self, speed: float) -> float:
-        """Return p, see the module; above the maximum speed it stays constant."""
-        return min(speed / self._max_speed, 1.0) - 0.5
-
-    def _changeover(self, speed: float) -> float:
-        """Return m, see the module."""
-        return max(0.0, 1.0 - abs(speed / self._blend_speed - 1.0))
-
     def share(self, speed: float, level: float) -> vec[float]:
         """Return the shares of the errors in the brake rate at a speed [m/s] and level [m/s^2, >= 0], shape (8,).
 
         It is valid until the next call.
         """
         share = self._share
-        share[SLOPE], share[CHANGEOVER] = self._slope(speed), self._changeover(speed)
+        share[SLOPE] = rate_slope(speed, self._max_speed)
+        share[CHANGEOVER] = rate_changeover(speed, self._blend_speed)
         share[LEVEL] = 1.0 / level if level >= _MIN_LEVEL else 0.0
         return share
 

@@ -247,6 +247,7 @@ def to_json(
             **{name: getattr(outcome.adhesion.estimate, name) for name in quantities(AdhesionEstimate)},
             'status': outcome.adhesion.status,
         },
+        'wheel_ratio': outcome.wheel_ratio and dict(zip(('value', 'std'), outcome.wheel_ratio, strict=True)),
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
@@ -291,6 +292,8 @@ def _estimates(outcome: Replay) -> str:
         (row.name, *in_step(row.value, row.std), row.unit, row.status)
         for row in estimate_rows(outcome.resistance.output, outcome.brake_rate.output, outcome.adhesion)
     ]
+    if outcome.wheel_ratio is not None:
+        rows.append(('wheel ratio', *in_step(*outcome.wheel_ratio), '1 = as by positions', ''))
     known = quantities(SpeedModelEstimate)
     for name, value in _parameters(model.estimate).items():
         rows.append((name, f'{value:.6g}', '', known[name].unit, model.status.name))

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
 from trainid_ros.client.live_estimate import Normal, Parameter
-from trainid_ros.client.stopping import EXTRA_STEP, MAX_SPEED, RateShape
+from trainid_ros.client.stopping import EXTRA_SPEEDS, MAX_SPEED, RateShape
 from trainid_ros.estimators.settings import prior_variances
 from trainid_ros.interface.errors import InputError
 from trainid_ros.train.effects import TrackPoint, effect_value, resistance_terms
@@ -153,9 +153,9 @@ class FileValues:
         self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
         self._shape = self._rate_shape([], hot=False)
         self._along = cache(self.effects.along)
-        self._worst, speeds = {}, [EXTRA_STEP * k for k in range(math.ceil(MAX_SPEED / EXTRA_STEP) + 1)]
+        self._worst = {}
         for direction in (1, -1):
-            extra = [self.effects.resistance(speed, direction) for speed in speeds]
+            extra = [self.effects.resistance(speed, direction) for speed in EXTRA_SPEEDS]
             self._worst[direction] = self._rate_shape(extra if any(extra) else [], hot=True)
 
     def _rate_shape(self, extra: list[float], *, hot: bool) -> RateShape:
@@ -175,15 +175,26 @@ class FileValues:
         shape = self._worst[direction]
         if position is None:
             return shape
-        profile = self.effects.profile
-        if not profile.line.gradient:
-            raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
-        if not profile.first <= position <= profile.last:
-            raise InputError(f'position = {position:g} m is not on the line, {profile.first:g} to {profile.last:g} m')
+        self.check_place('position', position)
         (places, *along), place = self._along(direction), direction * position
         first = bisect_right(places, place) - 1
         ahead, (z, y) = [x - place for x in places[first:]], (values[first:] for values in along)
         return replace(shape, ahead=ahead, at_place=z, by_square=y)
+
+    def check_place(self, name: str, position: float) -> None:
+        """Raise InputError unless a position [m] of this name is on the line, and its gradients are known."""
+        line = self.effects.profile
+        if not line.line.gradient:
+            raise InputError('line.gradient of the train file is missing, so an answer at a position cannot be given')
+        if not line.first <= position <= line.last:
+            raise InputError(f'{name} = {position:g} m is not on the line, {line.first:g} to {line.last:g} m')
+
+    def beyond_line(self, way: float, direction: int, position: float | None) -> str:
+        """Return what to add to the reason of an answer if a way [m] from a position [m] leads off the line."""
+        line = self.effects.profile
+        if position is None or line.first <= position + direction * way <= line.last:
+            return ''
+        return f'; beyond the end of the line at {line.last if direction > 0 else line.first:g} m'
 
     def motion_shape(self, direction: int, position: float | None) -> RateShape:
         """Return the same for a cold brake."""
@@ -215,6 +226,5 @@ class FileValues:
         """
         if speed is None:
             return self.effects.brake_share(self._speeds[len(_SHARES) // 2]), 0.0
-        shape, config = self._shape, self.config
-        over_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
-        return shape.table(speed), over_speed
+        s, p, m = self._shape.parts(speed)
+        return s, math.hypot(self.config.slope_std * p, self.config.blend_std * m)

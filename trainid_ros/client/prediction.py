@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.client.stopping import DELAY, EXTRA_STEP, GRADIENT, LAG, NORMAL, A, C, StopPosterior
+from trainid_ros.client.stopping import DELAY, EXTRA_SPEEDS, GRADIENT, LAG, MAX_SPEED, NORMAL, A, C, StopPosterior
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,8 +53,8 @@ class Plan:
 def predicted_speeds(
     speed: float, horizons: Sequence[float], plan: Plan, shape: RateShape, known: StopPosterior,
     scale: tuple[float, float], config: BrakeRateConfig,
-) -> list[tuple[float, float]]:  # fmt: skip
-    """Return mean and standard deviation of the speed at times from now on [m/s, s, > 0].
+) -> list[tuple[float, float, float]]:  # fmt: skip
+    """Return mean and standard deviation of the speed [m/s], and the way [m], at times from now on [s, > 0].
 
     ``scale`` is the force scale and its standard deviation [1]; ``shape`` and what is ``known`` are as for a stop.
     """
@@ -64,13 +64,14 @@ def predicted_speeds(
     dt = float(times[1])
     force = np.diff(_integral(plan.force, times, 0.0)) / dt
     brake = _brake(plan, times, theta)
+    rates = np.array([(v, *shape.parts(v)) for v in shape.knots(MAX_SPEED)]).T
     v, run, held = np.full(len(scales), speed), np.zeros(len(scales)), 0.0
     speeds, runs, margins = [v], [0.0], [0.0]
     for k in range(count):
         drive = scales * force[k] if force[k] > 0.0 else force[k]
-        middle = np.maximum(0.0, v + 0.5 * dt * (drive - _deceleration(shape, theta, v, brake[k], run)))
+        middle = np.maximum(0.0, v + 0.5 * dt * (drive - _deceleration(shape, rates, theta, v, brake[k], run)))
         middle_run = run + 0.25 * dt * (v + middle)
-        unbounded = v + dt * (drive - _deceleration(shape, theta, middle, brake[k], middle_run))
+        unbounded = v + dt * (drive - _deceleration(shape, rates, theta, middle, brake[k], middle_run))
         after = np.maximum(0.0, unbounded)
         held = max(0.0, held - float(unbounded[0])) if after[0] == 0.0 else 0.0
         run = run + 0.5 * dt * (v + after)
@@ -85,7 +86,7 @@ def predicted_speeds(
     moved = (_noise(t, run, shape.k, known, config) for t, run in zip(horizons, passed, strict=True))
     noise = [_beyond(held, std) for held, std in zip(margin, moved, strict=True)]
     stds = np.sqrt(np.sum(shares * shares, axis=1) + np.square(noise))
-    return list(zip(members[:, 0].tolist(), stds.tolist(), strict=True))
+    return list(zip(members[:, 0].tolist(), stds.tolist(), passed, strict=True))
 
 
 def _beyond(margin: float, std: float) -> float:
@@ -132,18 +133,16 @@ def _brake(plan: Plan, times: Array, theta: Array) -> Array:
     return np.array(means)
 
 
-def _deceleration(shape: RateShape, theta: Array, v: Array, brake: Array, run: Array) -> Array:
+def _deceleration(shape: RateShape, rates: Array, theta: Array, v: Array, brake: Array, run: Array) -> Array:
+    """Return the deceleration of each member [m/s^2]; ``rates`` are knots of the speed, and s, p and m there."""
     f, e, h, a, b, c, i = theta[:DELAY]
-    rate = f + e * (np.minimum(v / shape.max_speed, 1.0) - 0.5)
-    rate = rate + h * np.maximum(0.0, 1.0 - np.abs(v / shape.blend_speed - 1.0))
-    if shape.speeds:
-        rate = rate * np.interp(v, shape.speeds, shape.rates)
+    s, p, m = (np.interp(v, rates[0], part) for part in rates[1:])
     w = a + i + v * (b + v * c)
     if shape.resistances:
-        w = w + np.interp(v, EXTRA_STEP * np.arange(len(shape.resistances)), shape.resistances)
+        w = w + np.interp(v, EXTRA_SPEEDS, shape.resistances)
     if shape.ahead:
         w = w + np.interp(run, shape.ahead, shape.at_place) + v * v * np.interp(run, shape.ahead, shape.by_square)
-    out: Array = rate * brake + shape.k * w
+    out: Array = s * (f + e * p + h * m) * brake + shape.k * w
     return out
 
 

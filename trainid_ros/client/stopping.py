@@ -55,6 +55,7 @@ from operator import mul
 from statistics import NormalDist
 from typing import Final
 
+from trainid_ros.brake_rate.motion_model import rate_changeover, rate_slope
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.train.forces import Interpolation
 
@@ -70,8 +71,10 @@ DELAY: Final = 7  # place of T, the dead time [s]
 LAG: Final = 8  # place of tau, the time constant [s]
 PARAMETERS: Final = 9  # number of parameters
 
-EXTRA_STEP: Final = 0.25
-"""Step of the speeds at which x(v) is given [m/s]."""
+MAX_SPEED: Final = 150.0
+"""Largest speed of an argument or an answer [m/s]."""
+EXTRA_SPEEDS: Final = [0.25 * k for k in range(601)]
+"""Speeds at which x(v) is given, up to ``MAX_SPEED`` [m/s]."""
 # Steps while the brake builds up, in time constants.
 _BUILD_UP: Final = (0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
 # Gauss-Legendre nodes and weights on (0, 1), order 10.
@@ -100,7 +103,7 @@ class RateShape:
     max_speed: float  # speed from which p is constant [m/s]
     blend_speed: float  # speed of the changeover between brakes [m/s]
     k: float  # deceleration by a resistance of 1 N/kN [m/s^2]
-    # x(v) at 0, EXTRA_STEP, ... [N/kN], linear between them; empty if it is zero
+    # x(v) at EXTRA_SPEEDS [N/kN], linear between them and constant beyond; empty if it is zero
     resistances: list[float] = field(default_factory=list)
     # Distances from the start of the braking [m], the first not ahead; z and y there [N/kN, N/kN per (m/s)^2], constant
     # beyond them; empty without a place
@@ -109,22 +112,18 @@ class RateShape:
     by_square: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Prepare the table."""
+        """Prepare both tables."""
         self._table = Interpolation(self.speeds, self.rates)
+        self._extra = Interpolation(EXTRA_SPEEDS, self.resistances)
 
-    def table(self, v: float) -> float:
-        """Return s(v) [1]."""
-        return self._table.at(v) if len(self.speeds) > 0 else 1.0
+    def parts(self, v: float) -> tuple[float, float, float]:
+        """Return s(v), p(v) and m(v) [1]."""
+        s = self._table.at(v) if len(self.speeds) > 0 else 1.0
+        return s, rate_slope(v, self.max_speed), rate_changeover(v, self.blend_speed)
 
     def extra(self, v: float) -> float:
-        """Return x(v) [N/kN], constant beyond the speeds for which it is given."""
-        resistances = self.resistances
-        last = len(resistances) - 1
-        if last < 0:
-            return 0.0
-        place = min(max(0.0, v / EXTRA_STEP), float(last))
-        k = min(int(place), last - 1)
-        return resistances[k] + (place - k) * (resistances[k + 1] - resistances[k])
+        """Return x(v) [N/kN]."""
+        return self._extra.at(v) if len(self.resistances) > 0 else 0.0
 
     def place(self, run: float, v: float) -> tuple[float, float]:
         """Return z + y v^2 after a distance [N/kN] and its derivative by the distance [N/kN per m]."""
@@ -133,26 +132,19 @@ class RateShape:
         slope = (z[k + 1] - z[k] + v * v * (y[k + 1] - y[k])) / (x[k + 1] - x[k])
         return z[k] + y[k] * v * v + (run - x[k]) * slope, slope
 
-    def slope(self, v: float) -> float:
-        """Return p(v) [1]."""
-        return min(v / self.max_speed, 1.0) - 0.5
-
-    def changeover(self, v: float) -> float:
-        """Return m(v) [1]."""
-        return max(0.0, 1.0 - abs(v / self.blend_speed - 1.0))
-
     def rate(self, v: float, theta: list[float]) -> float:
         """Return r(v) [1]."""
-        by_speed = theta[SLOPE] * self.slope(v) + theta[CHANGEOVER] * self.changeover(v)
-        return self.table(v) * (theta[RATE] + by_speed)
+        s, p, m = self.parts(v)
+        return s * (theta[RATE] + (theta[SLOPE] * p + theta[CHANGEOVER] * m))
 
     def by_parameters(self, v: float, target: float, weight: float = 1.0) -> list[float]:
         """Return the weighted derivatives of the deceleration by all parameters, but for T and tau.
 
         ``target`` is the brake target [m/s^2].
         """
-        rate, k = weight * self.table(v) * target, weight * self.k
-        return [rate, rate * self.slope(v), rate * self.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
+        s, p, m = self.parts(v)
+        rate, k = weight * s * target, weight * self.k
+        return [rate, rate * p, rate * m, k, k * v, k * v * v, k, 0.0, 0.0]
 
     def knots(self, v: float) -> list[float]:
         """Return the speeds from zero to v between which r is smooth [m/s]."""
@@ -161,19 +153,15 @@ class RateShape:
         return [0.0, *sorted(x for x in inner if 0.0 < x < v), v]
 
 
+@dataclass
 class Stop:
-    """A stop or the bound of one.
+    """A stop or the bound of one."""
 
-    Attributes:
-        distance: Distance, or its bound [m]; infinite if the train does not stop.
-        std: Standard deviation of the distance [m].
-        dD_dv: Derivative of the distance by the speed [s].
-        gradient: Its derivatives by the parameters, of a bound at the design point.
-    """
-
-    def __init__(self, distance: float = 0.0, std: float = 0.0, dD_dv: float = 0.0) -> None:
-        self.distance, self.std, self.dD_dv = distance, std, dD_dv
-        self.gradient = [0.0] * PARAMETERS
+    distance: float = 0.0  # Distance, or its bound [m]; infinite if the train does not stop
+    std: float = 0.0  # Standard deviation of the distance [m]
+    by_speed: float = 0.0  # Derivative of the distance by the speed [s]
+    # Its derivatives by the parameters, of a bound at the design point
+    gradient: list[float] = field(default_factory=lambda: [0.0] * PARAMETERS)
 
 
 class Braking:
@@ -353,7 +341,7 @@ class Braking:
             if k == self._dead_end:
                 passed = by_place * speeds[k] - costate * self._deceleration(speeds[k], self._applied, runs[k])
                 gradient[DELAY] = passed
-        out.dD_dv = costate
+        out.by_speed = costate
 
     def _stiffness(self, t: float, v: float, run: float) -> float:
         """Return the derivative of the deceleration by speed [1/s]."""
@@ -370,8 +358,6 @@ class Braking:
             gradient[LAG] += weight * self._shape.rate(v, self._theta) * change
 
 
-MAX_SPEED: Final = 150.0
-"""Largest speed of an argument or an answer [m/s]."""
 NO_BRAKE: Final = 1e-3
 """Brake rates below this count as no brake [1]."""
 
@@ -482,7 +468,7 @@ class StoppingBounds:
                 # Weights by the densities of the distance.
                 density, of_drop = (1.0 - dropped) * NORMAL.pdf(z) / by_z, dropped * NORMAL.pdf(z_lower) / by_z_lower
                 best.distance = distance
-                best.dD_dv = (density * known.dD_dv + of_drop * of_lower.dD_dv) / (density + of_drop)
+                best.by_speed = (density * known.by_speed + of_drop * of_lower.by_speed) / (density + of_drop)
                 break
             following = min(z + (distance - known.distance) / by_z, most)
             z = following if low < following < high else middle
@@ -563,24 +549,19 @@ class StoppingBounds:
             ):
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
-            speed = self._next(speed, excess, found, low, high)
+            # Newton's method, or halves where it leaves the bracket.
+            following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
+            inner = following if low < following < high else 0.5 * (low + high)
+            speed = MAX_SPEED if following >= high == MAX_SPEED else inner
             found = self.at(speed)
         if found.distance > distance + 1e-6:  # it leaps, as where a faster train passes the top of a hill
             speed, found = low, self.at(low)
         if speed > 1e-9:  # else it counts as standstill
             # For unphysical drag the sign of the derivative is unreliable.
-            return speed, found.std / abs(found.dD_dv)
+            return speed, found.std / abs(found.by_speed)
         if math.isinf(self.at(1e-3).distance):  # not even the slowest train may stop
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0
-
-    @staticmethod
-    def _next(speed: float, excess: float, found: Stop, low: float, high: float) -> float:
-        """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
-        following = speed - excess / found.dD_dv if 0.0 < found.dD_dv < math.inf else -math.inf
-        if following >= high == MAX_SPEED:
-            return MAX_SPEED
-        return following if low < following < high else 0.5 * (low + high)
 
     def _first_guess(self, distance: float) -> float:
         """Return the speed of a constant deceleration after dead time and time constant [m/s]."""

@@ -384,14 +384,11 @@ class TrainModel:
         M = train.mass if mass is None else MASS.checked(mass)
         with self._lock:
             self._go_on()
-            w = self._resistance_at(v, direction)
-            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+            w, scale = self._resistance_at(v, direction), self._traction_scale(v, direction)
         load = load_drag(self._file.train_file.c_of_load, train.mass, M, v)
         force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + load + i))
         if force > 0.0:
-            # As the estimators do: they subtract what effects take from the reported force, which they scale.
-            s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
-            share = math.sqrt(variance) / s
+            s, share = scale[0], scale[1] / scale[0]
         else:
             s, share = max(self._file.effects.brake_share(v), MIN_SCALE), train.mass_std
         force, by_w = force / s, M * 0.001 * G / s
@@ -461,12 +458,13 @@ class TrainModel:
             self._go_on()
             posterior, of_rate = self._posterior(i + load), self._brake_rate.state()
             live, reason = self._resistance.state()
-            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+            scale = self._traction_scale(v, direction)
         if u0 or any(u for _, u in plan.command):
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
-        s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), MIN_SCALE)
-        found = predicted_speeds(v, times, plan, shape, posterior, (s, math.sqrt(variance)), self._file.config)
-        answers = tuple(Value(mean, std, live, reason) for mean, std in found)
+        found = predicted_speeds(v, times, plan, shape, posterior, scale, self._file.config)
+        answers = tuple(
+            Value(mean, std, live, reason + self._file.beyond_line(run, direction, place)) for mean, std, run in found
+        )
         return answers[0] if isinstance(horizon, (float, Real)) else answers
 
     def stopping_distance(
@@ -487,7 +485,7 @@ class TrainModel:
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
             direction: As of :meth:`resistance`.
             position: Of the train's front [m]. With it, gradients and effects over the line of the train file act along
-                the way, and ``gradient`` is added to them.
+                the way, and ``gradient`` is added to them; ``reason`` says so if the way leads off that line.
 
         Raises:
             NoAnswerError: The train may not stop at all.
@@ -497,6 +495,7 @@ class TrainModel:
         found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
+        reason += self._file.beyond_line(found.distance, direction, position)
         return Value(found.distance, found.std, live, reason)
 
     def braking_speed(
@@ -507,18 +506,23 @@ class TrainModel:
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
         It is the inverse of :meth:`stopping_distance`, whose other arguments it takes, and at most 150 m/s. Where the
-        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m].
+        train must stop and where it is may be given instead, as ``target_position`` and ``position`` [m], both on the
+        line of the train file.
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
         """
         if (distance is None) == (target_position is None) or (target_position is None) != (position is None):
             raise InputError('give either distance, or target_position and position')
+        passed = ''
         if distance is None:
-            distance = distance_to(_TARGET.checked(target_position), position, checked_direction(direction))
+            target = _TARGET.checked(target_position)
+            self._file.check_place('target_position', target)
+            distance = distance_to(target, position, checked_direction(direction))
+            passed = '' if distance > 0.0 else '; the target is not ahead in this direction'
         away = DISTANCE.checked(distance)
         bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
-        return Value(*bounds.speed(away), live, reason)
+        return Value(*bounds.speed(away), live, reason + passed)
 
     def braking_curve(
         self, stop: float, positions: Iterable[float], gradient: float = 0.0, command: float = FULL_SERVICE,
@@ -569,6 +573,12 @@ class TrainModel:
         if live and not low <= speed <= high:
             reason = f'{reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s'
         return Value(w + extra, math.sqrt(variance), live, reason)
+
+    def _traction_scale(self, speed: float, direction: int) -> tuple[float, float]:
+        """Return the actual over the reported traction, and its standard deviation [1]."""
+        scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        # As the estimators do: they subtract what effects take from the reported force, which they scale.
+        return max(scale + (self._file.effects.traction_share(speed, direction) - 1.0), MIN_SCALE), math.sqrt(variance)
 
     def _brake_rate_at(self, speed: float | None) -> Value:
         table, over_speed = self._file.rate_direction(speed)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay the bags of a plan that have no row yet, on this machine or on a cluster, and write the table.
 
-Each bag is replayed as by ``trainid replay``; a failure is a row too. The error of the wheel diameter is the ratio of
-the distance by the speed to that by the position, from stop to stop. Positions corrected by balises or at platforms do
-not depend on the wheels. Where they are integrated from the same wheels, the ratio is one and says nothing.
+Each bag is replayed as by ``trainid replay``; a failure is a row too.
 
 Each row is kept in a file beside the table, named by the digest of all that determines it, for the next run.
 
@@ -23,11 +21,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.reader import BagReader, in_two
-from trainid_ros.bag.types import RecordTable
 from trainid_ros.bag.worker_pool import each_bag, killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.fleet import table_file as files
@@ -35,7 +30,7 @@ from trainid_ros.fleet.table_file import Plan, PlannedBag, Row, Setup
 from trainid_ros.inputs.mapped_inputs import MappedInputs, mapped_inputs
 from trainid_ros.interface.errors import InputError, TrainIdError
 from trainid_ros.interface.files import write_whole
-from trainid_ros.interface.records import NS_PER_S, SPEED
+from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Status, deviations
 from trainid_ros.monitor.trains import resistance_at
 from trainid_ros.setup.params_file import Setup as NodeSetup
@@ -44,73 +39,6 @@ from trainid_ros.train.train_file import load_train_file
 
 Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Generator[tuple[int, Row], None, None]]
 """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
-
-
-class Odometer:
-    """Compares distances from stop to stop; tables of records come in the order of the log."""
-
-    def __init__(self) -> None:
-        self._rest = self._position = math.nan  # positions at the last stop, and of the last speed [m]
-        self._driven = self._speed = 0.0
-        self._stamp_ns = 0
-        self._ratios: list[tuple[float, float]] = []
-
-    def add(self, table: RecordTable) -> None:
-        """Take in records; others than speeds do not count."""
-        chosen = np.flatnonzero(table.topic == SPEED)
-        if not chosen.size:
-            return
-        stamp_ns, speed, position = table.stamp_ns[chosen], np.abs(table.x[chosen]), table.y[chosen]
-        gap = np.diff(stamp_ns, prepend=self._stamp_ns or stamp_ns[0]) / NS_PER_S
-        before = np.concatenate(([self._speed], speed[:-1]))
-        # A leg with a gap of two seconds has no known distance.
-        steps = np.where((gap >= 0.0) & (gap < 2.0), 0.5 * (before + speed) * gap, math.nan)
-        self._stamp_ns, self._speed = int(stamp_ns[-1]), float(speed[-1])
-        standing = speed < 0.05  # m/s
-        # Pieces that start where the train stops or departs.
-        edges = np.flatnonzero(np.diff(standing)) + 1
-        for first, end in zip([0, *edges.tolist()], [*edges.tolist(), speed.size], strict=True):
-            if standing[first]:
-                self._driven += float(steps[first])  # the last step before the stop
-                self._arrive(float(position[end - 1]))
-            else:
-                self._driven += float(steps[first:end].sum())
-
-    def _arrive(self, position: float) -> None:
-        """Close a leg at a stop; positions are corrected while the train stands, so the last one counts."""
-        leg = abs(position - self._rest)
-        # From 200 m the error of a stop is below 1 %. Beyond a ratio of 20 % a unit is wrong, or the positions are not
-        # those of the train.
-        if self._driven > 0.0 and leg > 200.0 and abs(self._driven / leg - 1.0) < 0.2:
-            self._ratios.append((self._driven / leg, leg))
-        self._rest, self._driven = position, 0.0
-
-    @property
-    def ratio(self) -> tuple[float, float] | None:
-        """Mean ratio and its standard deviation, None if there was no leg."""
-        if not self._ratios:
-            return None
-        ratio, leg = np.array(self._ratios).T
-        weight = leg * leg
-        mean = float(np.average(ratio, weights=weight))
-        # Std of the distance between two stops, by balises, overshoot and slip: 1 m.
-        stated = 1.0 / math.sqrt(float(weight.sum()))
-        scatter = float(np.average((ratio - mean) ** 2, weights=weight)) / max(1, ratio.size - 1)
-        return mean, math.hypot(stated, math.sqrt(scatter))
-
-
-class OdometerReader(BagReader):
-    """A bag whose records an odometer takes in as they are read."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.odometer = Odometer()
-
-    def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
-        """Yield the tables of the reader."""
-        for table in super().tables(last_ns):
-            self.odometer.add(table)
-            yield table
 
 
 def bag_row(setup: Setup, revision: str, bag: PlannedBag, advance: Callable[[float], None]) -> Row:
@@ -157,7 +85,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     """Replay a bag and fill its row; InputError if it cannot be used."""
     setups, inputs = prepared(setup)
     opening, reading = in_two(advance)
-    with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
+    with BagReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
         pipelines = Pipelines(*(item.pipeline(reader.mapping.alignment) for item in setups))
         before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
@@ -177,8 +105,8 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
     if before is not None and (learned := _dead_time(pipelines)) is not None and learned[1] < before[1]:
         row['dead_time'], row['dead_time_std'] = learned
-    if (ratio := reader.odometer.ratio) is not None:
-        row['wheel_ratio'], row['wheel_ratio_std'] = ratio
+    if outcome.wheel_ratio is not None:
+        row['wheel_ratio'], row['wheel_ratio_std'] = outcome.wheel_ratio
 
 
 def _resistance(outcome: Replay) -> Row:

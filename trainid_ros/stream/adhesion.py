@@ -256,17 +256,9 @@ class AdhesionEstimator:
             driven += dt * traction / known.inertia
         rolled = -dt * (davis(self._davis, v) + known.track(sample)) / known.inertia
         return Past(
-            sample.stamp_ns,
-            sample.speed,
-            last.v,
-            last.b,
-            last.vv,
-            last.vb,
-            last.bb,
-            self._acceleration(sample),
-            last.driven + driven,
-            last.rolled + rolled,
-        )
+            sample.stamp_ns, sample.speed, last.v, last.b, last.vv, last.vb, last.bb, self._acceleration(sample),
+            last.driven + driven, last.rolled + rolled,
+        )  # fmt: skip
 
     # Without slip
 
