@@ -94,8 +94,9 @@ def test_text_shows_effects_evidence_and_gap(make_explanation: Make, stated: Tra
 
 
 def test_what_was_learned_is_in_json_text_and_folder(
-    make_explanation: Make, make_learned: Callable[..., Learned], stated: TrainFile, tmp_path: Path
+    make_explanation: Make, make_learned: Callable[..., Learned], stated: TrainFile, tmp_path: Path, monkeypatch: Any
 ) -> None:
+    monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda *_: '')
     learned = make_learned(twins=('the time',))
     found = make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), remaining=learned.sentence, learned=learned)
     answer = to_json(found)['learned']
