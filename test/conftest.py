@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import signal
 from collections.abc import Callable
@@ -57,6 +58,16 @@ NAN = (math.nan, math.nan)
 
 # A shell ignores SIGINT in what it starts in the background, and so would the programs that tests stop by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest test first, so that no process is left with it when the others have ended."""
+    items.sort(key=lambda item: item.path.name != 'test_compiled.py')
+
+
+def pytest_collection_finish() -> None:
+    """Keep modules and collected tests out of garbage collection, which otherwise takes an eighth of the time."""
+    gc.freeze()
 
 
 def trace(direction: int) -> RunTrace:

@@ -153,7 +153,7 @@ def main() -> None:
     """Print how the modules run, what happened in the drive, and the hashes."""
     metro = load_train_file(ROOT / 'config' / 'trains' / 'yizhuang.yaml')
     records = simulate(yizhuang_day(metro, runs=2), np.random.default_rng(2015)).records
-    clean, _ = digest(metro, list(records))
+    clean, _ = digest(metro, list(records[: len(records) // 2]))
     faulty, kinds = digest(replace(metro, effects=parse_effects(EFFECTS)), hard(records))
     print('sources' if alignment.__file__.endswith('.py') else 'compiled', *sorted(kinds), sep=' ')
     print(clean, faulty)

@@ -7,6 +7,7 @@ import ast
 import os
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -103,12 +104,15 @@ def imported_modules(name: str, source: str) -> set[str]:
     return found & PATHS.keys()
 
 
-IMPORTED = {name: imported_modules(name, path.read_text(encoding='utf-8')) for name, path in PATHS.items()}
+@cache
+def imported() -> dict[str, set[str]]:
+    """Return what each module of the package imports; not when tests are collected, as each process does that."""
+    return {name: imported_modules(name, path.read_text(encoding='utf-8')) for name, path in PATHS.items()}
 
 
 def imported_folders(name: str) -> set[str]:
     """Return the folders of the package that a module imports from."""
-    return {parts[1] for parts in (other.split('.') for other in IMPORTED[name]) if len(parts) > 1} & FOLDERS
+    return {parts[1] for parts in (other.split('.') for other in imported()[name]) if len(parts) > 1} & FOLDERS
 
 
 @pytest.mark.parametrize(
@@ -128,8 +132,8 @@ def test_every_form_of_import_is_seen(name: str, source: str, found: str) -> Non
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    assert 'trainid_ros.ros.diagnostics' in IMPORTED['trainid_ros.ros.estimator_node']
-    TopologicalSorter(IMPORTED).prepare()  # a CycleError names the modules
+    assert 'trainid_ros.ros.diagnostics' in imported()['trainid_ros.ros.estimator_node']
+    TopologicalSorter(imported()).prepare()  # a CycleError names the modules
 
 
 def test_layers_are_all_folders() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import struct
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
@@ -71,6 +72,9 @@ def rows(path: Path) -> tuple[list[tuple[int, Row]], list[str], int, tuple[int, 
         return list(reader.rows()), reader.warnings, reader.message_count, reader.time_range()
 
 
+tiny_rows = cache(partial(rows, TINY))
+
+
 class Counted(RecordFile):
     """A file that counts the bytes read."""
 
@@ -89,7 +93,7 @@ def test_the_same_messages_are_read_beside_a_camera(
     tmp_path: Path, compression: CompressionType, *, apart: bool
 ) -> None:
     path = write(TINY, tmp_path / 'a.mcap', compression, apart=apart)
-    expected, _, count, span = rows(TINY)
+    expected, _, count, span = tiny_rows()
     found, warnings, more, found_span = rows(path)
     assert found == expected
     assert warnings == []
@@ -118,7 +122,7 @@ def test_a_damaged_image_is_no_matter(tmp_path: Path) -> None:
     path = write(TINY, tmp_path / 'a.mcap', CompressionType.NONE, image=marked)
     with changed(path) as content:
         content[content.index(marked) + 1000] ^= 1
-    assert rows(path)[:2] == (rows(TINY)[0], [])
+    assert rows(path)[:2] == (tiny_rows()[0], [])
 
 
 @pytest.mark.parametrize('at', [9, 15, 23], ids=['channel', 'log time', 'place'])
@@ -130,7 +134,7 @@ def test_whole_chunks_are_read_where_their_indexes_claim_other_messages(tmp_path
         for chunk in summary.chunk_indexes:
             for offset in chunk.message_index_offsets.values():
                 content[offset + at] ^= 3
-    assert rows(path)[0] == rows(TINY)[0]
+    assert rows(path)[0] == tiny_rows()[0]
 
 
 # All that the specification lets grow, in the part with the messages and after it.
@@ -186,7 +190,7 @@ def test_records_that_are_longer_than_known_or_of_unknown_kinds_lose_nothing(
     content = extended(path.read_bytes(), **change)
     assert chunk_bytes or len(content) > path.stat().st_size
     path.write_bytes(content)
-    assert rows(path)[:2] == (rows(TINY)[0], [])
+    assert rows(path)[:2] == (tiny_rows()[0], [])
 
 
 @pytest.mark.parametrize('opcode', GROWING_AT_THE_END)
@@ -198,7 +202,7 @@ def test_records_of_the_summary_may_be_longer_than_known(tmp_path: Path, opcode:
     file.close()
     assert summary.statistics is not None
     assert len(summary.chunk_indexes) == summary.statistics.chunk_count
-    assert rows(path)[:2] == (rows(TINY)[0], [])
+    assert rows(path)[:2] == (tiny_rows()[0], [])
 
 
 @pytest.mark.parametrize('opcode', [*GROWING, 0x10])
@@ -212,7 +216,7 @@ def test_damage_to_a_file_with_longer_records_costs_one_chunk(tmp_path: Path, op
     content[chunks[1].offset : chunks[1].offset + 100] = bytes(100)
     path.write_bytes(content)
     found, warnings, count, _ = rows(path)
-    expected = rows(TINY)[0]
+    expected = tiny_rows()[0]
     rest = iter(expected)
     assert all(row in rest for row in found)
     assert len(found) > 0.4 * len(expected)

@@ -18,6 +18,7 @@ import pytest
 
 from test.fleet.surrogate import fleet_rows
 from test.hang import HANG_S
+from test.report.pages import no_layout
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import FoundEffect
 from trainid_ros.fleet.table_file import Row, read_table, write_table
@@ -219,6 +220,7 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
+@no_layout()
 def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = table.parent / 'report.html'
     text = reported(capsys, table, '--out', report)

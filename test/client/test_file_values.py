@@ -135,7 +135,7 @@ def replayed(records: tuple[Record, ...], file: TrainFile) -> TrainModel:
 )
 def test_stated_effects_give_the_answers_of_estimates_that_absorb_them(effects: tuple[str, ...]) -> None:
     true = stated(*effects)
-    records = simulate(Scenario(true, runs=5, stated=ON_LINE), np.random.default_rng(3)).records
+    records = simulate(Scenario(true, runs=3, stated=ON_LINE), np.random.default_rng(3)).records
     stating, absorbing = replayed(records, true), replayed(records, ON_LINE)
     assert stating.resistance(12.0).live
     assert stating.brake_rate().live

@@ -112,7 +112,7 @@ def test_derivatives_are_those_of_the_distance() -> None:
         below[place] -= step
         numeric = (distance(above) - distance(below)) / (2.0 * step)
         assert stop.gradient[place] == pytest.approx(numeric, rel=0.03), place
-    assert stop.by_speed == pytest.approx(
+    assert stop.dD_dv == pytest.approx(
         (distance(theta, 19.0 + step) - distance(theta, 19.0 - step)) / (2.0 * step), rel=0.01
     )
 

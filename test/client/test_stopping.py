@@ -96,7 +96,7 @@ def test_derivatives_are_those_of_the_distance(table: Pairs, speed: float) -> No
         numeric = (distance(above) - distance(below)) / (2.0 * step)
         assert stop.gradient[place] == pytest.approx(numeric, rel=0.05), place
     numeric = (distance(theta, speed + step) - distance(theta, speed - step)) / (2.0 * step)
-    assert stop.by_speed == pytest.approx(numeric, rel=0.01)
+    assert stop.dD_dv == pytest.approx(numeric, rel=0.01)
 
 
 def test_a_table_is_interpolated_linearly() -> None:
@@ -112,7 +112,7 @@ def test_an_extra_resistance_acts_as_that_of_the_train() -> None:
     drag[5] += 0.002
     extra, expected = (Braking(x, y, 0.7, 0.0).stop(20.0) for x, y in ((form, parameters()), (shape(), drag)))
     assert extra.distance == pytest.approx(expected.distance, rel=1e-5)
-    assert extra.by_speed == pytest.approx(expected.by_speed, rel=1e-3)
+    assert extra.dD_dv == pytest.approx(expected.dD_dv, rel=1e-3)
 
 
 def test_a_train_that_is_braking_already_stops_sooner() -> None:
@@ -235,7 +235,7 @@ def test_a_bound_with_a_drop_is_longer_and_smooth_and_has_an_inverse(
         found = bounds.at(speed)
         assert found.distance > StoppingBounds(shape(), posterior, 0.9, 0.0, confidence).at(speed).distance
         numeric = (bounds.at(speed + step).distance - bounds.at(speed - step).distance) / (2.0 * step)
-        assert found.by_speed == pytest.approx(numeric, rel=0.01)
+        assert found.dD_dv == pytest.approx(numeric, rel=0.01)
         other = mixed(dropped, loss, confidence, posterior)  # by other speeds on the way
         assert other.speed(found.distance)[0] == pytest.approx(speed, abs=1e-6)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ LINE = Line(
 FILE = TrainFile(Train(mass=200e3, length=100.0), Davis(2.0, 0.0, 0.008), Brake(), LINE)
 
 
+@cache
 def driven(rate: float, *, knows: bool, **model: float) -> Simulation:
     true = replace(FILE, brake=replace(FILE.brake, rate=rate))
     profile = LineProfile(FILE.line, FILE.train.length)
@@ -91,8 +93,8 @@ def test_there_is_no_traction_before_the_brake_is_released(gradient: float) -> N
         ato.append(Recorded(AtoModel(), file, LineProfile(line, 100.0), TrueValues(file, plant), rng))
         return ato[0]
 
-    simulation = simulate(Scenario(file, runs=4, stated=file), np.random.default_rng(3), make)
-    assert len(simulation.arrivals) == 4
+    simulation = simulate(Scenario(file, runs=2, stated=file), np.random.default_rng(3), make)
+    assert len(simulation.arrivals) == 2
     given = ato[0].given
     assert max(decision.traction for decision in given) > 100e3
     assert not [decision for decision in given if decision.traction > 0.0 and decision.brake < 0.0]

@@ -29,7 +29,7 @@ def test_the_same_seed_gives_the_same_day() -> None:
     plan, other = (plan_day('metro', 4, np.random.default_rng(5)) for _ in range(2))
     assert plan == other
     assert plan != plan_day('metro', 4, np.random.default_rng(6))
-    assert driven('live') == driven('live')
+    assert driven('live', runs=2) == driven('live', runs=2)
 
 
 @pytest.fixture(scope='module')
@@ -84,7 +84,7 @@ def test_only_the_train_itself_has_a_rate_over_speed_that_is_not_stated() -> Non
     assert shaped.events_s == plain.events_s
     tables = [
         plan_day('emu', 2, np.random.default_rng(seed), shaped=True).case.scenario.train_file.brake.rate_table
-        for seed in range(200)
+        for seed in range(100)
     ]
     rates = np.array([[rate for _, rate in table] for table in tables])
     assert np.std(rates[:, -1] - rates[:, 0]) == pytest.approx(0.08, rel=0.2)
@@ -182,25 +182,24 @@ def test_the_train_stops_where_the_bias_aims(monkeypatch: pytest.MonkeyPatch, ai
     assert driven('truth').errors == pytest.approx([aim] * 4, abs=0.5)
 
 
-@pytest.mark.parametrize('world', ['metro', 'tram'])
-def test_limits_are_kept_with_a_brake_that_takes_time(world: str) -> None:
-    over = [drive_day(plan_day(world, 4, np.random.default_rng(seed)), 'truth', seed).overspeed for seed in (1, 2)]
-    assert max(over) < 0.1
+@pytest.mark.parametrize(('world', 'seed'), [('metro', 1), ('tram', 2)])
+def test_limits_are_kept_with_a_brake_that_takes_time(world: str, seed: int) -> None:
+    assert drive_day(plan_day(world, 4, np.random.default_rng(seed)), 'truth', seed).overspeed < 0.1
 
 
 @pytest.mark.slow
 def test_live_estimates_stop_the_train_better() -> None:
-    drives = {name: [driven(name, seed, 6) for seed in (3, 4)] for name in ('nominal', 'live')}
+    drives = {name: [driven(name, seed) for seed in (3, 4)] for name in ('nominal', 'live')}
     nominal, live = (np.abs(np.concatenate([drive.errors for drive in some])) for some in drives.values())
     assert np.quantile(live, 0.95) < 0.5 * np.quantile(nominal, 0.95)
     rows = drives['live'][1].bounds
-    assert len(rows) == 6
+    assert len(rows) == 4
     assert all(0.8 * row.bound < row.distance < 1.2 * row.bound for row in rows)
 
 
 @pytest.mark.slow
 def test_bounds_are_live_once_the_estimates_are() -> None:
-    rows = drive_day(plan_day('metro', 6, np.random.default_rng(4)), 'live', 4).bounds
+    rows = drive_day(plan_day('metro', 3, np.random.default_rng(4)), 'live', 4).bounds
     assert not rows[0].is_live
     assert rows[-1].is_live
 

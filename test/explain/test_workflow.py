@@ -134,13 +134,13 @@ def test_an_effect_is_named_if_it_is_certain(permille: float) -> None:
     assert bool(reported.effects) == (missing >= CERTAIN)
 
 
-@pytest.mark.slow
 def of_sizes(*sizes: float) -> list[Run]:
     """Return runs, each with a further resistance [N/kN]."""
     made = {size: Maker().runs(len(sizes), 44, lambda *_, size=size: size) for size in set(sizes)}
     return numbered(made[size][k] for k, size in enumerate(sizes))
 
 
+@pytest.mark.slow
 def test_an_effect_of_some_runs_is_told_with_them() -> None:
     """Rain on two of eight runs."""
     reported = explain(of_sizes(0.0, 0.0, 3.0, 0.0, 0.0, 3.0, 0.0, 0.0), TRAIN)
@@ -153,6 +153,7 @@ def test_an_effect_of_some_runs_is_told_with_them() -> None:
     assert reported.gap.after < 0.5 * reported.gap.before
 
 
+@pytest.mark.slow
 def test_runs_of_which_each_has_another_resistance_are_named() -> None:
     """No effect acts on some runs only."""
     reported = explain(of_sizes(0.0, 0.0, 1.5, 0.0, 0.0, -1.5, 0.0, 0.0), TRAIN)

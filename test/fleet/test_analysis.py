@@ -26,7 +26,7 @@ def test_broken_trains_are_found_within_three_days_and_no_others() -> None:
         assert train.causes[0].effect == effect
 
 
-@pytest.mark.parametrize('seed', [11, 12, 13])
+@pytest.mark.parametrize('seed', [11, *(pytest.param(seed, marks=pytest.mark.long) for seed in (12, 13))])
 def test_a_fault_of_three_days_in_a_small_fleet_is_found_and_named_by_its_onset(seed: int) -> None:
     """A third of the days of one train in five: the fault must not hide in the spread that it makes."""
     (train,) = analyse(fleet_rows(seed, 5, 6, {2: (2, 2.0 * DRAG)}, lasts=3), LIMIT).found
@@ -44,9 +44,9 @@ def test_a_fault_that_has_ended_keeps_its_cause() -> None:
     assert train.causes[0].effect == 'dragging_brake'
 
 
-def test_few_healthy_trains_do_not_stand_out() -> None:
-    for seed in (30, 31):
-        assert analyse(fleet_rows(seed, 5, 6), LIMIT).found == ()
+@pytest.mark.parametrize('seed', [30, pytest.param(31, marks=pytest.mark.long)])
+def test_few_healthy_trains_do_not_stand_out(seed: int) -> None:
+    assert analyse(fleet_rows(seed, 5, 6), LIMIT).found == ()
 
 
 @pytest.mark.parametrize(('lines', 'wet', 'drag', 'brake'), [(1, 'L0', 1.3, 0.9), (3, 'L1', 1.25, 1.0)])

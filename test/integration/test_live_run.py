@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from test.ros.graph import Graph
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.demo import node_parameters
+from trainid_ros.cli.main import main
 from trainid_ros.cli.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
@@ -51,8 +53,8 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
     'trainid/brake_rate': (messages.BrakeRateEstimate, brake_rate_pipeline),
 }
 RATE = '16'
-PLAYED_S = 100.0
-FOREIGN_S = 40.0
+PLAYED_S = 50.0
+FOREIGN_S = 20.0
 # This machine, and the group of DDS discovery, which is joined there.
 LOCAL = ('127.', '239.255.0.1:')
 
@@ -112,10 +114,10 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp('bags') / 'run'
     scenario = Scenario(load_train_file(TRAIN), runs=1)
     records = simulate(scenario, np.random.default_rng(3)).records
-    end = records[0].stamp_ns + round(PLAYED_S * 1e9)
+    end = records[-1].stamp_ns  # the train brakes before
     with BagWriter(path) as writer:
         for record in records:
-            if record.stamp_ns <= end:
+            if record.stamp_ns >= end - round(PLAYED_S * 1e9):
                 writer.write_record(record)
     return path
 
@@ -274,17 +276,12 @@ def test_play_exits_cleanly(processes: Processes, listener: Listener, bag: Path,
 @pytest.mark.parametrize(
     ('arguments', 'reason'),
     [
-        (('run', '--train', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
         (
             ('run', '--train', str(TRAIN), '--ros-args', '-p', 'alignment.perod:=1.0'),
             "unknown parameter 'alignment.perod'",
         ),
         (('run', '--ros-args', '--params-file', 'none.yaml'), 'none.yaml'),
-        (('play', 'no/such/bag'), 'no/such/bag'),
-        (('run', '--map', 'none.yaml'), 'none.yaml: cannot be read'),
-        (('play', str(ROOT / 'bags' / 'tiny_foreign'), '--map', 'none.yaml'), 'none.yaml: cannot be read'),
         (('play', str(ROOT / 'bags' / 'tiny_foreign')), 'no messages on the input topics'),
-        (('play', str(TRAIN), '--rate', '0'), '--rate'),
     ],
 )
 def test_bad_input_gives_one_line_and_exit_code_2(
@@ -294,3 +291,24 @@ def test_bad_input_gives_one_line_and_exit_code_2(
     lines = [line for line in err.splitlines() if line.startswith('trainid: error:')]
     assert (code, len(lines), 'Traceback' in err) == (2, 1, False), err
     assert reason in lines[0]
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (('run', '--train', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
+        (('play', 'no/such/bag'), 'no/such/bag'),
+        (('run', '--map', 'none.yaml'), 'none.yaml: cannot be read'),
+        (('play', str(ROOT / 'bags' / 'tiny_foreign'), '--map', 'none.yaml'), 'none.yaml: cannot be read'),
+        (('play', str(ROOT / 'bags' / 'tiny'), '--rate', '0'), 'rate'),
+    ],
+)
+def test_bad_input_is_one_line_before_ros_starts(
+    arguments: tuple[str, ...], reason: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr('trainid_ros.ros.node.start_ros', lambda _: pytest.fail('ROS starts'))
+    with suppress(SystemExit):  # of a wrong option
+        assert main([*arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('trainid: error:')
+    assert reason in line

@@ -4,7 +4,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from html.parser import HTMLParser
+
+import pytest
+
+
+@contextmanager
+def no_layout() -> Iterator[None]:
+    """Draw figures without moving their axes, which takes half of the time; a browser shows pages with it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('matplotlib.layout_engine.ConstrainedLayoutEngine.execute', lambda *_: None)
+        yield
 
 
 class Balance(HTMLParser):

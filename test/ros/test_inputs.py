@@ -70,11 +70,14 @@ def run(nodes: list[Any], place: int, first: Act, second: Act) -> list[str]:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize('place', [0, 2])
 @pytest.mark.parametrize(
-    'actions',
-    [(nothing, nothing), (reset, nothing), (pause, resume), (save_and_load, reset)],
-    ids=['undisturbed', 'reset', 'paused', 'loaded'],
+    ('place', 'actions'),
+    [
+        (0, (nothing, nothing)),
+        *((place, actions) for place in (0, 2) for actions in ((reset, nothing), (pause, resume))),
+        (2, (save_and_load, reset)),
+    ],
+    ids=['undisturbed', 'reset', 'paused', 'other reset', 'other paused', 'other loaded'],
 )
 def test_nodes_that_share_inputs_publish_what_they_publish_alone(
     graph: Graph, train_file: str, place: int, actions: tuple[Act, Act], monkeypatch: pytest.MonkeyPatch

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -49,6 +50,7 @@ assert all(pipeline.used for pipeline in pipelines)
 """
 
 
+@cache
 def loaded(work: str, compiled: str = '0') -> set[str]:
     """Return the third-party packages that code loads in a fresh interpreter, by default with uncompiled modules."""
     command, env = [sys.executable, '-c', CODE.format(work=work)], os.environ | {SWITCH: compiled}

@@ -159,7 +159,7 @@ class Stop:
 
     distance: float = 0.0  # Distance, or its bound [m]; infinite if the train does not stop
     std: float = 0.0  # Standard deviation of the distance [m]
-    by_speed: float = 0.0  # Derivative of the distance by the speed [s]
+    dD_dv: float = 0.0  # Derivative of the distance by the speed [s]
     # Its derivatives by the parameters, of a bound at the design point
     gradient: list[float] = field(default_factory=lambda: [0.0] * PARAMETERS)
 
@@ -341,7 +341,7 @@ class Braking:
             if k == self._dead_end:
                 passed = by_place * speeds[k] - costate * self._deceleration(speeds[k], self._applied, runs[k])
                 gradient[DELAY] = passed
-        out.by_speed = costate
+        out.dD_dv = costate
 
     def _stiffness(self, t: float, v: float, run: float) -> float:
         """Return the derivative of the deceleration by speed [1/s]."""
@@ -468,7 +468,7 @@ class StoppingBounds:
                 # Weights by the densities of the distance.
                 density, of_drop = (1.0 - dropped) * NORMAL.pdf(z) / by_z, dropped * NORMAL.pdf(z_lower) / by_z_lower
                 best.distance = distance
-                best.by_speed = (density * known.by_speed + of_drop * of_lower.by_speed) / (density + of_drop)
+                best.dD_dv = (density * known.dD_dv + of_drop * of_lower.dD_dv) / (density + of_drop)
                 break
             following = min(z + (distance - known.distance) / by_z, most)
             z = following if low < following < high else middle
@@ -550,7 +550,7 @@ class StoppingBounds:
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             # Newton's method, or halves where it leaves the bracket.
-            following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
+            following = speed - excess / found.dD_dv if 0.0 < found.dD_dv < math.inf else -math.inf
             inner = following if low < following < high else 0.5 * (low + high)
             speed = MAX_SPEED if following >= high == MAX_SPEED else inner
             found = self.at(speed)
@@ -558,7 +558,7 @@ class StoppingBounds:
             speed, found = low, self.at(low)
         if speed > 1e-9:  # else it counts as standstill
             # For unphysical drag the sign of the derivative is unreliable.
-            return speed, found.std / abs(found.by_speed)
+            return speed, found.std / abs(found.dD_dv)
         if math.isinf(self.at(1e-3).distance):  # not even the slowest train may stop
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0
