@@ -124,6 +124,7 @@ def make_explanation() -> Callable[..., Explanation]:
         outliers=0.012,
         weighed=True,
         gradient_point=None,
+        other=0.0,
         probabilities=(('local_drag', 0.97), ('gradient_error', 0.025), ('other', 0.004), ('none', 0.001)),
     )
 

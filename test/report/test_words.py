@@ -42,7 +42,7 @@ def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make
     assert 'fit best, but it may be gradient_error (2%) instead' in headline(
         make_explanation(verdict=Verdict.AMBIGUOUS, effects=pair)
     )
-    unknown = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), probabilities=(('other', 0.96),)))
+    unknown = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), other=0.96))
     assert unknown == 'The current model lacks something outside the library (probability 96%).'
     # Slip is reported whatever else is missing.
     assert 'lacks local_drag (probability 97%), and some' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))

@@ -226,6 +226,10 @@ def test_a_file_in_a_user_folder_becomes_an_effect(tmp_path: Path, monkeypatch: 
             USERS.replace('parameters={', "parameters={'depth': Parameter('mm'), "),
             r"bad\.py: .*effect leaves: parameter depth needs search=.* its unit is 'mm'",
         ),
+        (
+            USERS.replace('parameters={', "parameters={'depth': Parameter('mm', search=(0.0, 9.0), grid='log'), "),
+            r'bad\.py: .*effect leaves: parameter depth: search of a log grid must begin above 0',
+        ),
         (USERS.replace("amplitude='value'", "amplitude='value', neutral=-1.0"), r'bad\.py: .*neutral = -1 is outside'),
     ],
 )

@@ -141,7 +141,8 @@ def prior_width(kind: EffectKind, name: str, value: float) -> float:
     limits = kind.parameters[name]
     if limits.search is None:
         return 80.0 if limits.is_place else 60.0
-    return max(abs(value), limits.search[0])
+    low, high = limits.search
+    return max(abs(value), low if limits.grid == 'log' else 0.5 * (high - low))
 
 
 class EffectEvaluator:

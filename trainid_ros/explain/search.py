@@ -403,7 +403,7 @@ class Search:
         yield from self._fitted
         yield from self._scored((), 0.0, self._scores(self.base.model, self.base.hyper)[0])
         if self._generic_of_base is None:
-            self._generic_of_base = self._generic(self.base)
+            self._generic_of_base = list(groups) if not final.names else self._generic(self.base)
         for score in self._generic_of_base:
             yield dependence((), score.evidence)
         names, reached = final.names, self._beyond(final)
@@ -550,7 +550,7 @@ def _less(names: tuple[str, ...], k: int) -> tuple[str, ...]:
 
 
 def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
-    """Return a fitted model in which effects with an onset time have the mean and variance of its posterior."""
+    """Return a fitted model in which effects have the posterior mean and variance of an onset or duration."""
     terms = model.terms
     timed = tuple(with_onset(term, model.without(k), hyper) for k, term in enumerate(terms))
     return model if all(a is b for a, b in zip(timed, terms, strict=True)) else model.with_terms(timed)
@@ -563,10 +563,10 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     """
     kind = term.kind
     names = [n for n in kind.shape if kind.parameters[n].unit == 's']
-    if len(names) != 1 or term.covariance is None:
+    if len(names) != 1 or term.covariance is None or not kind.linear:
         return term
-    name, dataset = names[0], without.dataset
-    limits, is_log = kind.parameters[name].search, kind.parameters[name].grid == 'log'
+    name, dataset, limits = names[0], without.dataset, kind.parameters[names[0]].search
+    is_log = limits is not None and kind.parameters[name].grid == 'log'
     if limits is None:
         grid = np.quantile(dataset.time, np.linspace(0.0, 1.0, 122)[1:-1])  # where the train moves
     else:

@@ -128,6 +128,7 @@ def explain(
         weighed=outcome.final.weighed,
         gradient_point=point,
         probabilities=causes.shares,
+        other=causes.other,
         learned=learned,
     )
 

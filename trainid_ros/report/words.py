@@ -38,7 +38,7 @@ def headline(explanation: Explanation) -> str:
     chances = {effect.name: effect.probability for effect in explanation.effects}
     listed = [f'{name}{times.get(n, f" {n} times")} ({percent(chances[name])})' for name, n in counts.items()]
     names = join(listed).replace('(', '(probability ', 1)
-    none, other = (percent(shares.get(name, 0.0)) for name in ('none', 'other'))
+    none, other = percent(shares.get('none', 0.0)), percent(explanation.other)
     twins = [f'{name} ({percent(shares[name])})' if name in shares else name for name in _twins(explanation)]
     match explanation.verdict:
         case Verdict.EXPLAINED:

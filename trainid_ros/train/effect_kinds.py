@@ -97,3 +97,5 @@ class EffectKind:
                     f'effect {self.name}: parameter {name} needs search=(low, high), its range of values; only '
                     f'positions [m] and times [s] need none, its unit is {parameter.unit!r}'
                 )
+            if parameter.search is not None and parameter.grid == 'log' and not parameter.search[0] > 0.0:
+                raise InputError(f'effect {self.name}: parameter {name}: search of a log grid must begin above 0')
