@@ -128,6 +128,11 @@ def test_causes_are_known_by_their_channels(steps: dict[str, float], effect: str
     assert best.probability > 0.8
 
 
+def test_without_a_resistance_no_brake_drags() -> None:
+    weaker = {'w15': None, 'brake_rate': (-0.015, 0.003), 'force_scale': None, 'wheel_ratio': None}
+    assert 'dragging_brake' not in {cause.effect for cause in causes_of(weaker)}
+
+
 def test_without_the_wheel_ratio_weighing_and_wheels_look_alike() -> None:
     steps = {'w15': (0.0, 0.02), 'brake_rate': (0.02, 0.006), 'force_scale': (0.02, 0.004), 'wheel_ratio': None}
     assert {cause.effect for cause in causes_of(steps)} >= {'wheel_diameter', 'mass_error'}

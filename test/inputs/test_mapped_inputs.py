@@ -267,11 +267,11 @@ def test_a_jump_of_the_wrong_sign_is_doubted(jump: float, direction: int) -> Non
     posts, doubts = [x + jump * (x > 1250.0) for x in (1000.0 + 10.0 * k for k in range(80))], []
     for stated in (jump, -jump):
         mapped = inputs(f'{POSTS}[[1250.0, {stated}]]')
-        for k, post in enumerate(posts[::direction]):
+        for k, post in enumerate(posts[::direction] + posts[::-direction]):  # there and back
             mapped.take('x', message(post, at(5 * k)), 0)
             mapped.take('v', message(10.0, at(5 * k)), 0)
         doubts.append(mapped.warnings)
-    size = f'{2.0 * abs(jump):.0f} m'
+    size = f'{4.0 * abs(jump):.0f} m'
     text = f'chainage: is [1250, {-jump:g}] of the right sign? Position and speed disagree there by {size}'
     assert doubts == [[], [text]]
 

@@ -194,7 +194,7 @@ class FileValues:
         line = self.effects.profile
         if position is None or line.first <= position + direction * way <= line.last:
             return ''
-        return f'; beyond the end of the line at {line.last if direction > 0 else line.first:g} m'
+        return f'; beyond the end of the line at {line.last if direction > 0 else line.first:.10g} m'
 
     def motion_shape(self, direction: int, position: float | None) -> RateShape:
         """Return the same for a cold brake."""

@@ -217,7 +217,7 @@ class _Kind(NamedTuple):
 
     effect: str
     title: str
-    directions: tuple[Mapping[str, float], ...]  # Those that it may have, each by channel
+    directions: tuple[Mapping[str, float], ...]  # Its possible directions, each by channel
     size: float  # Standard deviation of theta [1]
     sign: int  # Of theta, 0 for both
     check: str  # What to check in the depot
@@ -276,8 +276,9 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     step, std = np.array([steps[name] for name in names]).reshape(-1, 2).T
     noise = np.diag(std**2 + np.array([channel.slack for channel in channels]) ** 2)
     found = []
-    for kind in _KINDS[:-1]:  # whose directions are equally probable
-        ways = [np.array([way.get(name, 0.0) for name in names]) for way in kind.directions]
+    for kind in _KINDS[:-1]:  # whose directions are equally probable; that of a resistance needs it
+        known = [way if 'w15' in names or 'w15' not in way else {} for way in kind.directions]
+        ways = [np.array([way.get(name, 0.0) for name in names]) for way in known]
         each = [_log_evidence(kind, way, step, noise) for way in ways]
         found.append(float(np.logaddexp.reduce(each)) - math.log(len(each)))
     other = noise + np.diag([channel.change**2 for channel in channels])

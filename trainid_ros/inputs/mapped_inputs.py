@@ -127,7 +127,7 @@ class MappedInputs:
                 return self._at_speed(stamp_ns, abs(value), math.nan)
             case 'position':
                 near = self._position.at + self._position.travelled(stamp_ns)
-                self._position.correct(stamp_ns, self._chainage.follow(value, near))
+                self._position.correct(stamp_ns, self._chainage.follow(value, near, self._position.direction))
                 return []
             case 'force':
                 return [ForceRecord(stamp_ns, value)]
@@ -245,13 +245,13 @@ class _Chainage:
         shifts = accumulate((0.0, *(-jump for _, jump in jumps)))
         self._sections = tuple(zip(starts, ends, shifts, strict=True))
 
-    def follow(self, post: float, near: float) -> float:
-        """Return the distance as :meth:`distance`, and note a step of it where the posts jump."""
+    def follow(self, post: float, near: float, direction: int) -> float:
+        """Return the distance as :meth:`distance`, and note a step of it where the posts jump, in this direction."""
         distance = self.distance(post, near)
         step = abs(distance - near)
         for place, ((_, jump), (_, end, shift)) in enumerate(zip(self._jumps, self._sections, strict=False)):
             if abs(distance - end - shift) < 3.0 * abs(jump) and 0.5 * abs(jump) < step < 2.5 * abs(jump):
-                self._steps[place] += distance - near
+                self._steps[place] += direction * (distance - near)
         return distance
 
     @property

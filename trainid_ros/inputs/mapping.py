@@ -491,8 +491,8 @@ def _time(top: Section) -> TimeColumn | None:
         section.fail('format', f"= {shown(form)} must be like '%d/%m/%Y', '%d/%m/%Y %H:%M:%S', {EXCEL} or {CLOCK}")
     start_ns = None if start is None else start.ns
     if 'function' not in section.data:
-        section.only(('field', 'date', 'unit', 'start', 'format', 'zone'))
         dates = (section.text('date'),) if 'date' in section.data else ()
+        section.only(('field', 'format', 'zone', *(['date'] if dates else ['unit', 'start'])))
         return TimeColumn((section.text('field'), *dates), unit, start_ns, None, form, zone)
     section.only(('function', 'of', 'unit', 'start'))
     columns = tuple(_source(part, '', is_table=True).field for part in _parts(section, 'of'))

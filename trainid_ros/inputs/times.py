@@ -29,7 +29,7 @@ _QUARTER_NS: Final = 900 * NS_PER_S  # at which offsets of zones change
 _FRACTION: Final = re.compile(
     r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
 )
-_UNDIVIDED: Final = re.compile(r'^(\d{4})(\d\d)(\d\d)(?=[T ]\d{2,6}\b)')
+_UNDIVIDED: Final = re.compile(r'^(\d{4})(\d\d)(\d\d)(?=[T ]\d{2,6}(?!\d))')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
 _TIME_OF_DAY: Final = re.compile(
     r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?(?: ?([AP])\.?M\.?)?', re.IGNORECASE

@@ -199,8 +199,8 @@ def _time(
         words.append(f'format: {form}' if form else f'unit: {unit}')
     # A column of dates alone belongs to times of day.
     days = {other: x.astype('datetime64[D]') for other, x in columns.items() if x.dtype.kind == 'M'}
-    dates = [x for x, day in days.items() if column.dtype.kind == 'm' and np.all(np.isnat(day) | (day == columns[x]))]
-    del dates[1:]
+    known = {other: day[~np.isnat(day)] for other, day in days.items() if column.dtype.kind == 'm'}
+    dates = [x for x, day in known.items() if day.size and np.all(day == columns[x][~np.isnat(columns[x])])][:1]
     words += [f'date: {quoted(date)}' for date in dates]
     for of_form in (name, *dates):
         if of_form in reader.forms:

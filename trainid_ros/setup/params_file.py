@@ -440,7 +440,7 @@ class Setup:
         """Return it with the alignment in the values of a checkpoint, see ``Provenance``."""
         names = {item.name: f'alignment.{item.name}' for item in fields(AlignmentConfig)}
         stated = {name: values[key] for name, key in names.items() if key in values}
-        return replace(self, settings=replace(self.settings, alignment=AlignmentConfig(**stated)))
+        return replace(self, settings=replace(self.settings, alignment=replace(self.settings.alignment, **stated)))
 
     def pipeline(
         self, align: Callable[[AlignmentConfig], AlignmentConfig] = lambda stated: stated
