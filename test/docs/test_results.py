@@ -15,7 +15,9 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMES = [*PARTS]
 # Parts that take half of the time of the whole run, and change with nodes and readers rather than with estimators.
 OF_PROCESSES = {'kills', 'soak', 'damage', 'faults_live', 'peers'}
-OF_ESTIMATORS = {name for name, part in PARTS.items() if part.minutes} - OF_PROCESSES
+# Parts that change with the check of the inputs and with explain, not with estimators of healthy drives.
+OF_FINDINGS = {'explain', 'faults', 'healthy', 'integrity'}
+OF_ESTIMATORS = {name for name, part in PARTS.items() if part.minutes} - OF_PROCESSES - OF_FINDINGS
 RESULTS = (ROOT / 'benchmarks' / 'RESULTS.md').read_text('utf-8')
 
 
@@ -25,7 +27,9 @@ def test_results_are_the_summary_of_the_full_tables() -> None:
     assert RESULTS.count('\n') <= 1500
 
 
-@pytest.mark.parametrize('names', [OF_PROCESSES, OF_ESTIMATORS], ids=['processes', 'estimators'])
+@pytest.mark.parametrize(
+    'names', [OF_PROCESSES, OF_FINDINGS, OF_ESTIMATORS], ids=['processes', 'findings', 'estimators']
+)
 def test_parts_that_depend_on_the_same_sources_are_of_one_revision(names: set[str]) -> None:
     texts = [(ROOT / 'benchmarks' / 'results' / f'{name}.md').read_text('utf-8') for name in names]
     assert len({revision for text in texts for revision in revisions(text)}) == 1
