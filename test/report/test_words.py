@@ -44,6 +44,8 @@ def test_each_verdict_has_its_headline_with_probabilities(make_explanation: Make
     )
     unknown = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), other=0.96))
     assert unknown == 'The current model lacks something outside the library (probability 96%).'
+    unsure = headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=(), other=0.01))
+    assert unsure.endswith('something that the data do not confirm: local_drag fits best (probability 97%).')
     # Slip is reported whatever else is missing.
     assert 'lacks local_drag (probability 97%), and some' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
     none = make_explanation(verdict=Verdict.NO_GAP, effects=())

@@ -34,8 +34,8 @@ from trainid_ros.explain.effects import SHOWN, SIGNIFICANT, EffectTerm
 from trainid_ros.explain.likelihood import Hyperparameters, integrated_covariance, posterior, share_of_mean
 from trainid_ros.explain.model import Model, Slip
 from trainid_ros.explain.nuisances import DAVIS
-from trainid_ros.explain.result import Gap, Location, Place, Verdict, place_text, probabilities
-from trainid_ros.explain.search import Selection, with_onsets
+from trainid_ros.explain.result import NONE, Gap, Location, Place, Verdict, place_text, probabilities
+from trainid_ros.explain.search import CERTAIN, Selection, with_onsets
 from trainid_ros.train.train_file import Davis, TrainFile
 
 # Share of the evidence that may remain after the effects named: equations of real effects differ slightly [1].
@@ -305,7 +305,10 @@ def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     if is_other:
         return Verdict.UNEXPLAINED
     if not selection.evidence:
-        return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
+        if slipping:
+            return Verdict.EXPLAINED
+        none = dict(probabilities(selection.hypotheses).shares)[NONE]
+        return Verdict.NO_GAP if none > 1.0 - CERTAIN else Verdict.UNEXPLAINED
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
 
 
@@ -320,6 +323,8 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
         if _is_other(selection) and strongest.evidence > selection.final.excess:
             return f'The rest of the gap depends slightly on {strongest.text}, and no effect of the library fits it.'
         return _NOISE
+    if not _is_other(selection):
+        return 'Something is missing, but no effect of the library is certain enough to be named.'
     noise, spread = selection.final.hyper.noise, selection.final.hyper.spread
     return (
         f'Unmeasured forces exceed plausible noise: gusts of {noise.gust:.2f} N/kN lasting {noise.gust_time:.0f} s, '

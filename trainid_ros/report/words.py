@@ -49,8 +49,11 @@ def headline(explanation: Explanation) -> str:
                 return f'The current model may lack {names}, but no run is left to confirm it.'
             return f'The current model lacks an effect: {names} {best} best, but it may be {join(twins)} instead.'
         case Verdict.UNEXPLAINED:
-            named = f'{names}, and ' if names else ''
-            return f'The current model lacks {named}something outside the library (probability {other}).'
+            named, what = f'{names}, and ' if names else '', f'outside the library (probability {other})'
+            if not names and explanation.other < 0.5:
+                best, p = explanation.probabilities[0]
+                what = f'that the data do not confirm: {_CAUSES.get(best, best)} fits best (probability {percent(p)})'
+            return f'The current model lacks {named}something {what}.'
         case Verdict.NO_GAP:
             moved = explanation.davis_distance
             other = (
