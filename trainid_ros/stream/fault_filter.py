@@ -284,7 +284,8 @@ class Trial:
             for j in range(i + 1, STATES):
                 P[k] *= d[i] * d[j]
                 k += 1
-        if block.tunnel:
+        # Inside, the drag stays as it is: wind that may always be anything explains the noise of the speed.
+        if block.is_at_portal:
             P[_WIND_WIND] = max(P[_WIND_WIND], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
 
     def correct(self, speed: float, R: float, most: float = math.inf) -> float:

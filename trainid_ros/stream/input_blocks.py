@@ -78,6 +78,7 @@ class Block:
     most: float = math.nan  # Greatest one
     extra: float = 0.0  # Resistance of the effects of the train file [N/kN]
     tunnel: bool = False  # Whether it ends in a tunnel
+    is_at_portal: bool = False  # Whether the block before did not, or the other way round
     is_frozen: bool = False  # Whether the speed is exactly that of the block before
 
     @property
@@ -208,6 +209,7 @@ class InputBlocks:
         if brake < 0.0 or block.brake < 0.0:
             block.rate = known.train_file.brake.rate_at(sample.speed) * known.brake_share(sample)
         self._look_up(block, sample)
+        block.is_at_portal = block.tunnel != last.tunnel
         block.state = self._state(block, force)
         if block.seconds > 0.0:
             self._count_still(block, last, force)
