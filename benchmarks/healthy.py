@@ -2,6 +2,7 @@
 """What the check of the inputs says on healthy drives, ordinary and unusual; faults are in ``fault_matrix``.
 
 An unusual drive is one of a world whose motion, plan or records differ as stated: a check must not take it for a fault.
+Those of ``trainid simulate`` have tunnels in the train file, and maps of their own behind ``ato/gradient``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from benchmarks.worlds import FIELD, WORLDS, drive
 from benchmarks.worlds.motion import HOLD, Motion, Plan
 from benchmarks.worlds.unknowns import Coefficients, random_of
 from trainid_ros.interface.records import FORCE, SPEED, Row
+from trainid_ros.sim.scenario import simulate
+from trainid_ros.sim.worlds import REALISMS, find_world, make_case, usual_duration, world_train
 from trainid_ros.stream.input_blocks import MIN_SPEED
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
@@ -274,6 +277,15 @@ UNUSUAL: Final = (
 )
 
 
+def simulated_drive(case: Case, duration: float) -> tuple[TrainFile, list[Row]]:
+    """Return the train file and the rows of a drive of ``trainid simulate``, at least as long as asked for [s]."""
+    world, rng = find_world(case.world), np.random.default_rng(case.seed)
+    file = world_train(world)
+    runs = math.ceil(duration / usual_duration(world, file.line.stops, 1))
+    made = make_case(world, file, REALISMS[case.realism], runs, rng)
+    return made.stated, [record.row() for record in simulate(made.scenario, rng).records]
+
+
 def unusual_drive(case: Unusual, seed: int, duration: float) -> tuple[TrainFile, list[Row]]:
     """Return the train file and the rows of an unusual healthy drive."""
     found = drive(case.world, seed, FIELD, 5.0, duration, case.motion, case.change)
@@ -302,11 +314,12 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A healthy drive: ``place`` in the unusual ones, -1 for an ordinary one."""
+    """A healthy drive: ``place`` in the unusual ones, -1 for an ordinary one; or one of ``trainid simulate``."""
 
     world: str
     seed: int
     place: int = -1
+    realism: str = ''
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,30 +367,36 @@ def outcome_of(moments: Sequence[Moment]) -> Outcome:
     return Outcome(tuple(findings), found / whole, suspected / whole, held / whole, moved, texts)
 
 
-def rows_of(world: str, seed: int, place: int, duration: float) -> tuple[TrainFile, list[Row]]:
+def rows_of(case: Case, duration: float) -> tuple[TrainFile, list[Row]]:
     """Return the train file and the rows of a healthy drive."""
-    if place >= 0:
-        return unusual_drive(UNUSUAL[place], seed, duration)
-    found = drive(world, seed, FIELD, duration=duration)
+    if case.realism:
+        return simulated_drive(case, duration)
+    if case.place >= 0:
+        return unusual_drive(UNUSUAL[case.place], case.seed, duration)
+    found = drive(case.world, case.seed, FIELD, duration=duration)
     return found.train_file, [record.row() for record in found.records]
 
 
 def run(case: Case) -> Outcome:
     """Return what the check says on a drive."""
-    return outcome_of(moments_of(*rows_of(case.world, case.seed, case.place, HEALTHY_S)))
+    return outcome_of(moments_of(*rows_of(case, HEALTHY_S)))
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
-    """Return the tables of ordinary and unusual healthy drives."""
+    """Return the tables of ordinary, simulated and unusual healthy drives."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
     ordinary = [Case(world, seed) for world in WORLDS for seed in chosen]
+    kinds = [(world, realism) for realism in REALISMS for world in WORLDS]
+    simulated = [Case(world, seed, realism=realism) for world, realism in kinds for seed in chosen]
     unusual = [Case(case.world, FIRST_SEED, place) for place, case in enumerate(UNUSUAL)]
-    outcomes = over_seeds(run, [*ordinary, *unusual], 'healthy: drives')
-    by_world = [outcomes[k * seeds : (k + 1) * seeds] for k in range(len(WORLDS))]
+    outcomes = over_seeds(run, [*ordinary, *simulated, *unusual], 'healthy: drives')
+    by_kind = [outcomes[k * seeds : (k + 1) * seeds] for k in range(len(WORLDS) + len(kinds))]
+    simulations = [f'{world}, {realism}' for world, realism in kinds]
     names = [f'{case.name}, {case.world}' for case in UNUSUAL]
     return (
-        healthy_table('Healthy drives', WORLDS, by_world),
-        healthy_table('Unusual healthy drives', names, [[one] for one in outcomes[len(ordinary) :]]),
+        healthy_table('Healthy drives', WORLDS, by_kind[: len(WORLDS)]),
+        healthy_table('Healthy drives of trainid simulate', simulations, by_kind[len(WORLDS) :]),
+        healthy_table('Unusual healthy drives', names, [[one] for one in outcomes[len(ordinary) + len(simulated) :]]),
     )
 
 

@@ -10,25 +10,30 @@ import pytest
 from benchmarks import healthy
 from benchmarks.healthy import UNUSUAL, Case, moments_of, outcome_of, rows_of
 from benchmarks.worlds import WORLDS, drive
+from trainid_ros.sim.worlds import REALISMS
 
 SEED = 9000
 DURATION_S = 900.0
 # Least motion of a drive that shows something [s]: that of the one that shunts.
 MIN_MOVED_S = 200.0
-CASES = [Case(world, SEED) for world in WORLDS] + [Case(u.world, SEED, place) for place, u in enumerate(UNUSUAL)]
+CASES = [
+    *(Case(world, SEED) for world in WORLDS),
+    *(Case(world, SEED, realism=realism) for world in WORLDS for realism in REALISMS),
+    *(Case(unusual.world, SEED, place) for place, unusual in enumerate(UNUSUAL)),
+]
 # The same drive for all cases that change only its records.
 driven = cache(drive)
 
 
 def name_of(case: Case) -> str:
-    return case.world if case.place < 0 else f'{UNUSUAL[case.place].name}, {case.world}'
+    return f'{UNUSUAL[case.place].name}, {case.world}' if case.place >= 0 else f'{case.world} {case.realism}'.strip()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('case', CASES, ids=name_of)
 def test_nothing_is_found_on_a_healthy_train(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(healthy, 'drive', driven)
-    outcome = outcome_of(moments_of(*rows_of(case.world, case.seed, case.place, DURATION_S)))
+    outcome = outcome_of(moments_of(*rows_of(case, DURATION_S)))
     print(name_of(case), outcome.findings, f'suspected {outcome.suspected:.1%}', outcome.suspicions)
     assert outcome.moved_s > MIN_MOVED_S
     assert outcome.findings == ()
