@@ -255,7 +255,7 @@ def test_paths_that_can_be_no_checkpoint_are_refused(tmp_path: Path) -> None:
         ('\0' * 500, 'is damaged'),
         (
             '{\n "format": 2,\n "package": "trainid_ros",\n "version": "0.1.0"}',
-            'of format 2, this version reads format 13',
+            'of format 2, this version reads format 14',
         ),
     ],
 )

@@ -35,7 +35,7 @@ Values: TypeAlias = 'dict[str, int | float | str]'
 
 SUFFIX: Final = '.json'
 # Version of the format: it changes with the lines, or with the names in a state.
-_FORMAT: Final = 13
+_FORMAT: Final = 14
 # Marks at the begin of the first, second and third line.
 _PACKAGE: Final = '"package": "trainid_ros"'
 _STATE: Final = '"state": '

@@ -76,6 +76,8 @@ WHEEL: Final = Usual('ato/speed over its position', 0.0, 0.01, 3000.0)
 """Measured over true speed, minus one [1]: wear of a wheel between two turnings."""
 LAG: Final = Usual('the lag of ato/speed', 0.0, 0.25, 3000.0)
 """Time by which a speed is behind the position beside it [s]: filters of tachometers, and of odometers."""
+SLOPE: Final = Usual('ato/gradient over line.gradient', 0.0, 0.25, 3000.0)
+"""Gradient of the topic less that of the line [per mille], mean over kilometres: heights of two maps, 1 m in 4 km."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is l
 _COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
 _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line
 GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
-_GRADIENT_MEMORY_M: Final = 1000.0  # m: distance over which that error is learned: ten such lengths
+_GRADIENT_MEMORY_M: Final = 5000.0  # m: distance over which that error is learned: fifty such lengths
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
 _PLACE_WALK: Final = 0.025  # m: growth of its variance per distance: 5 m in 1 km, by balises and maps
@@ -112,6 +112,8 @@ class InputBlocks:
         self._known = known
         self._line = profile_of(known.train_file) if line.gradient else None
         self.gradient_var = (_GRADIENT_STD + line.gradient_std) * (_GRADIENT_STD + line.gradient_std)
+        least = max(_GRADIENT_STD, line.gradient_std)
+        self._least_gradient_var = least * least
         self._blocks = [Block() for _ in range(KEPT)]
         self._filling = Block()
         self.count = 0
@@ -302,4 +304,4 @@ class InputBlocks:
         if is_line_right:
             change = min(square, 1.0) / CAPPED_MEAN - 1.0
             share = min(block.by_speed / _GRADIENT_MEMORY_M, _LEARNED)
-            self.gradient_var = max((1.0 + share * change) * self.gradient_var, _GRADIENT_STD * _GRADIENT_STD)
+            self.gradient_var = max((1.0 + share * change) * self.gradient_var, self._least_gradient_var)

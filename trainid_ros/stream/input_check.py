@@ -43,7 +43,7 @@ from trainid_ros.stream.fault_filter import (
     position_variance,
     wind_std,
 )
-from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, TABLE, USUAL, WHEEL, WIND, Input, V
+from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, SLOPE, TABLE, USUAL, WHEEL, WIND, Input, V
 from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
@@ -72,7 +72,7 @@ _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one n
 # Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
-_NO_LINE: Final = 1.0  # nats per length of the line: the same if it is not compared with the gradient of the topic
+_NO_LINE: Final = 2.0  # nats per length of the line: the same if it is not compared with the gradient of the topic
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
@@ -115,13 +115,14 @@ class InputCheck:
 
     STATE: ClassVar[State] = declare(
         'blocks', '_accepted', several('_others', Trial), '_waited_s', '_usual_s', unknown('_braked_s'),
-        'is_brake_confirmed', '_lead', '_lag', 'verdict', '_speed_score',
+        'is_brake_confirmed', '_lead', '_lag', '_slope', 'verdict', '_speed_score',
     )  # fmt: skip
 
     def __init__(self, known: KnownForce) -> None:
         self.blocks = InputBlocks(known)
         self._forces = Forces(known)
         self._lead, self._lag = Lasting(force_lead(self._forces.timing)), Lasting(LAG)
+        self._slope = Lasting(SLOPE)
         self._decay = vec[float]([0.0] * STATES)
         self._decay_s = 0.0
         self._spare = [Trial(row) for row in range(len(TABLE))]
@@ -181,6 +182,12 @@ class InputCheck:
             off = scale / (1.0 - scale)
             return f'ato/speed and its position are {off:+.0%} off by line.gradient: is the wheel diameter right?'
         return ''
+
+    def slope_objection(self) -> str:
+        """Return by how much the gradient is off the line on average, empty if by no more than on healthy trains."""
+        if abs(self._slope.excess) < _CREDIBLE:
+            return ''
+        return f'ato/gradient is {self._slope.mean:+.1f} per mille off line.gradient of the train file on average'
 
     @property
     def gain(self) -> float:
@@ -411,7 +418,13 @@ class InputCheck:
                 R = position_variance(block, blocks.distance_var()) + slack * slack
                 self._lag.correct(by_position - by_speed, step, R, block.seconds)
             blocks.learn_position(block, by_position - self._lag.mean * step, by_speed)
-        if is_finite(block.line) and not (prior.is_of_line or Input.POSITION in prior.row.condemns):
+        if not is_finite(block.line) or (Input.POSITION in prior.row.condemns and not prior.is_of_line):
+            return
+        # One error for each length in which errors of a map repeat themselves, that of the place included.
+        spread = 0.5 * (block.most - block.least)
+        R = (blocks.gradient_var + spread * spread) * max(GRADIENT_M / block.by_speed, 1.0)
+        self._slope.correct(block.gradient - block.line, 1.0, R, block.seconds)
+        if not prior.is_of_line:
             # What may be a fault is not learned as noise.
             is_line_odd = any(PRIORS[other.row].is_of_line and other.sum > 1.0 for other in self._others)
             blocks.learn_place(block, is_line_right=not is_line_odd)

@@ -290,7 +290,10 @@ class InputFaults:
         if self._moved_s < _CONFIRMED_S:
             return 'the inputs have not yet confirmed each other'
         check = self.check
-        return check.scale_objection() or check.at_limit((GAIN, FORCE_LATE)) or check.resistance_objection()
+        return (
+            check.scale_objection() or check.slope_objection()
+            or check.at_limit((GAIN, FORCE_LATE)) or check.resistance_objection()
+        )  # fmt: skip
 
     def _objection(self) -> str:
         """Return why no brake rate is valid although its inputs agree, empty if it may be."""
