@@ -35,8 +35,8 @@ _SPEED_STD: Final = 0.02  # m/s: least noise of a speed
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
 _COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
 _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line
-GRADIENT_M: Final = 100.0  # m: distance in which errors of a map repeat themselves
-_GRADIENT_MEMORY_M: Final = 5000.0  # m: distance over which that error is learned: fifty such lengths
+ERROR_M: Final = 250.0  # m: distance over which errors of a map are alike: there is one in it
+_GRADIENT_MEMORY_M: Final = 5000.0  # m: distance over which that error is learned: twenty such lengths
 _PLACE_M: Final = 30.0  # m: error of the place on the line at first ...
 _MIN_PLACE_M: Final = 5.0  # m: ... and at least, once learned from the gradient ...
 _PLACE_WALK: Final = 0.025  # m: growth of its variance per distance: 5 m in 1 km, by balises and maps
@@ -293,7 +293,7 @@ class InputBlocks:
         if square < _FITS:
             # One error of the gradient for each length in which errors of a map repeat themselves.
             H, P, C = block.steepness, self._place_var, self._place_scale
-            R = self.gradient_var * max(GRADIENT_M / block.by_speed, 1.0)
+            R = self.gradient_var * max(ERROR_M / block.by_speed, 1.0)
             nu, S = block.gradient - block.line, H * H * P + R
             gain = H / S if nu * nu < _FITS * S else 0.0
             self._place += gain * P * nu

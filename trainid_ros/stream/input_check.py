@@ -44,7 +44,7 @@ from trainid_ros.stream.fault_filter import (
     wind_std,
 )
 from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, SLOPE, TABLE, USUAL, WHEEL, WIND, Input, V
-from trainid_ros.stream.input_blocks import AT_STOP, GRADIENT_M, KEPT, MOVING, Block, InputBlocks
+from trainid_ros.stream.input_blocks import AT_STOP, ERROR_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
@@ -72,7 +72,8 @@ _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one n
 # Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
 _BLANK: Final = 2.0  # nats: what an ignored input costs a block (it is not predicted at all)
-_NO_LINE: Final = 2.0  # nats per length of the line: the same if it is not compared with the gradient of the topic
+_LINE_M: Final = 100.0  # m: the line counts once in it
+_NO_LINE: Final = 2.0  # nats in that distance: the same if it is not compared with the gradient of the topic
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
@@ -289,7 +290,9 @@ class InputCheck:
         if at is None:
             self._rest(trial, self.blocks.block(back))
             return math.nan
-        was, gradient, mismatch = trial.x[V], forces.gradient, forces.mismatch
+        was, mismatch = trial.x[V], forces.mismatch
+        # A place that is off looks like a speed that is late: the line says nothing about times.
+        gradient = at.gradient if prior.is_of_times else forces.gradient
         # No error of the forces changes the speed by more: only wheels that slip do.
         most = math.inf
         if accepted:
@@ -310,7 +313,7 @@ class InputCheck:
         if is_finite(at.line):
             cost = _NO_LINE if prior.ignores_line else _off_line(gradient, at, self.blocks.gradient_var)
             self._line_score = -cost if accepted else self._line_score
-            score -= cost * min(1.0, max(at.by_speed, 0.0) / GRADIENT_M)
+            score -= cost * min(1.0, max(at.by_speed, 0.0) / _LINE_M)
         trial.scores[place] = score
         return score
 
@@ -422,7 +425,7 @@ class InputCheck:
             return
         # One error for each length in which errors of a map repeat themselves, that of the place included.
         spread = 0.5 * (block.most - block.least)
-        R = (blocks.gradient_var + spread * spread) * max(GRADIENT_M / block.by_speed, 1.0)
+        R = (blocks.gradient_var + spread * spread) * max(ERROR_M / block.by_speed, 1.0)
         self._slope.correct(block.gradient - block.line, 1.0, R, block.seconds)
         if not prior.is_of_line:
             # What may be a fault is not learned as noise.
