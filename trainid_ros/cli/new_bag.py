@@ -55,7 +55,8 @@ def import_table(args: argparse.Namespace) -> int:
     table = TableRecords(args.file, MappedInputs(load_table_mapping(args.map), train_file))
     counts: Counter[str] = Counter({topic.name: 0 for topic in REQUIRED_TOPICS})
     first_ns = last_ns = 0
-    with _new_bag(args.out) as writer, progress(f'importing {args.file.name}', 1.0) as advance:
+    bar = progress(f'importing {args.file.name}', 1.0)
+    with _new_folder(args.out) as place, BagWriter(place) as writer, bar as advance:
         for share, records in table.blocks():
             for log_ns, record in records:
                 writer.write_record(record, log_ns)
@@ -112,13 +113,6 @@ def _suggest(args: argparse.Namespace) -> int:
 
 def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
-
-
-@contextmanager
-def _new_bag(path: Path) -> Iterator[BagWriter]:
-    """Write a bag beside its place, and put it there once it is complete."""
-    with _new_folder(path) as place, BagWriter(place) as writer:
-        yield writer
 
 
 @contextmanager

@@ -478,7 +478,17 @@ def node_setups(
         # ROS adds two parameters to every node.
         others = {'use_sim_time', 'start_type_description_service', *topics}
         try:
-            setups.append(_setup(kind, train_file, source, overrides, others))
+            algorithm = requested_algorithm(overrides, kind.algorithms)
+            specs = {spec.name: spec for spec in estimator_parameters(kind.algorithms, algorithm)}
+            given, problems = validate_overrides(overrides, specs, others)
+            for name in find_taken(given):
+                del given[name]
+            fallback = {name: value for name, value in filed_values(train_file).items() if name not in given}
+            check_problems(problems)
+            check_fallback(fallback, specs, source)
+            values = {name: spec.default for name, spec in specs.items()} | fallback | given
+            settings = build_settings(values, kind.algorithms, kind.name)
+            setups.append(Setup(kind, build_train_file(values, frozenset(given), train_file), settings))
         except InputError as error:
             raise InputError(f'{kind.node_name}: {error}') from None
     return tuple(setups)
@@ -503,26 +513,6 @@ def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
             f'{params}: nodes with different {MAPPING_FILE.name} ({", ".join(map(repr, found))}): give --map'
         )
     return Path(found[0]).expanduser() if found[0] else None
-
-
-def _setup(
-    kind: EstimatorKind[Any],
-    train_file: TrainFile,
-    source: str,
-    overrides: Mapping[str, object],
-    others: Collection[str],
-) -> Setup:
-    algorithm = requested_algorithm(overrides, kind.algorithms)
-    specs = {spec.name: spec for spec in estimator_parameters(kind.algorithms, algorithm)}
-    given, problems = validate_overrides(overrides, specs, others)
-    for name in find_taken(given):
-        del given[name]
-    fallback = {name: value for name, value in filed_values(train_file).items() if name not in given}
-    check_problems(problems)
-    check_fallback(fallback, specs, source)
-    values = {name: spec.default for name, spec in specs.items()} | fallback | given
-    settings = build_settings(values, kind.algorithms, kind.name)
-    return Setup(kind, build_train_file(values, frozenset(given), train_file), settings)
 
 
 _WIDTH: Final = 108
