@@ -80,14 +80,14 @@ class _Feed:
         return log_ns - self._first_ns > self._until_s * NS_PER_S
 
 
-def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tuple[Any, ...]) -> None:
+def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...]) -> None:
     """Let the nodes report what they would, and a second publisher of the force beside them."""
     now_s = feed.now_ns / NS_PER_S
-    for spec, pipeline, prior in zip(SPECS.values(), pipelines, priors, strict=True):
+    for spec, pipeline in zip(SPECS.values(), pipelines, strict=True):
         name = f'{_NAMESPACE}/{spec.kind.node_name}'.strip('/')
         node: Any = Mock(state='active', **{'get_fully_qualified_name.return_value': name})
         node.now_ns.return_value = feed.now_ns
-        context = NodeContext(node, spec.kind, node, node, feed.inputs, pipeline=pipeline, prior=prior)
+        context = NodeContext(node, spec.kind, node, node, feed.inputs, pipeline=pipeline)
         brief = replace(spec, details=lambda _prior, _live: ())
         status = DiagnosticsPublisher(context, brief).estimator_status(pipeline)
         values = {item.key: item.value for item in status.values}
@@ -106,10 +106,9 @@ def pictures() -> dict[str, str]:
     second = _Feed(Trains(), '/train_2', _SECOND_S)
     train = _BAG / 'train.yaml'
     pipelines = Pipelines(*(setup.pipeline() for setup in node_setups(load_train_file(train), str(train))))
-    priors = tuple(pipeline.current().estimate for pipeline in pipelines)
     with BagReader(_BAG) as reader:
         replay_through(pipelines, reader, None, (feed, first, second), duration_s=_SHOWN_S)
-    _report(feed, trains, pipelines, priors)
+    _report(feed, trains, pipelines)
     nodes: dict[str, tuple[str, ...]] = {topic.name: (_PLAYER,) for topic in INPUT_TOPICS}
     nodes |= {topic.name: ('a node',) for topic in OUTPUT_TOPICS}
     first.train.on_publishers(nodes)

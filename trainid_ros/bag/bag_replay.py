@@ -49,11 +49,12 @@ from trainid_ros.interface.results import (
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings, force_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from trainid_ros.bag.types import RecordTable
     from trainid_ros.inputs.mapping import Mapping
+    from trainid_ros.setup.params_file import Setup
     from trainid_ros.stream.sample_stream import Contradiction
     from trainid_ros.train.train_file import TrainFile
 
@@ -135,6 +136,15 @@ class Pipelines(NamedTuple):
         """Return those of a train file and settings."""
         return cls(*(kind.pipeline(train_file, settings) for kind in KINDS))
 
+    @classmethod
+    def of_nodes(cls, setups: Iterable[Setup], mapping: Mapping, states: Iterable[str] = ()) -> Pipelines:
+        """Return those of nodes that read a mapping, from saved states; '' is the prior. InputError if one is unfit."""
+        made: list[EstimatorPipeline[Any]] = [setup.pipeline(mapping.alignment) for setup in setups]
+        for pipeline, state in zip(made, states, strict=False):
+            if state:
+                pipeline.restore(state)
+        return cls(*made)
+
 
 class Odometer:
     """Compares distances by the speed with those by the position, from stop to stop: the error of the wheel diameter.
@@ -198,28 +208,19 @@ def replay_through(
     reader: BagReader,
     progress: Callable[[float], None] | None = None,
     observers: Sequence[Observer] = (),
-    *,
-    states: Sequence[str] = (),
     duration_s: float = math.inf,
 ) -> Replay:
     """Run the three estimators over an open bag, or the first ``duration_s`` of it by log time [s].
 
-    They start from saved ``states``, or from the prior where that is ''. ``progress`` is called with the number of
-    inputs read since its last call. Observers receive inputs and outputs; nothing else is kept, so memory does not grow
-    with the bag. InputError if a required topic has no messages, the bag cannot be read or a state does not fit.
+    ``progress`` is called with the number of inputs read since its last call. Observers receive inputs and outputs;
+    nothing else is kept, so memory does not grow with the bag. InputError if a required topic has no messages, or the
+    bag cannot be read.
     """
     require_topics(reader)
-    resistance, speed_model, brake_rate = pipelines
-    priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
-    each: Sequence[EstimatorPipeline[Any]] = pipelines
-    for pipeline, state in zip(each, states, strict=False):
-        if state:
-            pipeline.restore(state)
     group, records, log_ns = PipelineGroup(pipelines), 0, 0
     start_ns, _ = reader.time_range() or (0, 0)
     end_ns = math.inf if math.isinf(duration_s) else start_ns + round(duration_s * NS_PER_S)
-
-    odometer = Odometer()
+    odometer, named = Odometer(), reader.mapping.named
 
     def observed(table: RecordTable) -> Iterator[Row]:
         """Yield the rows, each after the observers have received it."""
@@ -244,31 +245,17 @@ def replay_through(
         if progress is not None:
             progress(count)
     last = group.contradiction
-    last.finding, last.inputs = reader.mapping.named(last.finding), tuple(map(reader.mapping.named, last.inputs))
-    return Replay(
-        records,
-        group.covered_s,
-        _result(resistance, priors[0], reader.mapping),
-        _result(speed_model, priors[1], reader.mapping),
-        _result(brake_rate, priors[2], reader.mapping),
-        brake_rate.adhesion(),
-        group.contradiction,
-        tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
-        odometer.ratio,
-    )
+    last.finding, last.inputs = named(last.finding), tuple(map(named, last.inputs))
+    resistance, speed_model, brake = pipelines
+    results = (_result(resistance, named), _result(speed_model, named), _result(brake, named))
+    findings = tuple(map(named, brake_findings(brake)))
+    return Replay(records, group.covered_s, *results, brake.adhesion(), last, findings, odometer.ratio)
 
 
-def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT, mapping: Mapping) -> Result[EstimateT]:
-    return Result(
-        prior,
-        pipeline.current(),
-        pipeline.samples,
-        tuple(pipeline.rejections.most_common()),
-        tuple(pipeline.statuses),
-        pipeline.resets,
-        pipeline.consistency,
-        mapping.named(pipeline.why_converging),
-    )
+def _result(of: EstimatorPipeline[EstimateT], named: Callable[[str], str]) -> Result[EstimateT]:
+    rejections, statuses = tuple(of.rejections.most_common()), tuple(of.statuses)
+    why_converging = named(of.why_converging)
+    return Result(of.prior, of.current(), of.samples, rejections, statuses, of.resets, of.consistency, why_converging)
 
 
 TABLE_SUFFIXES: Final = ('.parquet', '.csv')

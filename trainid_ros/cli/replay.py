@@ -87,10 +87,6 @@ def _start(
     return started, states
 
 
-def _pipelines(setups: Sequence[Setup], reader: BagReader) -> Pipelines:
-    return Pipelines(*(setup.pipeline(reader.mapping.alignment) for setup in setups))
-
-
 def _beside(bag: Path, name: str) -> Path:
     return (bag if bag.is_dir() else bag.parent) / name
 
@@ -149,9 +145,9 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
         observers, recorder = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = _pipelines(setups, reader)
+        pipelines = Pipelines.of_nodes(setups, reader.mapping, states)
         count = max(reader.input_count, 1)
-        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers, states=states)
+        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start
         share = setups[0].train_file.train.mass_std
         if share < 0.02 and reader.missing(MASS_TOPIC):  # a load that nobody weighs varies by more
@@ -393,7 +389,7 @@ def _write_view(args: argparse.Namespace, train: Path, out: Path) -> None:
 
     setups = _load_setups(args, train, output.warn)
     with output.opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
-        pipelines = _pipelines(setups, reader)
+        pipelines = Pipelines.of_nodes(setups, reader.mapping)
         recorder = ViewRecorder(pipelines)
         with output.progress(f'replaying {args.bag.name}', reader.input_count) as advance:
             replay_through(pipelines, reader, advance, (recorder,))

@@ -217,6 +217,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     Pipelines may share a stream; one whose records are to be forgotten continues with a stream of its own.
 
     Attributes:
+        prior: Estimate before the first record.
         stale_ns: Time for which inputs may be missing [ns]; longer for a slow topic.
     """
 
@@ -234,6 +235,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
         self._clear()
+        self.prior = self._published
 
     def set_stale_after(self, stale_after: float) -> None:
         """Change how long inputs may be missing [s]."""
@@ -398,14 +400,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Return the output at the newest sample."""
         if self._estimate is None and self._status is not Status.FAULT:
             self._published = self._estimate = self.estimator.estimate(self._speed)
-        return Output(
-            stamp_ns=self._sample_ns,
-            estimate=self._published,
-            status=self._status,
-            used=self.used,
-            rejected=self._rejected,
-            last_rejection=self.last_rejection,
-        )
+        used, rejected = self.used, self._rejected
+        return Output(self._sample_ns, self._published, self._status, used, rejected, self.last_rejection)
 
     def adhesion(self) -> Output[AdhesionEstimate]:
         """Return adhesion and slip at the newest sample; the pipeline of the brake rate publishes them."""

@@ -86,7 +86,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     setups, inputs = prepared(setup)
     opening, reading = in_two(advance)
     with BagReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
-        pipelines = Pipelines(*(item.pipeline(reader.mapping.alignment) for item in setups))
+        pipelines = Pipelines.of_nodes(setups, reader.mapping)
         before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count))

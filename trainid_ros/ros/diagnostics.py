@@ -328,7 +328,6 @@ class NodeContext:
     # These are None while the node is not configured
     inputs: InputGroup | None = None
     pipeline: EstimatorPipeline[Any] | None = None
-    prior: Any = None  # Estimate before the first record
     fault: str = ''  # Why the estimator cannot continue, '' if it can
     unsaved: str = ''  # Why the state cannot be saved now, '' if it can
     # Since when the estimate has its status [ns], by the node's clock; 0 if not known, as after a jump of the clock
@@ -337,7 +336,7 @@ class NodeContext:
 
     def forget(self) -> None:
         """Forget what configuring the node has made."""
-        self.inputs = self.pipeline = self.prior = None
+        self.inputs = self.pipeline = None
         self.fault, self.step_times = '', StepTimes()
 
     def timeout_s(self, topic: AnyTopic) -> float:
@@ -509,10 +508,10 @@ class DiagnosticsPublisher:
             *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
             *_condemned(pipeline.stream.faults),
             ('last rejection', 'none' if output.last_rejection is None else output.last_rejection),
-            *_compared(spec.shown, context.prior, output.estimate),
+            *_compared(spec.shown, pipeline.prior, output.estimate),
             ('consistency', pipeline.consistency),
             ('consistency ratio', f'{pipeline.consistency.ratio:.3f}'),
-            *spec.details(context.prior, output.estimate),
+            *spec.details(pipeline.prior, output.estimate),
             *((f'step time {name} [ms]', f'{seconds * 1e3:.3f}') for name, seconds in step_times),
             ('overruns', steps.overruns),
             ('resets', pipeline.resets),

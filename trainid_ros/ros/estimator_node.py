@@ -317,7 +317,6 @@ class EstimatorNode(ManagedNode):
         settings = build_settings(values, kind.algorithms, kind.name)
         self._settings = self.shared.mapping.configure(train_file, settings)
         pipeline = kind.pipeline(train_file, self._settings)
-        self.shared.prior = pipeline.current().estimate
         self.checkpoints.open(pipeline, train_file, self._settings)
         self.shared.pipeline = pipeline
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
