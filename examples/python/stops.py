@@ -19,7 +19,7 @@ from ato.days import CONTROLLERS, drive_day, plan_day
 from ato.stop_report import Day, brake_changes, changed_stops, comparison, errors_of, stop_lines, stop_page
 from trainid_ros.cli.output import prepare_page, print_json, progress
 from trainid_ros.interface.errors import InputError
-from trainid_ros.report.page import write_page
+from trainid_ros.interface.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -71,7 +71,7 @@ def play_stops(report: Path, seed: int, count: int, say: Callable[[str], None]) 
                 drives[name] = drive_day(plan, name, number)
                 advance(1)
             days.append(Day(plan, drives))
-    write_page(stop_page(days), report)
+    write_text(stop_page(days), report)
     return StopCase(tuple(days), report)
 
 

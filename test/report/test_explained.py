@@ -13,8 +13,8 @@ import pytest
 
 from test.report.pages import check_page, colours_of_figures, no_layout, words
 from trainid_ros.explain.result import Explanation, Learned, Verdict
+from trainid_ros.interface.files import write_text
 from trainid_ros.report.explained import render_explained
-from trainid_ros.report.page import write_page
 from trainid_ros.train.train_file import Line, TrainFile
 
 pytestmark = pytest.mark.slow  # drawing takes seconds
@@ -119,7 +119,7 @@ def test_little_data_causes_no_error(make_explanation: Make, stated: TrainFile) 
 @no_layout()
 def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, stated: TrainFile, tmp_path: Path) -> None:
     many, path = make_explanation(traces=make_explanation().traces * 150), tmp_path / 'new' / 'report.html'
-    write_page(render_explained('Many', many, stated, 't', ('a',)), path)
+    write_text(render_explained('Many', many, stated, 't', ('a',)), path)
     assert 'Of 300 runs those with the largest gaps' in path.read_text(encoding='utf-8')
     assert path.stat().st_size < 1_500_000
 
@@ -140,5 +140,5 @@ def test_names_are_text_wherever_they_appear(make_explanation: Make, stated: Tra
     text = render_explained(bad, hostile, stated, bad, (bad, bad), (bad,))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;') > 10
-    write_page(text, tmp_path / 'r.html')
+    write_text(text, tmp_path / 'r.html')
     assert '$x$\\udcff</title>' in (tmp_path / 'r.html').read_text(encoding='utf-8')

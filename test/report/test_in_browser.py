@@ -24,9 +24,9 @@ from test.report.test_verdict import ADHESION
 from trainid_ros.cli.main import main
 from trainid_ros.explain.result import Explanation
 from trainid_ros.fleet.table_file import write_table
+from trainid_ros.interface.files import write_text
 from trainid_ros.report.drive_report import Chapter, write_report
 from trainid_ros.report.explained import render_explained
-from trainid_ros.report.page import write_page
 from trainid_ros.report.recording import CONTRADICTED, GAP, Span
 from trainid_ros.report.verdict import Level, Verdict
 from trainid_ros.train.train_file import TrainFile
@@ -71,7 +71,7 @@ def explained(
     make_explanation: Callable[..., Explanation], stated: TrainFile, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     path = tmp_path_factory.mktemp('pages') / 'explained.html'
-    write_page(render_explained('Why', make_explanation(ambiguous=True), stated, 't.yaml', ('a',), ('note',)), path)
+    write_text(render_explained('Why', make_explanation(ambiguous=True), stated, 't.yaml', ('a',), ('note',)), path)
     return path
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, BagReader, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import Consistency, EstimatorPipeline, PipelineGroup
-from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import new_place
 from trainid_ros.interface.records import (
     INPUT_TOPICS,
     NS_PER_S,
@@ -386,15 +385,8 @@ def _parquet_file(path: Path) -> Iterator[Callable[[Sequence[TableRow]], None]]:
 @contextmanager
 def estimate_table(path: Path) -> Iterator[EstimateTable]:
     """Write a table, Parquet or CSV by its suffix, there once the block ends without error; InputError if it exists."""
-    if path.exists() or path.is_symlink():
-        raise InputError(f'{path}: exists already and is not overwritten')
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f'.{path.name}.{os.getpid()}')
-    try:
-        with (_csv_file if path.suffix == '.csv' else _parquet_file)(part) as write:
-            table = EstimateTable(write)
-            yield table
-            table.finish()
-        part.rename(path)
-    finally:
-        part.unlink(missing_ok=True)
+    opened = _csv_file if path.suffix == '.csv' else _parquet_file
+    with new_place(path) as part, opened(part) as write:
+        table = EstimateTable(write)
+        yield table
+        table.finish()

@@ -25,6 +25,7 @@ from trainid_ros.explain.dataset import Run
 from trainid_ros.explain.result import Explanation, Learned
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.files import write_text
 from trainid_ros.interface.text import listed, pluralise, printable
 from trainid_ros.report import HTML_START
 from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_file
@@ -255,22 +256,20 @@ def write_all(
 ) -> None:
     """Write the outputs into a folder that exists; InputError if one cannot be written."""
     from trainid_ros.report.explained import render_explained  # noqa: PLC0415
-    from trainid_ros.report.page import write_page  # noqa: PLC0415
 
     names = tuple(str(bag) for bag in bags)
     title = f'trainid explain: {", ".join(bag.name for bag in bags[:_NAMED_BAGS])}'
     text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
-    write_page(f'{text}\n', folder / REPORT_JSON)
-    write_page(dump_train_file(explanation.train_file), folder / TRAIN_FILE)
+    write_text(f'{text}\n', folder / REPORT_JSON)
+    write_text(dump_train_file(explanation.train_file), folder / TRAIN_FILE)
     learned, kept = explanation.learned, folder / LEARNED
     for old in kept.glob('learned_*.py'):  # of an earlier explanation
         old.unlink()
     (kept / TRAIN_FILE).unlink(missing_ok=True)
     if learned is not None and learned.train_file is not None:
-        kept.mkdir(exist_ok=True)
-        write_page(learned.source, kept / f'{learned.effect}.py')
-        write_page(dump_train_file(learned.train_file), kept / TRAIN_FILE)
-    write_page(render_explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
+        write_text(learned.source, kept / f'{learned.effect}.py')
+        write_text(dump_train_file(learned.train_file), kept / TRAIN_FILE)
+    write_text(render_explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
 
 
 def prepare_proposal(folder: Path) -> None:
@@ -283,15 +282,14 @@ def prepare_proposal(folder: Path) -> None:
 def propose(args: argparse.Namespace, explanation: Explanation, prior: TrainFile) -> None:
     """Write the note and the test of a train file that differs from the one explained, beside it."""
     from trainid_ros.report import proposal  # noqa: PLC0415
-    from trainid_ros.report.page import write_page  # noqa: PLC0415
 
     if explanation.train_file == prior or explanation.gap is None:
         return
     bags = [str(bag.resolve()) for bag in args.bags]
     options = ['--namespace', args.namespace, '--max-chunk', str(args.max_chunk >> 20)]
     options += [] if args.map is None else ['--map', str(args.map.resolve())]
-    write_page(proposal.migration_note(explanation, prior, str(args.train), bags), args.propose / NOTE)
-    write_page(proposal.regression_test(explanation.gap, bags, options), args.propose / TEST)
+    write_text(proposal.migration_note(explanation, prior, str(args.train), bags), args.propose / NOTE)
+    write_text(proposal.regression_test(explanation.gap, bags, options), args.propose / TEST)
 
 
 def _watch(args: argparse.Namespace, train_file: TrainFile) -> NoReturn:

@@ -24,6 +24,7 @@ from trainid_ros.brake_rate.braking import BrakingCollector
 from trainid_ros.cli.output import check_output, opened, print_json, progress, show, table, warn
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.interface.files import write_text
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, ResistanceEstimate, deviations, quantities
 from trainid_ros.interface.text import in_step, pluralise
@@ -104,11 +105,7 @@ def _run_brake(args: argparse.Namespace) -> int:
     etcs = etcs_brake(fit, command) if args.etcs else None
     text = describe(fit, brake, name, etcs)
     if args.out is not None:
-        try:
-            args.out.parent.mkdir(parents=True, exist_ok=True)
-            args.out.write_text(f'{text}\n', encoding='utf-8')
-        except OSError as error:
-            raise InputError(f'{args.out}: cannot be written ({error.strerror})') from None
+        write_text(f'{text}\n', args.out)
     if args.json:
         print_json(to_json(fit, brake, etcs))
     else:

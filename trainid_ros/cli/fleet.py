@@ -15,6 +15,7 @@ from trainid_ros.cli.output import print_json, progress, show, warn
 from trainid_ros.fleet import table_file as files
 from trainid_ros.fleet.run_fleet import known_rows, prepared, rows_folder, rows_here, rows_on_cluster, run_plan
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import write_text
 from trainid_ros.interface.text import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.setup.params_file import mapping_in
@@ -129,10 +130,9 @@ def report(args: argparse.Namespace) -> int:
                 advance(1.0)
     if args.out is not None:
         from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415 - with matplotlib
-        from trainid_ros.report.page import write_page  # noqa: PLC0415
 
         notes = {train.name: (_named_text(train, named[train.name]),) for train in view.found if train.name in named}
-        write_page(fleet_page(view, ', '.join(map(str, args.tables)), args.false_alarm_days, notes), args.out)
+        write_text(fleet_page(view, ', '.join(map(str, args.tables)), args.false_alarm_days, notes), args.out)
     if args.json:
         print_json(to_json(view, args.false_alarm_days, named))
     else:

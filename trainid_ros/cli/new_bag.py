@@ -9,13 +9,11 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
@@ -28,6 +26,7 @@ from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import load_table_mapping
 from trainid_ros.inputs.tables import TableRecords
 from trainid_ros.interface.errors import InputError
+from trainid_ros.interface.files import new_place
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, input_topic
 from trainid_ros.interface.text import pluralise
 from trainid_ros.sim.fleet import Fault, Fleet, draw_day, draw_train, drive, fleet_train, parse_fault, train_name
@@ -56,7 +55,7 @@ def import_table(args: argparse.Namespace) -> int:
     counts: Counter[str] = Counter({topic.name: 0 for topic in REQUIRED_TOPICS})
     first_ns = last_ns = 0
     bar = progress(f'importing {args.file.name}', 1.0)
-    with _new_folder(args.out) as place, BagWriter(place) as writer, bar as advance:
+    with new_place(args.out) as place, BagWriter(place) as writer, bar as advance:
         for share, records in table.blocks():
             for log_ns, record in records:
                 writer.write_record(record, log_ns)
@@ -113,17 +112,6 @@ def _suggest(args: argparse.Namespace) -> int:
 
 def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
-
-
-@contextmanager
-def _new_folder(path: Path) -> Iterator[Path]:
-    """Yield a place beside a path, and move what is there to the path once it is complete."""
-    if path.exists() or path.is_symlink():
-        raise InputError(f'{path}: exists already and is not overwritten')
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f'.{path.name}.', dir=path.parent) as folder:
-        yield Path(folder) / path.name
-        (Path(folder) / path.name).rename(path)
 
 
 def _warn_of_table(args: argparse.Namespace, table: TableRecords, counts: Counter[str]) -> None:
@@ -215,7 +203,7 @@ def _simulate_fleet(args: argparse.Namespace) -> int:
     world = find_world(args.world or 'metro')
     fleet = Fleet(world, load_train_file(args.train) if args.train else world_train(world), args.seed)
     _warn_of_runs(fleet.file, args.runs)
-    with _new_folder(args.out) as folder:
+    with new_place(args.out) as folder:
         folder.mkdir()
         (folder / TRAIN_FILE).write_text(dump_train_file(fleet_train(fleet.file)), encoding='utf-8')
         work, numbers = partial(_simulate_train, fleet, faults, args.runs, days, folder), range(1, args.fleet + 1)

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from trainid_ros.interface.errors import InputError
 
@@ -32,4 +33,26 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         with suppress(OSError):  # half a file
             part.unlink(missing_ok=True)
+        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
+
+
+@contextmanager
+def new_place(path: Path) -> Iterator[Path]:
+    """Yield a place beside a path, and move what is there to the path once it is complete; InputError if it exists."""
+    if path.exists() or path.is_symlink():
+        raise InputError(f'{path}: exists already and is not overwritten')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f'.{path.name}.', dir=path.parent) as folder:
+        yield Path(folder) / path.name
+        (Path(folder) / path.name).rename(path)
+
+
+def write_text(text: str, path: str | Path) -> None:
+    """Write a text and create missing folders; InputError if it cannot be written."""
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # Names of files may hold bytes that are no text.
+        target.write_text(text, encoding='utf-8', errors='backslashreplace')
+    except OSError as error:
         raise InputError(f'{path}: cannot be written ({error.strerror})') from None

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from trainid_ros.interface.files import write_text
 from trainid_ros.interface.records import KM_H, NS_PER_S
 from trainid_ros.interface.results import (
     AdhesionEstimate,
@@ -28,7 +29,7 @@ from trainid_ros.interface.results import (
 )
 from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.report import page
-from trainid_ros.report.page import render, write_page
+from trainid_ros.report.page import render
 from trainid_ros.report.recording import (
     BRAKING,
     COASTING,
@@ -162,7 +163,7 @@ STATUSES: Final = {
 
 def write_report(title: str, chapters: Sequence[Chapter], path: str | Path) -> None:
     """Write a report and create missing folders; InputError if it cannot be written."""
-    write_page(render_report(title, chapters), path)
+    write_text(render_report(title, chapters), path)
 
 
 def render_report(title: str, chapters: Sequence[Chapter]) -> str:

@@ -27,7 +27,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from trainid_ros import __version__
-from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.report import HTML_START
 from trainid_ros.report.recording import Array, Panel, Span
@@ -254,17 +253,6 @@ def render(template: str, title: str, **content: Any) -> str:
 def page(title: str, body: str, footer: str) -> str:
     """Return a page as HTML text; the body is HTML, heading and last line are text."""
     return render('page.html.j2', title, body=Markup(body), footer=footer)
-
-
-def write_page(text: str, path: str | Path) -> None:
-    """Write a page and create missing folders; InputError if it cannot be written."""
-    target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        # Names of files may hold bytes that are no text.
-        target.write_text(text, encoding='utf-8', errors='backslashreplace')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror})') from None
 
 
 def column_of_axes(figure: Figure, count: int, **options: Any) -> Any:
