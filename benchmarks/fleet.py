@@ -42,7 +42,7 @@ from trainid_ros.fleet.analysis import FleetView, TrainView, analyse
 from trainid_ros.fleet.mixed_model import CHANNELS
 from trainid_ros.fleet.table_file import Row, empty_row, read_table
 from trainid_ros.setup.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.sim.fleet import draw_day, draw_train
+from trainid_ros.sim.worlds import draw_day, draw_train
 from trainid_ros.train.train_file import dump_train_file
 
 Array = NDArray[np.float64]

@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.sim import fleet
-from trainid_ros.sim.fleet import FleetDay, FleetTrain
+from trainid_ros.sim import worlds
 from trainid_ros.sim.scenario import Simulation
-from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.sim.worlds import WORLDS, FleetDay, FleetTrain, world_train
 from trainid_ros.train.train_file import Effect, TrainFile
 
 FAULTS: Final = ('dragging_brake', 'worn_pads', 'wheel_diameter', 'wrong_weighing')
@@ -38,7 +37,7 @@ class Fault:
 
 def stated_train() -> TrainFile:
     """Return the train file of the whole fleet."""
-    return fleet.fleet_train(world_train(WORLDS['metro']))
+    return worlds.fleet_train(world_train(WORLDS['metro']))
 
 
 def drive(
@@ -46,4 +45,6 @@ def drive(
 ) -> Simulation:
     """Simulate one drive of a train; a fault acts if it is given."""
     effects = () if fault is None else (fault.effect,)
-    return fleet.drive(fleet.Fleet(WORLDS['metro'], world_train(WORLDS['metro']), seed), train, day, effects, runs, run)
+    return worlds.drive(
+        worlds.Fleet(WORLDS['metro'], world_train(WORLDS['metro']), seed), train, day, effects, runs, run
+    )

@@ -29,11 +29,25 @@ from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.files import new_place
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS, input_topic
 from trainid_ros.interface.text import pluralise
-from trainid_ros.sim.fleet import Fault, Fleet, draw_day, draw_train, drive, fleet_train, parse_fault, train_name
 from trainid_ros.sim.scenario import Scenario, check_scenario
 from trainid_ros.sim.scenario import simulate as run_scenario
 from trainid_ros.sim.truth import plain_truth, save_truth
-from trainid_ros.sim.worlds import WORLDS, Case, find_world, make_case, unknowns_of, world_train
+from trainid_ros.sim.worlds import (
+    WORLDS,
+    Case,
+    Fault,
+    Fleet,
+    draw_day,
+    draw_train,
+    drive,
+    find_world,
+    fleet_train,
+    make_case,
+    parse_fault,
+    train_name,
+    unknowns_of,
+    world_train,
+)
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.fields import shown
 from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_file

@@ -69,13 +69,11 @@ class Plant:
     """
 
     def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
-        self.profile = profile
-        self.now_ns = start_ns
+        self.profile, self.now_ns = profile, start_ns
         self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
         self.direction = 1
         self.speed = self.acceleration = self.traction = 0.0
-        self.mass = train_file.train.mass
-        self.resistance = train_file.resistance
+        self.mass, self.resistance = train_file.train.mass, train_file.resistance
         self.brake_rate = train_file.brake.rate
         self.gust = self.distance_run = self.heat = self.work = 0.0
         self.run = 0
@@ -313,8 +311,7 @@ class Driver:
 
     def depart(self, stop: float) -> None:
         """Depart for the next stop [m]."""
-        self.stop = stop
-        self.phase = Phase.POWER
+        self.stop, self.phase = stop, Phase.POWER
         self._cruise_left_s = self._draw(self._model.cruise_low, self._model.cruise_high)
 
     def decide(self, time_s: float, train: Plant) -> Decision:

@@ -292,8 +292,7 @@ class _Day:
         first = Change(0.0, file.resistance, file.brake.rate)
         changes = (first, *scenario.changes, *(Change(time_s) for time_s, _ in self._steps))
         self._pending = sorted(changes, key=attrgetter('time_s'))
-        self._weighed = file.train.mass
-        self._departed_s = 0.0
+        self._weighed, self._departed_s = file.train.mass, 0.0
 
     def drive(self) -> Simulation:
         """Simulate all runs and a final dwell."""
