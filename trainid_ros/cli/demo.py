@@ -38,6 +38,7 @@ from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import shared_path
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, stamp_of, status_of
 from trainid_ros.interface.results import AdhesionEstimate, BrakeRateEstimate, Output, ResistanceEstimate, Status
+from trainid_ros.monitor.trains import resistance_at
 from trainid_ros.report import drive_report, words
 from trainid_ros.report.recording import Recorder
 from trainid_ros.report.verdict import SPEEDS, judge
@@ -398,8 +399,7 @@ def describe_resistance(name: str, output: Output[ResistanceEstimate], true: Dav
     e = output.estimate
     values = []
     for v in SPEEDS:
-        w = float(drive_report.resistance_at(np.array([e.a, e.b, e.c]), v))
-        std = float(drive_report.resistance_std(np.reshape(e.covariance, (3, 3)), v))
+        w, std = resistance_at(e, v)
         error = '' if true is None else f' (error {w - davis(true, v):+.3f})'
         values.append(f'w({v:g} m/s) = {w:.3f} ± {std:.3f}{error}')
     head = f'{name}: w(v) = {e.a:.3f} {e.b:+.4f} v {e.c:+.5f} v² N/kN'

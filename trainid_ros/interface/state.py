@@ -63,19 +63,12 @@ def declare(*names: str | Field) -> State:
     return tuple(Field(name) if isinstance(name, str) else name for name in names)
 
 
-def several(name: str, kind: Callable[..., Any]) -> Field:
-    """Declare a collection or an optional part; see :class:`Field` for the kind."""
-    return Field(name, kind)
-
-
-def unknown(name: str) -> Field:
-    """Declare numbers that are not finite while unknown."""
-    return Field(name, may_be_nan=True)
-
-
-def definite(name: str) -> Field:
-    """Declare a covariance."""
-    return Field(name, is_covariance=True)
+several: Final = Field
+"""Declares a collection or an optional part, by name and kind."""
+unknown: Final = partial(Field, may_be_nan=True)
+"""Declares numbers that are not finite while unknown."""
+definite: Final = partial(Field, is_covariance=True)
+"""Declares a covariance."""
 
 
 def stored(default: Any = MISSING, *, kind: Callable[..., Any] | None = None, may_be_nan: bool = False) -> Any:

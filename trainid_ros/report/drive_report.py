@@ -28,6 +28,7 @@ from trainid_ros.interface.results import (
     SpeedModelEstimate,
 )
 from trainid_ros.interface.text import in_step, pluralise, plus_minus
+from trainid_ros.monitor.trains import resistance_at as estimated_resistance
 from trainid_ros.report import page
 from trainid_ros.report.page import render
 from trainid_ros.report.recording import (
@@ -201,13 +202,12 @@ def _cards(chapter: Chapter) -> list[dict[str, object]]:
     true, true_rate = chapter.final_truth()
     low, high = chapter.recording.resistance.speed_range
     speed = middle_speed(w)
-    value = resistance_at(_theta(w), speed)
-    std = resistance_std(np.array(w.covariance).reshape(3, 3), speed)
+    value, std = estimated_resistance(w, speed)
     learned = f'{KM_H * low:.0f} to {KM_H * high:.0f} km/h' if high > low else 'nothing yet'
-    error = math.nan if true is None else float(value) - davis(true, speed)
+    error = math.nan if true is None else value - davis(true, speed)
     cards = (
         (
-            f'Running resistance at {speed_text(speed)}', plus_minus(float(value), float(std)), 'N/kN',
+            f'Running resistance at {speed_text(speed)}', plus_minus(value, std), 'N/kN',
             chapter.resistance, f'learned from {learned}',
             '' if true is None else f'truth {davis(true, speed):.2f}, error {error:+.2f} N/kN',
         ),

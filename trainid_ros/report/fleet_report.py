@@ -135,15 +135,10 @@ def fleet_over_days(view: FleetView) -> str:
             axes.plot(channel.fit.mean + train.series[k].value, color=page.MUTED, linewidth=0.5, alpha=0.5)
         for train, colour in zip(named, cycle(_NAMED)):
             axes.plot(channel.fit.mean + train.series[k].value, color=colour, marker='.')
-        _keep_room(axes, channel)
+        page.keep_room(axes, float(np.median(channel.cells.std)))
         _name_ends(axes, [(t.name, channel.fit.mean + t.series[k].value) for t in named])
 
     return _over_days(view, 2.1, 'Values of all trains over the days', draw)
-
-
-def _keep_room(axes: Axes, channel: ChannelView) -> None:
-    """Show at least one stated standard deviation on either side: what is finer is no difference."""
-    page.keep_room(axes, float(np.median(channel.cells.std)))
 
 
 def _name_ends(axes: Axes, lines: Sequence[tuple[str, Array]]) -> None:
@@ -168,7 +163,7 @@ def common_over_days(view: FleetView) -> str:
         with np.errstate(invalid='ignore', divide='ignore'):
             mean = np.bincount(cells.day, channel.fit.common, days) / count
         axes.plot(mean, color=page.ESTIMATE, marker='.')
-        _keep_room(axes, channel)
+        page.keep_room(axes, float(np.median(channel.cells.std)))
 
     return _over_days(view, 1.6, 'What trains have in common on each day', draw)
 
@@ -182,7 +177,7 @@ def train_over_days(view: FleetView, train: TrainView) -> str:
         at, value = np.arange(series.value.size), channel.fit.mean + series.value
         axes.errorbar(at, value, series.std, fmt='.', color=page.INK, elinewidth=0.8, markersize=4)
         _levels(axes, channel, k, train)
-        _keep_room(axes, channel)
+        page.keep_room(axes, float(np.median(channel.cells.std)))
 
     return _over_days(view, 1.8, f'Train {train.name} over the days', draw)
 

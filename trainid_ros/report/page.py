@@ -209,7 +209,7 @@ def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
 
 
 def keep_room(axes: Axes, least: float) -> None:
-    """Widen the value axis until it shows at least so much on either side of its middle."""
+    """Widen the value axis until it shows at least so much on either side of its middle: what is finer is noise."""
     low, high = axes.get_ylim()
     middle = 0.5 * (low + high)
     axes.set_ylim(min(low, middle - least), max(high, middle + least))

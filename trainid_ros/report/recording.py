@@ -195,8 +195,7 @@ class _Thinned(Generic[T]):
     """A stream of unknown length: when full, pairs of items are merged, and the stride doubles."""
 
     def __init__(self, capacity: int, merge: Callable[[T, T], T] = lambda _, later: later) -> None:
-        self._capacity = capacity
-        self._merge = merge
+        self._capacity, self._merge = capacity, merge
         self._items: list[T] = []
         self._stride = 1
         self._pending: list[T] = []  # the items of an incomplete stride, merged
