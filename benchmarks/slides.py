@@ -315,6 +315,7 @@ def _stop(train: Plant, patches: Sequence[Patch]) -> float:
     """Return the distance [m] in which a train stops with the brake command."""
     begin, rate = train.distance_run, train._brake.rate
     train.command(_COMMAND)
+    train.traction = 0.0  # bounds do not count traction that still acts
     for _ in range(round(_LONGEST_S / 0.02)):
         limit_brake(train, rate, adhesion_at(patches, train.position))
         train.step(0.0)
