@@ -23,13 +23,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from trainid_ros.interface.records import NS_PER_S
-from trainid_ros.stream.samples import Sample
-from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
+from trainid_ros.stream.sample_stream import DriveHistory
+from trainid_ros.stream.samples import Motion, Sample
+from trainid_ros.train.effects import BRAKE_APPLIED
 from trainid_ros.train.forces import (
-    STANDING,
-    BrakeActuator,
     davis,
-    held_by,
     load_drag,
     specific_force,
     specific_inertia,
@@ -101,45 +99,36 @@ class RunCollector:
         self.origin_ns, self.runs = origin_ns, list[Run]()
         self._train_file, self._bag = train_file, bag
         self._rows: list[tuple[float, ...]] = []
-        self._distance = self._travelled = 0.0
-        self._start_position = self._speed = math.nan
-        self._weighed, self._releasing = 0, False
-        self._number, self._before = 0, 0.0  # As in stream.sample_stream.DriveHistory
-        self.start_over()
+        self._history = DriveHistory(train_file)
+        self._weighed, self._number, self._departed_m = 0, 0, 0.0
+        self._start_position = math.nan
 
     def add(self, sample: Sample) -> None:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
-        self._number += self._before < STANDING <= sample.speed
-        self._before = sample.speed
-        self._actuator.commands.follow(sample.brake_changes)
-        gap = math.isnan(sample.dt)
-        brake = self._follow_brake(sample, gap=gap)
-        if gap:
+        motion = self._history.follow(sample)
+        self._number = motion.run
+        if math.isnan(sample.dt):
             self.end_run()
-        elif math.isfinite(self._speed):
-            moved = 0.5 * (self._speed + sample.speed) * sample.dt
-            self._distance += moved
-            self._travelled += moved
-        self._speed = sample.speed
         if sample.speed <= 1e-3:  # m/s, the train stands
             if self._rows:
                 self.end_run(sample.position)
-            self._start_position, self._travelled = sample.position, 0.0
+            self._start_position, self._departed_m = sample.position, motion.distance_run
             return
         known = (sample.force_mean, sample.gradient_mean, sample.brake_command)
         if sample.emergency or not all(map(math.isfinite, known)):
             self.end_run()
             return
-        self._add_row(sample, brake)
+        self._add_row(sample, motion)
 
     def start_over(self) -> None:
         """End the current run and forget the history of the drive, as after a jump of the stamps."""
         self.end_run()
-        self._actuator, self._stamp_ns = BrakeActuator(self._train_file.brake), 0
-        self._heat, self._since_release, self._speed = 0.0, math.inf, math.nan
+        self._history.reset()
 
-    def _add_row(self, sample: Sample, brake: float) -> None:
+    def _add_row(self, sample: Sample, motion: Motion) -> None:
+        rate = self._train_file.brake.rate_at(sample.speed)
+        brake = rate * motion.brake_mean
         # A brake that is still releasing at departure may hold the train or drag; which of them is unknown.
         if not self._rows and (sample.speed < _MIN_SPEED or brake < BRAKE_APPLIED):
             return
@@ -153,13 +142,13 @@ class RunCollector:
         # released. Other differences may be errors of the reported brake, as by a load that is not weighed.
         pull = nominal = 0.0
         if braking:
-            nominal = braking / self._train_file.brake.rate_at(sample.speed)
+            nominal = braking / rate
             pull, least = traction - nominal, max(PULLING, -_UNWEIGHED * nominal)
-            traction = pull if traction > PULLING or (self._releasing and pull > least) else 0.0
+            traction = pull if traction > PULLING or (self._history.is_releasing and pull > least) else 0.0
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
-            braking, self._heat, self._since_release, self._distance, pull, nominal,
+            braking, motion.heat, motion.since_release, motion.distance_run, pull, nominal,
             load_drag(self._train_file.c_of_load, train.mass, mass, sample.speed),
         )  # fmt: skip
         self._rows.append(row)
@@ -184,26 +173,9 @@ class RunCollector:
         run = Run(
             self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
             traction, brake, heat, release, distance, positioned, weighed, (start, stop_position),
-            self._travelled, self._number, columns[14],
+            self._history.motion.distance_run - self._departed_m, self._number, columns[14],
         )  # fmt: skip
         self.runs.append(run)
-
-    def _follow_brake(self, sample: Sample, *, gap: bool) -> float:
-        """Return the mean acceleration by the train file's brake model since the previous sample [m/s^2, <= 0]."""
-        actuator, now, rate = self._actuator, sample.stamp_ns, self._train_file.brake.rate_at(sample.speed)
-        before, self._stamp_ns = self._stamp_ns, now
-        if gap or before == 0:  # what has acted until now is not known
-            actuator.output = min(0.0, actuator.commands.value(now - actuator.delay_ns))
-            if before == 0 and sample.speed < STANDING:
-                self._since_release = 0.0
-                actuator.output = min(actuator.output, held_by(self._train_file.train, sample.force))
-            actuator.commands.prune(now - actuator.delay_ns)
-            return rate * actuator.output
-        mean = rate * actuator.advance(before, now) / sample.dt
-        self._releasing = actuator.output < actuator.commands.value(now)
-        self._since_release = 0.0 if actuator.output < BRAKE_APPLIED else self._since_release + sample.dt
-        self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
-        return mean
 
 
 def _beside_brake(traction: Array, pull: Array, nominal: Array) -> Array:

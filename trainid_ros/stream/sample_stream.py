@@ -90,6 +90,11 @@ class DriveHistory:
         self.motion = Motion(time_s=0.0, distance_run=0.0)
         self._actuator = BrakeActuator(self._brake)
 
+    @property
+    def is_releasing(self) -> bool:
+        """True while the brake still acts more than its command says."""
+        return self._actuator.output < self._actuator.commands.value(self._stamp_ns)
+
     def follow(self, sample: Sample) -> Motion:
         """Take in a sample; return the motion of the drive up to its stamp."""
         start_ns, before = self._stamp_ns, self.motion
@@ -101,15 +106,15 @@ class DriveHistory:
         elapsed = seconds(sample.stamp_ns - start_ns)
         speed = 0.5 * (self._speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
         brake_integral = self._actuator.advance(start_ns, sample.stamp_ns)
-        brake = self._actuator.output
-        rate = self._brake.rate_at(speed)
-        heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
+        brake, rate = self._actuator.output, self._brake.rate_at(speed)
+        brake_mean = brake_integral / elapsed if elapsed else brake
         self.motion = Motion(
             time_s=before.time_s + elapsed,
             distance_run=before.distance_run + speed * elapsed,
             since_release=0.0 if brake < BRAKE_APPLIED else before.since_release + elapsed,
-            heat=heat,
+            heat=heat_after(before.heat, rate * brake_mean, speed, elapsed),
             brake=brake,
+            brake_mean=brake_mean,
             run=before.run + (self._speed < STANDING <= sample.speed),
         )
         self._stamp_ns, self._speed = sample.stamp_ns, sample.speed

@@ -24,6 +24,7 @@ class Motion:
     since_release: float = math.inf
     heat: float = 0.0  # Heat of the brake by the train file [J per kg of train]
     brake: float = 0.0  # Acceleration target of the brake after the dead time and lag of the train file [m/s^2, <= 0]
+    brake_mean: float = 0.0  # Its mean since the previous sample [m/s^2, <= 0]
     run: int = 0  # Number of departures since the start
 
 
