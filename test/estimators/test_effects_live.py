@@ -60,7 +60,7 @@ CASES = {
     'brake_fade': Case('brake_fade:loss=0.3,energy=150', 'brake_rate', 0.1),
     'brake_delay': Case('brake_delay:extra=0.8', 'brake_rate', 0.005),  # the dead time is learned
     'wheel_diameter': Case('wheel_diameter:ratio=1.06', 'brake_rate', 0.02),
-    'map_shift': Case('map_shift:distance=80', 'speed_model', 0.0, 'ato/force or ato/gradient is off'),
+    'map_shift': Case('map_shift:distance=80', 'resistance', 0.25),
     'stamp_skew': Case('stamp_skew:delay=0.6', 'resistance', 0.0, 'ato/force is late by about 0.6 s'),
 }
 
