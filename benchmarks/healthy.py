@@ -176,6 +176,17 @@ def _of_odometer(change: Callable[[float, float], tuple[float, float]]) -> Rows:
 _whole_kmh = _of_odometer(lambda speed, position: (round(speed * 3.6) / 3.6, position))
 _in_steps = _of_odometer(lambda speed, position: (speed, 10.0 * math.floor(position / 10.0)))
 
+
+def _noisy(rows: Sequence[Row], _: TrainFile, seed: int) -> list[Row]:
+    """Return rows whose speed has white noise of 0.1 m/s, but at a stand."""
+    rng = np.random.default_rng(seed)
+    noise = 0.1 * rng.standard_normal(len(rows))
+    return [
+        (*row[:2], max(row[2] + float(e), 0.0), *row[3:]) if row[0] == SPEED and row[2] > 0.0 else row
+        for row, e in zip(rows, noise, strict=True)
+    ]
+
+
 _dead_zone = _of_odometer(lambda speed, position: (speed if speed > 0.8 else 0.0, position))
 
 
@@ -268,6 +279,8 @@ UNUSUAL: Final = (
     Unusual('position 2 % off between balises', 'high_speed', rows=_balises),
     Unusual('position in steps of 10 m', 'metro', rows=_in_steps),
     Unusual('position in steps of 10 m', 'high_speed', rows=_in_steps),
+    Unusual('noise of the speed of .1 m/s', 'metro', rows=_noisy),
+    Unusual('noise of the speed of .1 m/s', 'freight', rows=_noisy),
     Unusual('speed 0 below .8 m/s', 'metro', rows=_dead_zone),
     Unusual('speed 0 below .8 m/s', 'tram', rows=_dead_zone),
     Unusual('speed behind a low-pass of .3 s', 'metro', rows=_filtered),

@@ -45,6 +45,8 @@ from trainid_ros.train.forces import STANDING
 
 # Distance that shows the direction of travel [m]: above odometer noise, below any run between stops.
 _TURNING_DISTANCE: Final = 5.0
+# More messages of the mass than a network loses in a row: of one that loses each tenth, 1e-8 [1].
+_LOST_IN_A_ROW: Final = 8.0
 
 
 @dataclass(slots=True)
@@ -380,8 +382,9 @@ class Aligner:
         mass, weighed_ns = self._latest_mass(now - self._lag_ns)
         # The load changes until the departure: a repeated mass that ceased before it, with far more messages missing
         # than one, is that of other passengers.
-        due_ns = round(ONE_LOST * self._mass.interval.ns) + self._lag_ns
-        ceased = self._mass.interval.ns > 0 and weighed_ns + 2 * due_ns < self._travel.stood_ns
+        interval_ns = self._mass.interval.ns
+        ceased_ns = 2 * (round(ONE_LOST * interval_ns) + self._lag_ns)
+        ceased = interval_ns > 0 and weighed_ns + ceased_ns < self._travel.stood_ns
         has_stood = ceased or weighed_ns < self._travel.stop_ns
         forces, gradients = self._force.value(now), self._gradient.value(now)
         gradient_mean, curvature_mean = self._gradient.mean(start, now, gradients)
@@ -394,7 +397,7 @@ class Aligner:
             curvature_mean=curvature_mean,
             force_interval=0.0 if math.isnan(forces[0]) else self._force.interval_around(now),
             stood_since_weighing=has_stood,
-            is_weighing_overdue=has_stood and self._mass.interval.ns > 0 and now - weighed_ns > due_ns,
+            is_weighing_overdue=has_stood and now - weighed_ns > round(_LOST_IN_A_ROW * interval_ns) > 0,
         )  # fmt: skip
 
     def _elapsed(self, now_ns: int) -> float:

@@ -17,7 +17,7 @@ from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.fault_table import WHEEL
 from trainid_ros.stream.known_force import CAPPED_MEAN, KnownForce, SpeedNoise
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.forces import BrakeActuator
+from trainid_ros.train.forces import STANDING, BrakeActuator
 from trainid_ros.train.line import profile_of
 
 _BLOCK_S: Final = 0.5  # s: a few samples, shorter than any lag of interest
@@ -31,9 +31,10 @@ _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
-_SPEED_STD: Final = 0.02  # m/s: least noise of a speed
+_SPEED_STD: Final = 0.02  # m/s: least noise of a speed ...
+_FIRST_SQUARES: Final = 3.0  # ... which counts for so many samples at first: noise of 0.1 m/s is known after 20 s
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
-_COARSEST_M: Final = 20.0  # m: positions that change in longer steps are corrected, as at balises
+_COARSEST_M: Final = 120.0  # m: positions that change in longer steps are corrected, as at balises
 _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line
 ERROR_M: Final = 250.0  # m: distance over which errors of a map are alike: there is one in it
 _GRADIENT_MEMORY_M: Final = 5000.0  # m: distance over which that error is learned: twenty such lengths
@@ -118,7 +119,7 @@ class InputBlocks:
         self._filling = Block()
         self.count = 0
         self._actuator = BrakeActuator(known.brake)
-        self.noise = SpeedNoise.declared(_SPEED_STD, robust=True)
+        self.noise = SpeedNoise.declared(_SPEED_STD, robust=True, squares=_FIRST_SQUARES)
         self._stamp_ns, self._direction = 0, 1
         self._speed = self._position = self._force = math.nan
         self.brake = 0.0
@@ -133,7 +134,8 @@ class InputBlocks:
 
     def take(self, sample: Sample) -> bool:
         """Take in a sample; return whether it completes a block."""
-        self.noise.add(sample.speed, sample.dt)
+        # A standing train shows no noise.
+        self.noise.add(sample.speed, sample.dt if sample.speed >= STANDING else math.nan)
         is_full = self._add(sample, self._follow_brake(sample))
         if is_full:
             self._close(sample)
@@ -230,7 +232,7 @@ class InputBlocks:
         if block.speed >= MIN_SPEED:
             return MOVING
         moved = sum(other.by_position for other in self._blocks)
-        is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self.position_var
+        is_driven = abs(block.by_position) > _DRIVEN * block.seconds and moved * moved > _SURE * self.distance_var()
         return MOVING if is_driven else AT_STOP
 
     def _count_still(self, block: Block, last: Block, force: float) -> None:

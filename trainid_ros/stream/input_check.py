@@ -500,7 +500,7 @@ class InputCheck:
             self._accept(best)
         elif self._waited_s > _LEAD_S:
             # The first row of the table that explains the inputs as well as the best one.
-            self._accept(next(other for other in self._others if self._evidence(other) > first - _TIE))
+            self._accept(next(other for other in self._others if self._evidence(other) >= first - _TIE))
         else:
             row, now = best.row if first > _SUSPECT else 0, self.verdict
             if row != now.suspect:

@@ -65,11 +65,12 @@ class SpeedNoise:
     count: int = 0  # Number of speeds since the last gap
     quantum: float = 0.0  # Step in which the speed is measured [m/s]
     changed: float = 1.0  # Share of samples in which the speed changed [1]
+    squares: float = 1.0 / _WEIGHT  # Number of squares learned from, and of those that the declared variance counts for
 
     @classmethod
-    def declared(cls, std: float, *, robust: bool = False) -> SpeedNoise:
-        """Return the noise with the declared standard deviation [m/s], nothing learned yet."""
-        return cls(std, std * std, robust)
+    def declared(cls, std: float, *, robust: bool = False, squares: float = 1.0 / _WEIGHT) -> SpeedNoise:
+        """Return the noise with the declared standard deviation [m/s], which counts for so many squares."""
+        return cls(std, std * std, robust, squares=squares)
 
     @property
     def variance(self) -> float:
@@ -108,7 +109,9 @@ class SpeedNoise:
         most = self.learned if self.robust else _MAX_Z * _MAX_Z * self.learned
         square = min(square, most) / (CAPPED_MEAN if self.robust else 1.0)
         low, high = _MIN_FACTOR * self.declared_std, _MAX_FACTOR * self.declared_std
-        self.learned = min(max(self.learned + _WEIGHT * (square - self.learned), low * low), high * high)
+        self.squares += 1.0
+        weight = max(_WEIGHT, 1.0 / self.squares)
+        self.learned = min(max(self.learned + weight * (square - self.learned), low * low), high * high)
 
     def _add_step(self, speed: float, step: float) -> None:
         """Learn the quantum from a step [m/s] between two consecutive speeds that ends at ``speed`` [m/s]."""
