@@ -55,6 +55,10 @@ DEPENDS: Final[Mapping[str, str]] = {
     'axle_load': 'run',
 }  # fmt: skip
 """Variables that effects outside the library depend on, as a learned curve names them; loads differ by run."""
+_IN_LIBRARY: Final[Mapping[str, str]] = dict.fromkeys(
+    ('brake_falls_with_speed', 'brake_speed_rate', 'iron_blocks'), 'brake_slope'
+)
+"""Effects outside the library when the generators were written, which has the same equation by now."""
 _NEAR_FLOOR: Final = 1.2
 _WITHOUT_NAME: Final = frozenset({'no_gap', 'unexplained', CRASHED})
 _SLIP: Final = 'wheel_slip'
@@ -372,7 +376,7 @@ def causes(outcome: Outcome) -> frozenset[str]:
     answer = outcome.answer
     slip = {_SLIP} if 'slip' in answer.contamination else set()
     if answer.kind == 'outside':
-        return frozenset({OTHER} | slip)
+        return frozenset({_IN_LIBRARY.get(name, OTHER) for name in truth_names(outcome)} | slip)
     return frozenset({*truth_names(outcome)} | slip or {NONE})
 
 
@@ -383,17 +387,23 @@ def given_to_truth(outcome: Outcome) -> float:
 
 
 def reliability(outcomes: Outcomes) -> Table:
-    """Return a table of stated probabilities against the share of them that were true."""
-    stated = [(p, name in causes(one)) for one in outcomes for name, p in one.probabilities]
+    """Return a table of stated probabilities against the share of them that were true; true causes share one."""
+    true = [causes(one) for one in outcomes]
+    stated = [
+        (p, (name in some) / len(some))
+        for one, some in zip(outcomes, true, strict=True)
+        for name, p in one.probabilities
+    ]
     rows = []
     for low in range(10):
-        if some := [(p, is_true) for p, is_true in stated if min(int(10.0 * p), 9) == low]:
-            mean, true = np.mean(some, axis=0).tolist()
-            rows.append((f'{low / 10:.1f} to {low / 10 + 0.1:.1f}', f'{len(some)}', f'{mean:.3f}', f'{true:.3f}'))
+        if inside := [pair for pair in stated if min(int(10.0 * pair[0]), 9) == low]:
+            mean, share = np.mean(inside, axis=0).tolist()
+            rows.append((f'{low / 10:.1f} to {low / 10 + 0.1:.1f}', f'{len(inside)}', f'{mean:.3f}', f'{share:.3f}'))
     given = [given_to_truth(one) for one in outcomes]
     seen = [p for p, one in zip(given, outcomes, strict=True) if visible(one) or one.answer.kind == 'none']
     note = (
-        f'Mean probability given to the true causes: {np.mean(given):.2f} in all '
+        f'Of two causes that act together, each counts as half true. Mean probability given to the true causes: '
+        f'{np.mean(given):.2f} in all '
         f'{len(outcomes)} cases, {np.mean(seen):.2f} in those without an effect or with visible ones.'
     )
     return Table('Probabilities of causes', ('stated', 'number', 'mean', 'true'), tuple(rows), note)

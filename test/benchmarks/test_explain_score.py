@@ -136,10 +136,13 @@ def test_probabilities_are_compared_with_how_often_they_are_true() -> None:
     wavy = outcome_of(WAVE, kind='outside', contamination=('slip',))
     assert [causes(one) for one in (windy, wavy)] == [{'headwind'}, {'other', 'wheel_slip'}]
     assert causes(outcome_of(kind='none')) == {'none'}
+    iron = HiddenEffect('iron_blocks', (), ('brake_slope',), 50.0)
+    assert causes(outcome_of(iron, kind='outside')) == {'brake_slope'}
     assert [given_to_truth(one) for one in (windy, draughty)] == [0.75, 0.0]
     table = reliability([windy, draughty])
     assert table.rows == (('0.2 to 0.3', '2', '0.250', '0.000'), ('0.7 to 0.8', '2', '0.750', '0.500'))
     assert '0.38 in all 2 cases' in table.note
+    assert reliability([outcome_of(WIND, DRAG, kind='pair')]).rows[-1] == ('0.7 to 0.8', '1', '0.750', '0.500')
 
 
 def test_wilson_interval() -> None:

@@ -48,18 +48,23 @@ def test_without_evidence_nothing_is_missing_and_with_much_of_it_the_effect_is()
 
 
 def test_a_pair_shares_its_probability_and_both_are_present() -> None:
-    found = probabilities([NOTHING, Hypothesis(('headwind', 'mass_error'), 200.0), Hypothesis(('headwind',), 100.0)])
-    assert dict(found.shares) == pytest.approx({'headwind': 0.5, 'mass_error': 0.5, NONE: 0.0}, abs=1e-6)
-    assert (found.of('headwind'), found.of('mass_error'), found.of('brake_fade')) == pytest.approx((1.0, 1.0, 0.0))
-    assert [found.at_least(count) for count in range(4)] == pytest.approx([1.0, 1.0, 1.0, 0.0], abs=1e-6)
+    found = probabilities([NOTHING, Hypothesis(('headwind', 'mass_error'), 400.0), Hypothesis(('headwind',), 100.0)])
+    shared = dict(found.shares)
+    assert shared['headwind'] == pytest.approx(shared['mass_error'], rel=1e-6)
+    assert found.of('headwind') == pytest.approx(2.0 * shared['headwind'], rel=1e-6)
+    assert found.of('brake_fade') == 0.0
+    assert [found.at_least(count) for count in range(4)] == pytest.approx([1.0, 0.97, 0.97, 0.0], abs=1e-3)
+
+
+def test_something_else_may_look_like_an_effect_however_strong() -> None:
+    assert probabilities([NOTHING, Hypothesis(('headwind',), 1e5)]).other == pytest.approx(0.03, abs=0.001)
 
 
 def test_number_of_effects_and_other_causes() -> None:
     found = probabilities([NOTHING, Hypothesis(('headwind',), 12.0), dependence(('headwind',), 30.0)])
-    of_none = dict(found.shares)[NONE]
     assert found.at_least(0) == pytest.approx(1.0)
-    assert found.at_least(1) == pytest.approx(1.0 - of_none)
-    assert found.other == pytest.approx(2.0 * dict(found.shares)[OTHER])  # it shares with the wind
+    assert found.at_least(1) == pytest.approx(found.of('headwind'))
+    assert dict(found.shares)[OTHER] < found.other  # it shares with the wind
     assert 0.0 < found.other < 1.0
     assert found.of('headwind') > found.other
     assert probabilities([NOTHING]).other == 0.0
@@ -72,12 +77,12 @@ def test_the_same_set_counts_once_by_its_best_fit() -> None:
 
 def test_a_dependence_without_a_name_or_much_noise_is_another_cause() -> None:
     assert shares(Hypothesis(('mass_error',), 15.0), dependence((), 60.0))[OTHER] > 0.99
-    assert shares(Hypothesis(('mass_error',), 60.0), dependence(('mass_error',), 60.0))['mass_error'] > 0.99
-    assert shares(noise((), 40.0))[OTHER] > 0.99
+    assert shares(Hypothesis(('mass_error',), 60.0), dependence(('mass_error',), 60.0))['mass_error'] > 0.95
+    assert shares(noise((), 60.0))[OTHER] > 0.99
     assert shares(noise((), 2.0))[NONE] > 0.9
 
 
 def test_what_the_records_show_belongs_to_every_set() -> None:
     found = shares(Hypothesis(('headwind',), 60.0), certain=('wheel_slip',))
-    assert found['headwind'] == pytest.approx(found['wheel_slip'], rel=1e-3)
+    assert found['headwind'] < found['wheel_slip'] == pytest.approx(0.5, abs=1e-3)
     assert NONE not in found

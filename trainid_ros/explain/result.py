@@ -8,8 +8,9 @@ number of effects, its weight is
     prior(k) exp(E / (2 T)).
 
 The temperature T > 1 allows for real effects whose equations differ from those of the library. Beside sets of effects
-there are other causes: a dependence without a name, which is added to a set, or more noise than is usual with it. The
-probability of a set is divided equally among its effects and another cause, so that all causes add up to one.
+there are other causes: a dependence without a name, which is added to a set, more noise than is usual with it, or
+something that only looks like the set. The probability of a set is divided equally among its effects and another
+cause, so that all causes add up to one.
 """
 
 from __future__ import annotations
@@ -45,6 +46,9 @@ _TEMPERATURE: Final = 1.2
 # Logarithms of the prior odds against a set of one effect: of none, of each further effect, of a dependence without a
 # name, and of noise beyond the usual.
 _LN_NONE, _LN_FURTHER, _LN_DEPENDENCE, _LN_NOISE = -1.1, -2.2, -6.4, -6.1
+# Logarithm of the odds that something outside the library only looks like a set of effects: of 90 sets of 195 other
+# cases (seed 52001), stated at 0.9 or more, 3 were such.
+_LN_ALIKE: Final = -3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +110,14 @@ def probabilities(hypotheses: Iterable[Hypothesis], certain: tuple[str, ...] = (
         key = tuple(sorted(item.names)), item.other
         if key not in best or item.evidence > best[key].evidence:
             best[key] = item
-    most = max(item.weight for item in best.values())
+    sets = [item for item in best.values() if item.names and not item.is_other]
+    weighed = [(item, item.weight) for item in best.values()]
+    weighed += [(dependence((), item.evidence), item.weight + _LN_ALIKE) for item in sets]
+    most = max(weight for _, weight in weighed)
     share, present = defaultdict[str, float](float), defaultdict[str, float](float)
     counts, other = defaultdict[int, float](float), 0.0
-    for item in best.values():
-        p, names = math.exp(item.weight - most), {*item.names, *certain}
+    for item, weight in weighed:
+        p, names = math.exp(weight - most), {*item.names, *certain}
         causes = [*sorted(names), OTHER] if item.is_other else sorted(names) or [NONE]
         other += p * item.is_other
         for cause in causes:

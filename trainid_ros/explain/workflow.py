@@ -103,7 +103,7 @@ def explain(
     # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    causes = _causes(selection, outcome, slip, learned)
+    causes = _causes(selection, slip, learned)
     davis, davis_std, davis_distance = _davis(outcome.final, outcome.hyper)
     fit = FitSummary(train_file, davis, davis_std, outcome.hyper)
     found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, fit)
@@ -159,13 +159,11 @@ def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool
     return dependence((), learned.evidence).weight > max(weights) and learned.gap.after < outcome.gap.after
 
 
-def _causes(selection: Selection, outcome: Outcome, slip: Slip | None, learned: Learned | None) -> Probabilities:
-    """Return the probabilities of causes; sets with the selected effects have none if held-out runs refute these."""
-    compared, selected = selection.hypotheses, {*selection.final.names}
-    if learned is not None:
+def _causes(selection: Selection, slip: Slip | None, learned: Learned | None) -> Probabilities:
+    """Return the probabilities of causes."""
+    compared = selection.hypotheses
+    if learned is not None and slip is None:  # bursts of slip look like a dependence on the force
         compared = (*compared, dependence((), learned.evidence))
-    if outcome.verdict is Verdict.UNEXPLAINED and selected:
-        compared = tuple(item for item in compared if item.is_other or not selected <= {*item.names})
     return probabilities(compared, () if slip is None else (slip.term.name,))
 
 
