@@ -16,7 +16,7 @@ NAMES = [*PARTS]
 # Parts that take half of the time of the whole run, and change with nodes and readers rather than with estimators.
 OF_PROCESSES = {'kills', 'soak', 'damage', 'faults_live', 'peers'}
 # Parts that change with the check of the inputs and with explain, not with estimators of healthy drives.
-OF_FINDINGS = {'commands', 'explain', 'faults', 'healthy', 'integrity'}
+OF_FINDINGS = {'commands', 'explain', 'faults', 'healthy', 'integrity', 'slides'}
 OF_ESTIMATORS = {name for name, part in PARTS.items() if part.minutes} - OF_PROCESSES - OF_FINDINGS
 RESULTS = (ROOT / 'benchmarks' / 'RESULTS.md').read_text('utf-8')
 

@@ -275,6 +275,20 @@ def test_the_noise_of_a_position_makes_no_speed_odd_and_no_fault() -> None:
     assert np.mean(odd) < 0.15  # as without the noise, by the jerks of this drive
 
 
+def test_the_noise_of_a_speed_shows_soon_and_is_kept_at_a_stand() -> None:
+    drive, check = driven(40.0), InputCheck(KnownForce(FILE))
+    drive.speed += 0.1 * np.random.default_rng(7).standard_normal(drive.speed.size)
+    verdicts, stds = set(), []
+    for sample in samples_of(drive):
+        verdicts.add(check.take(sample))
+        stds.append(check.blocks.noise.std)
+    assert stds[round(20.0 / DT)] > 0.04
+    assert verdicts == {Verdict()}
+    for k in range(150):
+        check.take(coasting_sample(START + (200 + k) * NS_PER_S // 5, DT, 0.0))
+    assert check.blocks.noise.std == stds[-1]
+
+
 @pytest.mark.parametrize(('late_s', 'expected'), [(0.0, ''), (1.0, ' before it should'), (-0.8, '')])
 def test_a_force_that_brakes_before_its_command_is_told(late_s: float, expected: str) -> None:
     """The balance of forces is the same for all three: the reported force is right."""

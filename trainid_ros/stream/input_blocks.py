@@ -32,7 +32,7 @@ _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 # Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
 _SPEED_STD: Final = 0.02  # m/s: least noise of a speed ...
-_FIRST_SQUARES: Final = 3.0  # ... which counts for so many samples at first: noise of 0.1 m/s is known after 20 s
+_FIRST_SQUARES: Final = 3.0  # ... which counts for so many samples: half of a noise of 0.1 m/s shows after 20 s
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
 _COARSEST_M: Final = 120.0  # m: positions that change in longer steps are corrected, as at balises
 _GRADIENT_STD: Final = 0.3  # per mille: least error of the gradient of the topic against that of the line

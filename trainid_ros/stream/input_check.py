@@ -401,8 +401,8 @@ class InputCheck:
             trial.start(self._before, shift)
             # Where it is another block, or another unit, or the accepted row has lost it, the speed is as measured.
             if is_lost or prior.delays_speed or prior.row.speed != theirs.row.speed:
-                last = self.blocks.block((shift if prior.delays_speed else 0) + 1)
-                trial.measure(last.speed * prior.row.speed, last.variance * prior.row.speed * prior.row.speed)
+                begin = self.blocks.block((shift if prior.delays_speed else 0) + 1)
+                trial.measure(begin.speed * prior.row.speed, begin.variance * prior.row.speed * prior.row.speed)
             self._score(trial, accepted=False)
             started.append(trial)
         self._others = started
@@ -513,13 +513,13 @@ class InputCheck:
         if trial.row > 0 and prior.held < theirs.held and not (prior.is_of_line and theirs.is_of_line):
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
         if prior.is_of_odometer:
-            asks = self.blocks.still[2] > _STILL_S  # a force that is stuck explains as much
+            must_ask = self.blocks.still[2] > _STILL_S  # a force that is stuck explains as much
         else:
-            asks = not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
-        if asks:
+            must_ask = not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
+        if must_ask:
             score -= prior.row.asks
-        is_open = trial.rise_s < _DELAYS * prior.row.late_s or self._size(trial) < _CREDIBLE
-        return min(score, _SUSPECT) if is_open else score
+        is_early = trial.rise_s < _DELAYS * prior.row.late_s
+        return min(score, _SUSPECT) if is_early or self._size(trial) < _CREDIBLE else score
 
     def _size(self, trial: Trial) -> float:
         """Return the size of the fault of a row in standard deviations of healthy trains, infinite without one."""
