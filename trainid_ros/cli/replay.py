@@ -146,7 +146,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         observers, recorder = _observers(stack, out, report)
         start = time.perf_counter()
         pipelines = Pipelines.of_nodes(setups, reader.mapping, states)
-        outcome = replay_through(pipelines, reader, lambda n: reading(n / max(reader.input_count, 1)), observers)
+        count = max(reader.input_count, 1)
+        outcome = replay_through(pipelines, reader, lambda n: reading(n / count), observers)
         wall_s = time.perf_counter() - start
         share = setups[0].train_file.train.mass_std
         if share < 0.02 and reader.missing(MASS_TOPIC):  # a load that nobody weighs varies by more

@@ -100,14 +100,13 @@ class RunCollector:
         self._train_file, self._bag = train_file, bag
         self._rows: list[tuple[float, ...]] = []
         self._history = DriveHistory(train_file)
-        self._weighed, self._number, self._departed_m = 0, 0, 0.0
+        self._weighed, self._departed_m = 0, 0.0
         self._start_position = math.nan
 
     def add(self, sample: Sample) -> None:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
         motion = self._history.follow(sample)
-        self._number = motion.run
         if math.isnan(sample.dt):
             self.end_run()
         if sample.speed <= 1e-3:  # m/s, the train stands
@@ -125,6 +124,7 @@ class RunCollector:
         """End the current run and forget the history of the drive, as after a jump of the stamps."""
         self.end_run()
         self._history.reset()
+        self._departed_m = 0.0
 
     def _add_row(self, sample: Sample, motion: Motion) -> None:
         rate = self._train_file.brake.rate_at(sample.speed)
@@ -170,10 +170,11 @@ class RunCollector:
         dt[0] = 0.0
         traction = _beside_brake(traction, *columns[12:14])
         position, positioned = _bridged(position, distance)
+        driven = self._history.motion
         run = Run(
             self._bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
             traction, brake, heat, release, distance, positioned, weighed, (start, stop_position),
-            self._history.motion.distance_run - self._departed_m, self._number, columns[14],
+            driven.distance_run - self._departed_m, driven.run, columns[14],
         )  # fmt: skip
         self.runs.append(run)
 

@@ -88,7 +88,8 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     with BagReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
         pipelines = Pipelines.of_nodes(setups, reader.mapping)
         before = _dead_time(pipelines)
-        outcome = replay_through(pipelines, reader, lambda n: reading(n / max(reader.input_count, 1)))
+        count = max(reader.input_count, 1)
+        outcome = replay_through(pipelines, reader, lambda n: reading(n / count))
         span = reader.time_range()
     if row['start'] is None and span is not None:  # the bag has no index
         row['start'] = span[0] / NS_PER_S
