@@ -88,6 +88,17 @@ def test_speed_noise_is_estimated_also_with_gross_errors(std: float) -> None:
     assert std < robust_std(spoiled.tolist(), 0.025) < 1.35 * std
 
 
+def test_a_noise_much_larger_than_declared_is_learned_in_half_a_minute() -> None:
+    rng = np.random.default_rng(5)
+    found = list[float]()
+    for _ in range(20):
+        noise = SpeedNoise.declared(0.02, robust=True, squares=3.0)
+        for i in range(150):
+            noise.add(12.0 + 0.15 * float(rng.standard_normal()), math.nan if i == 0 else 0.2)
+        found.append(noise.std)
+    assert 0.11 < np.mean(found) < 0.17
+
+
 def test_gaps_and_uneven_steps_do_not_change_the_robust_noise() -> None:
     noise = SpeedNoise.declared(0.02, robust=True)
     for i, (speed, dt) in enumerate([(10.0, math.nan), (11.0, 0.2), (13.0, math.nan), (17.0, 0.2), (25.0, 0.4)]):

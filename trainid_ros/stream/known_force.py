@@ -107,10 +107,11 @@ class SpeedNoise:
         second = speed - 2.0 * last + before
         square = second * second / 6.0
         most = self.learned if self.robust else _MAX_Z * _MAX_Z * self.learned
-        square = min(square, most) / (CAPPED_MEAN if self.robust else 1.0)
         low, high = _MIN_FACTOR * self.declared_std, _MAX_FACTOR * self.declared_std
-        self.squares += 1.0
+        # One that is capped shows only that the noise is larger.
+        self.squares += 1.0 if square < most else 0.0
         weight = max(_WEIGHT, 1.0 / self.squares)
+        square = min(square, most) / (CAPPED_MEAN if self.robust else 1.0)
         self.learned = min(max(self.learned + weight * (square - self.learned), low * low), high * high)
 
     def _add_step(self, speed: float, step: float) -> None:
