@@ -156,9 +156,14 @@ def test_a_cut_of_traction_is_answered_by_the_speed_and_a_spike_towards_zero_is_
 
 
 @pytest.mark.parametrize('height', [30.0, -100.0])
-def test_reports_beyond_their_neighbours_are_spikes_whatever_the_speed_does(height: float) -> None:
+def test_reports_beyond_their_neighbours_are_spikes_where_the_speed_shows_nothing(height: float) -> None:
     assert reported(height, specific_impulse=math.nan, count=2).suspicion
     assert reported(height, specific_impulse=math.nan, count=6).finding == 'ato/force has spikes'
+
+
+def test_pulses_of_traction_that_the_speed_answers_are_no_spikes() -> None:
+    assert reported(30.0, specific_impulse=0.0).finding == 'ato/force has spikes'
+    assert reported(30.0, specific_impulse=1.0).finding == ''
 
 
 def test_spikes_towards_zero_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:

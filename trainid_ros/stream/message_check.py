@@ -162,7 +162,7 @@ _NO_SPIKES: Final = 1.0
 # Number of spikes above which more are suspected.
 _SUSPECTED: Final = 1.5
 # Difference of the values before and after a spike as a share of its height [1].
-_SAME: Final = 0.3
+_BACK: Final = 0.3
 
 
 @dataclass(slots=True)
@@ -215,7 +215,7 @@ class ExcursionCheck(SpikeCount):
 
     def _follow(self, value: float) -> None:
         distance = abs(value - self.level)
-        returns = distance < _SAME * self.peak and self.left_s <= self.longest_s
+        returns = distance < _BACK * self.peak and self.left_s <= self.longest_s
         if self.peak > 0.0 and not returns and self.left_s <= self.longest_s:
             self.peak = max(self.peak, distance)
         elif self.peak == 0.0 and self._is_left(value):
@@ -371,7 +371,7 @@ class SpikeCheck(SpikeCount):
         earlier, before, last = self.earlier, self.before, self.last
         peak = before if abs(before - earlier) > abs(last - earlier) else last
         height = abs(peak - earlier)
-        if height <= _SPIKE or self.calm < _CALM or abs(force - earlier) + abs(earlier - self.first) >= _SAME * height:
+        if height <= _SPIKE or self.calm < _CALM or abs(force - earlier) + abs(earlier - self.first) >= _BACK * height:
             return
         self.calm = 0
         base = 0.5 * (earlier + force)
@@ -383,11 +383,12 @@ class SpikeCheck(SpikeCount):
     def _weigh(self, peak: float, base: float, area: float, specific_impulse: float, std: float) -> None:
         """Count a peak on a base [N/kN] by its area and the impulse by the speed: 0, or all of the area."""
         evidence = 0.0
-        if min(peak * base, (base - peak) * base) < 0.0:  # beyond its neighbours, or on the other side: no cut
-            evidence = _NO_CUT
         if not math.isnan(area + specific_impulse):
             by_speed = area * (0.5 * area - specific_impulse) / (std * std)
-            evidence += min(max(by_speed, -_MAX_EVIDENCE), _MAX_EVIDENCE)
+            evidence = min(max(by_speed, -_MAX_EVIDENCE), _MAX_EVIDENCE)
+        # Beyond its neighbours, or on the other side, and the speed does not answer: no cut.
+        if min(peak * base, (base - peak) * base) < 0.0 and evidence >= 0.0:
+            evidence += _NO_CUT
         elif evidence == 0.0:
             return
         self.spikes += 1.0
