@@ -9,7 +9,7 @@ and lag as a force, r the brake rate and (a, b, c) the resistance of the train f
     (2)  distance by position = distance by speed / (1 + wheel) + lag * step of the speed + noise
 
 Traction and brake act together: power braking, and dynamic braking without a command, are no exceptions. The states
-[v, offset, wind, gain, brake, force_late, brake_late] and the wheel return to what is usual, and stop at ``_RANGE``
+[v, offset, wind, gain, brake, force_late, brake_late] and the wheel return to what is usual, and stop at ``RANGE``
 standard deviations of it, so that no row explains everything away.
 """
 
@@ -40,7 +40,6 @@ from trainid_ros.stream.known_force import KnownForce
 
 STATES: Final[i64] = 7
 """Number of states of the filter."""
-_WIND_WIND: Final = 13  # place of the variance of the wind in the upper triangle of a covariance
 
 # Decision
 
@@ -75,7 +74,7 @@ _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rar
 
 # What is usual, and how far a row may depart from it
 
-_RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
+RANGE: Final = 2.5  # standard deviations: healthy trains do not go further
 LASTING_S: Final = 1000.0  # s: time in which a fault, once there, varies
 # Std of the wind over the speed [1]: drag 40 % off, by tunnels that no file states, gusts or the file ...
 _DRAG_WIND: Final = 0.2
@@ -137,6 +136,11 @@ class Prior:
 
 
 PRIORS: Final = [Prior(row) for row in TABLE]
+
+
+def diagonal(place: i64) -> i64:
+    """Return where the variance of a state is in the upper triangle of a covariance."""
+    return place * STATES - place * (place - 1) // 2
 
 
 def student_t(z2: float, spread: float) -> tuple[float, float]:
@@ -220,7 +224,7 @@ class Trial:
             self.scores[n] = math.nan
         self.total = self.part = self.age_s = self.rise_s = self.odd_s = 0.0
 
-    def copy(self, other: Trial) -> None:
+    def copy_estimate(self, other: Trial) -> None:
         """Take over the estimate of another one."""
         self.row, self.shift, self.x, self.P = other.row, other.shift, other.x[:], other.P[:]
         self.wheel, self.wheel_var = other.wheel, other.wheel_var
@@ -286,7 +290,8 @@ class Trial:
                 k += 1
         # Inside, the drag stays as it is: wind that may always be anything explains the noise of the speed.
         if block.is_at_portal:
-            P[_WIND_WIND] = max(P[_WIND_WIND], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
+            k = diagonal(WIND)
+            P[k] = max(P[k], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
 
     def correct(self, speed: float, R: float, most: float = math.inf) -> float:
         """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
@@ -317,7 +322,7 @@ class Trial:
         for i in range(1, STATES):
             if accepted and prior.own[i] > 0.0:
                 continue
-            most = _RANGE * (wind_std(self.x[V], tunnel) if i == WIND else prior.std[i])
+            most = RANGE * (wind_std(self.x[V], tunnel) if i == WIND else prior.std[i])
             self.x[i] = min(max(self.x[i], prior.mean[i] - most), prior.mean[i] + most)
 
     def compare_distances(self, block: Block, lag: Lasting, learned: float, *, accepted: bool) -> float:
@@ -343,7 +348,7 @@ class Trial:
         self.wheel += K * nu
         self.wheel_var -= K * H * self.wheel_var
         if not (accepted and prior.has_speed):
-            most = _RANGE * prior.row.wheel_std
+            most = RANGE * prior.row.wheel_std
             self.wheel = min(max(self.wheel, -most), most)
         return score
 

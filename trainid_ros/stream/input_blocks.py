@@ -26,7 +26,7 @@ MIN_SPEED: Final = 1.0  # m/s: slower trains stand, shunt, or stop with a jerk
 KEPT: Final = 8  # blocks kept: the longest delay, and the one before
 _DRIVEN: Final = 1.5  # m/s: a train whose position changes faster moves (sensors see none below 1 m/s), ...
 _SURE: Final = 32.0  # times the variance of a position: ... if it has moved by four standard deviations of a difference
-_SAME: Final = 1e-9  # share of a constant force by which rounding changes its mean
+_ROUNDING: Final = 1e-9  # share of a constant force by which rounding changes its mean
 _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
@@ -240,7 +240,7 @@ class InputBlocks:
         still, moved_s = self.still, block.seconds if block.state == MOVING else 0.0
         still[0] = still[0] + moved_s if self._speed == last.speed else 0.0
         still[1] = still[1] + moved_s if block.by_position == 0.0 else 0.0
-        is_held = force == self._force and abs(block.force - force) <= _SAME * abs(force)
+        is_held = force == self._force and abs(block.force - force) <= _ROUNDING * abs(force)
         still[2] = still[2] + block.seconds if is_held else 0.0
 
     def _look_up(self, block: Block, sample: Sample) -> None:

@@ -33,11 +33,13 @@ from trainid_ros.stream.fault_filter import (
     LASTING_S,
     MOST,
     PRIORS,
+    RANGE,
     STATES,
     Forces,
     Lasting,
     Prior,
     Trial,
+    diagonal,
     force_lead,
     learn_lead,
     position_variance,
@@ -47,8 +49,6 @@ from trainid_ros.stream.fault_table import BRAKE, GAIN, LAG, OFFSET, SLOPE, TABL
 from trainid_ros.stream.input_blocks import AT_STOP, ERROR_M, KEPT, MOVING, Block, InputBlocks
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
-
-_GAIN_GAIN: Final = 18  # place of the variance of the gain in the upper triangle of a covariance
 
 # Decision
 
@@ -68,6 +68,7 @@ _START_OFFSET: Final = -1.2  # nats: the same for a force or gradient that is of
 _START_SHARE: Final = 0.5  # share of the variance of a speed by which its square error must fall to start a row
 _START_MISMATCH: Final = 0.7  # standard deviations of force against brake that start all of them
 _HOPELESS_S: Final = 10.0  # s after which a row that has gained less than one nat starts afresh
+_ONSET_S: Final = 10.0  # s that a row may be followed before the input it ignores is stuck
 
 # Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
@@ -90,7 +91,7 @@ _GRADIENTS: Final = 40.0  # per mille: range of all gradients
 
 # What is usual, and how far a row may depart from it
 
-_LIMIT: Final = 2.4  # standard deviations: a quantity so far off may be farther off
+_LIMIT: Final = RANGE - 0.1  # standard deviations: a quantity so far off may be farther off
 _BOARDING: Final = 0.05  # share of the mass by which it may change at a stop, if it is not weighed ...
 _BOARDING_S: Final = 30.0  # s ... in this time
 
@@ -190,6 +191,10 @@ class InputCheck:
             return ''
         return f'ato/gradient is {self._slope.mean:+.1f} per mille off line.gradient of the train file on average'
 
+    def forget_brake(self) -> None:
+        """Let the brake confirm itself anew."""
+        self.is_brake_confirmed = False
+
     @property
     def gain(self) -> float:
         """Traction over what force and mass give [1]."""
@@ -220,7 +225,7 @@ class InputCheck:
             self._decay[V] = math.exp(-block.seconds / LASTING_S)
             for i in range(1, STATES):
                 self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
-        self._before.copy(accepted)
+        self._before.copy_estimate(accepted)
         self._mismatch = self._speed_score = self._distance_score = self._line_score = 0.0
         self._slips = False
         score = self._score(accepted, accepted=True)
@@ -376,7 +381,8 @@ class InputCheck:
         if at.state == AT_STOP and not self.blocks.is_weighed:
             std = max(prior.std[GAIN], _BOARDING)
             more = _BOARDING * _BOARDING * at.seconds / _BOARDING_S
-            trial.P[_GAIN_GAIN] = min(trial.P[_GAIN_GAIN] + more, std * std)
+            k = diagonal(GAIN)
+            trial.P[k] = min(trial.P[k] + more, std * std)
 
     def _start_others(self, seconds: float, score: float) -> None:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
@@ -515,7 +521,7 @@ class InputCheck:
         if prior.is_of_odometer:
             must_ask = self.blocks.still[2] > _STILL_S  # a force that is stuck explains as much
         else:
-            must_ask = not self._is_stuck(prior, max(trial.age_s - _HOPELESS_S, _STILL_S))
+            must_ask = not self._is_stuck(prior, max(trial.age_s - _ONSET_S, _STILL_S))
         if must_ask:
             score -= prior.row.asks
         is_early = trial.rise_s < _DELAYS * prior.row.late_s
@@ -536,7 +542,7 @@ class InputCheck:
     def _accept(self, trial: Trial) -> None:
         """Accept a row, which keeps the size of its fault: all others start afresh."""
         prior, accepted = PRIORS[trial.row], Trial(trial.row)
-        accepted.copy(trial)
+        accepted.copy_estimate(trial)
         for i in range(1, STATES):
             if prior.own[i] > 0.0:
                 accepted.centre[i] = trial.x[i]

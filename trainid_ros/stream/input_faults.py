@@ -51,7 +51,7 @@ _COMMAND_HELD_S: Final = 1.0
 _IMPULSE_STD: Final = 3.0
 
 # A brake has followed a command after its dead time and this many time constants: to 1 - exp(-2) = 86 %.
-_FOLLOWED: Final = 2.0
+_TIME_CONSTANTS: Final = 2.0
 # A brake command that holds a train on any gradient [m/s^2].
 _HOLDING: Final = -0.3
 # A rise of the speed that is no noise [m/s], beside this many standard deviations of it.
@@ -119,7 +119,7 @@ class InputFaults:
 
     def __init__(self, known: KnownForce) -> None:
         self._known = known
-        self._followed_s = known.brake.delay + _FOLLOWED * known.brake.time_constant
+        self._followed_s = known.brake.delay + _TIME_CONSTANTS * known.brake.time_constant
         self._max_speed = known.train_file.train.max_speed
         self.finding = self.last_finding = ''
         self.resistance, self.brake_rate = Trust(), Trust()
@@ -281,7 +281,7 @@ class InputFaults:
         if self.resistance.finding:
             self._moved_s = 0.0
         if self.brake_rate.finding:
-            self.check.is_brake_confirmed = False
+            self.check.forget_brake()
         self.finding = of_command or ('' if Input.BRAKE in row.condemns else verdict.finding)
         self.last_finding = self.finding or self.last_finding
 
