@@ -22,8 +22,8 @@ from trainid_ros.train.train_file import load_train_file
 
 PACKAGE = Path(trainid_ros.__file__).parent
 BAG = Path(__file__).parents[2] / 'bags' / 'tiny'
-# Records before those counted, and number of these: one run from stop to stop.
-FIRST, COUNT = 4000, 3000
+# Records before those counted, and number of these: half a run.
+FIRST, COUNT = 1000, 1500
 MAX_FILES = 30
 # The checks of the inputs take about 95 of them, the hypotheses of the filter bank two each: about 45.
 MAX_CALLS = 550
