@@ -53,11 +53,16 @@ def test_a_pair_shares_its_probability_and_both_are_present() -> None:
     assert shared['headwind'] == pytest.approx(shared['mass_error'], rel=1e-6)
     assert found.of('headwind') == pytest.approx(2.0 * shared['headwind'], rel=1e-6)
     assert found.of('brake_fade') == 0.0
-    assert [found.at_least(count) for count in range(4)] == pytest.approx([1.0, 0.97, 0.97, 0.0], abs=1e-3)
+    assert [found.at_least(count) for count in range(4)] == pytest.approx([1.0, 0.858, 0.858, 0.0], abs=1e-3)
 
 
 def test_something_else_may_look_like_an_effect_however_strong() -> None:
-    assert probabilities([NOTHING, Hypothesis(('headwind',), 1e5)]).other == pytest.approx(0.03, abs=0.001)
+    assert probabilities([NOTHING, Hypothesis(('headwind',), 1e5)]).other == pytest.approx(0.142, abs=0.001)
+
+
+def test_a_cause_outside_the_library_may_be_an_illusion_however_strong() -> None:
+    found = probabilities([NOTHING, dependence((), 1e5)])
+    assert (found.other, dict(found.shares)[NONE]) == pytest.approx((0.8, 0.2), abs=0.003)
 
 
 def test_number_of_effects_and_other_causes() -> None:
@@ -76,9 +81,9 @@ def test_the_same_set_counts_once_by_its_best_fit() -> None:
 
 
 def test_a_dependence_without_a_name_or_much_noise_is_another_cause() -> None:
-    assert shares(Hypothesis(('mass_error',), 15.0), dependence((), 60.0))[OTHER] > 0.99
+    assert shares(Hypothesis(('mass_error',), 15.0), dependence((), 60.0))[OTHER] > 0.79
     assert shares(Hypothesis(('mass_error',), 60.0), dependence(('mass_error',), 60.0))['mass_error'] > 0.95
-    assert shares(noise((), 60.0))[OTHER] > 0.99
+    assert shares(noise((), 60.0))[OTHER] > 0.79
     assert shares(noise((), 2.0))[NONE] > 0.9
 
 

@@ -187,7 +187,7 @@ def test_a_large_effect_is_no_dependence_without_a_name() -> None:
     model = Model.of(Maker().runs(6, 63, lambda _, speed, __: 0.002 * speed**3), TRAIN)
     found = Search(model).run(slipping=False)
     assert found.final.names == ('higher_order_drag',)
-    assert probabilities(found.hypotheses).other < 0.1
+    assert probabilities(found.hypotheses).other < 0.15  # that of lookalikes
 
 
 def test_a_fit_replaces_the_score_of_an_effect_not_linear_in_its_amplitude(dragged_model: Model) -> None:

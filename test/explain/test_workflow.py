@@ -122,7 +122,7 @@ def test_a_curve_replaces_effects_that_only_say_where() -> None:
     assert reported.learned is not None
     assert (reported.learned.name, reported.learned.is_confirmed) == ('place', True)
     assert 'depends on the place' in reported.remaining
-    assert dict(reported.probabilities)['other'] > 0.95
+    assert dict(reported.probabilities)['other'] > 0.79
 
 
 @pytest.mark.slow
