@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ros
 
 EXAMPLE = Path(__file__).resolve().parents[2] / 'examples' / 'python' / 'closed_loop.py'
 example = SimpleNamespace(**runpy.run_path(str(EXAMPLE), run_name='example'))
-SEED, RUNS, RATE = 4, 4, 10.0
+SEED, RUNS, RATE = 4, 3, 60.0  # as fast as the nodes, on any machine
 # Age of the newest estimate of nodes that keep pace, and wait for one that is lost [s].
 LATEST_S, LOST_S = 0.6, 0.5
 
@@ -75,25 +75,26 @@ def test_it_stops_as_well_as_in_one_process(graph: Graph, monkeypatch: pytest.Mo
     finally:
         node.destroy_node()
     alone, nominal = drive_day(plan, 'live', SEED), drive_day(plan, 'nominal', SEED)
-    # At ten times the pace a delay of a tenth of a second counts as a second while values move in the first stops.
-    later = slice(2, None)
-    assert np.abs(found.errors[later]).max() < 0.3
-    assert np.abs(found.errors[later] - alone.errors[later]).max() < 0.25
+    print(found.errors, alone.errors, nominal.errors, share)
+    assert np.abs(found.errors).max() < 0.3
+    assert np.abs(found.errors - alone.errors).max() < 0.25
     assert share > 0.1
     assert np.abs(found.errors).max() < 0.25 * np.abs(nominal.errors).max()
 
 
-def run(graph: Graph, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the example as a command, alone."""
-    environment = os.environ | {'ROS_DOMAIN_ID': str(graph.domain)}
-    command = [sys.executable, str(EXAMPLE), *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-
-
-def test_without_nodes_it_fails_with_one_line(graph: Graph) -> None:
-    found = run(graph, '--runs', '1')
-    assert (found.returncode, found.stdout) == (1, '')
-    assert found.stderr.splitlines() == [
+def test_without_nodes_it_fails_with_one_line(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(graph.domain))
+    monkeypatch.setattr(sys, 'argv', ['closed_loop.py', '--runs', '1'])
+    monkeypatch.setitem(example.drive.__globals__, 'DISCOVERY_S', 0.2)
+    try:
+        assert example.main() == 1
+    finally:
+        rclpy.shutdown()
+    out, err = capfd.readouterr()
+    assert out == ''
+    assert err.splitlines() == [
         'closed_loop.py: error: no node takes in ato/speed in /: start trainid run --train day.yaml'
     ]
 
