@@ -216,7 +216,7 @@ PADS = np.array([0.0, -0.08, 0.0, 0.0])
 @pytest.fixture
 def table(tmp_path: Path) -> Path:
     path = tmp_path / 't.csv'
-    write_table(fleet_rows(1, 8, 12, {3: (6, PADS)}), path, {})
+    write_table(fleet_rows(1, 5, 12, {3: (6, PADS)}), path, {})
     return path
 
 
@@ -224,14 +224,14 @@ def table(tmp_path: Path) -> Path:
 def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = table.parent / 'report.html'
     text = reported(capsys, table, '--out', report)
-    assert '1 of 8 trains stands out: T03.' in text
+    assert '1 of 5 trains stands out: T03.' in text
     assert 'Changed on 2026-03-07' in text
     assert 'worn or glazed brake pads' in text
     check = 'worn or glazed brake pads: check thickness and surface of the pads'
     assert f'In the depot: {check}' in text
     assert 'Not visible yet:\n  What began on 2026-03-12 or later: a change needs 2 days of data.' in text
     page = report.read_text(encoding='utf-8')
-    assert page.count('<section>') == 8
+    assert page.count('<section>') == 5
     assert page.count('<h3>In the depot</h3>') == page.count(check) == 1
     # At the end of its line in each of the four channels.
     assert page.count('>T03</text>') == 4
@@ -247,7 +247,7 @@ def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFi
 
 def test_a_fault_that_has_ended_is_told_with_its_days(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / 't.csv'
-    write_table(fleet_rows(14, 8, 12, {3: (4, 1.5 * PADS)}, lasts=4), path, {})
+    write_table(fleet_rows(14, 5, 12, {3: (4, 1.5 * PADS)}, lasts=4), path, {})
     text = reported(capsys, path)
     assert 'Changed on 2026-03-05 until 2026-03-08, certain on 2026-03-06' in text
     assert 'By the channels alone: worn or glazed brake pads' in text
@@ -271,7 +271,7 @@ def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFix
 def test_each_bag_is_explained_with_the_setup_of_its_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rows = fleet_rows(1, 8, 12, {3: (6, PADS)})
+    rows = fleet_rows(1, 5, 12, {3: (6, PADS)})
     for name, days in (('old.csv', range(6)), ('new.csv', range(6, 12))):
         write_table([row for row in rows if int(row['bag'].partition('/')[2]) in days], tmp_path / name, {})
         files = {'train': str(tmp_path / name.replace('csv', 'yaml')), 'mapping': f'{name}.map'}
@@ -295,7 +295,7 @@ def test_a_cause_in_the_bags_agrees_with_channels_that_name_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = tmp_path / 't.csv'
-    write_table(fleet_rows(5001, 8, 12, {3: (6, np.array([0.0, -0.08, 0.12, 0.0]))}), table, {})
+    write_table(fleet_rows(5001, 5, 12, {3: (6, np.array([0.0, -0.08, 0.12, 0.0]))}), table, {})
     drag = FoundEffect(
         'dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, 7.0, 1.0, '', ()
     )
