@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Healthy trains of all kinds, a quarter of an hour each: nothing is found. The benchmark ``healthy`` has many more."""
+"""Healthy trains of all kinds, a quarter of an hour each: nothing is found. The benchmark ``healthy`` has many more.
+
+``make test`` drives each kind of unusual drive in one world, ``make test-long`` in the others too.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,13 @@ MIN_MOVED_S = 200.0
 CASES = [
     *(Case(world, SEED) for world in WORLDS),
     *(Case(world, SEED, realism=realism) for world in WORLDS for realism in REALISMS),
-    *(Case(unusual.world, SEED, place) for place, unusual in enumerate(UNUSUAL)),
+    *(
+        pytest.param(
+            Case(unusual.world, SEED, place),
+            marks=pytest.mark.long if unusual.name in {one.name for one in UNUSUAL[:place]} else (),
+        )
+        for place, unusual in enumerate(UNUSUAL)
+    ),
 ]
 # The same drive for all cases that change only its records.
 driven = cache(drive)
