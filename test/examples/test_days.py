@@ -151,7 +151,7 @@ def drive_of(*brakings: tuple[float, float]) -> Drive:
 
 
 def test_the_peers_differ_in_what_they_learn_and_in_their_integral_action() -> None:
-    drives = {name: driven(name, runs=3) for name in ('nominal', 'fast', 'rate', 'rate_fast')}
+    drives = {name: driven(name, runs=2) for name in ('nominal', 'fast', 'rate', 'rate_fast')}
     errors = {name: tuple(drive.errors) for name, drive in drives.items()}
     assert len(set(errors.values())) == 4
     # Nothing is learned before the first stop.

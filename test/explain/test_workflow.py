@@ -194,11 +194,11 @@ def test_effect_too_small_in_the_train_file_is_replaced() -> None:
 
 @pytest.mark.slow
 def test_many_runs_of_unequal_length() -> None:
-    runs = [run for k in range(12) for run in Maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag(2.5))]
+    runs = [run for k in range(6) for run in Maker(coast_s=20.0 + 6.0 * k).runs(2, 60 + k, drag(2.5))]
     reported = explain(runs, TRAIN)
     assert names(reported) == ['local_drag']
     assert reported.gap is not None
-    assert reported.gap.runs_held_out == 24
+    assert reported.gap.runs_held_out == 12
 
 
 @pytest.mark.slow

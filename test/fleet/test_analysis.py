@@ -38,7 +38,7 @@ def test_a_fault_of_three_days_in_a_small_fleet_is_found_and_named_by_its_onset(
 
 
 def test_a_fault_that_has_ended_keeps_its_cause() -> None:
-    (train,) = analyse(fleet_rows(14, 8, 20, {3: (6, 2.0 * DRAG)}, lasts=7), LIMIT).found
+    (train,) = analyse(fleet_rows(14, 5, 20, {3: (6, 2.0 * DRAG)}, lasts=7), LIMIT).found
     assert [change.day for change in train.changes] == [6, 13]
     assert (train.main and train.main.first, train.main and train.main.end) == (6, 13)
     assert train.causes[0].effect == 'dragging_brake'
@@ -66,7 +66,7 @@ def test_a_train_that_always_differed_is_an_outlier() -> None:
 
 
 def test_runs_whose_inputs_contradict_each_other_are_named_and_left_out() -> None:
-    rows = fleet_rows(5001, trains=6, days=8)
+    rows = fleet_rows(5001, trains=5, days=8)
     for row in rows[3 * 8 + 4 : 4 * 8]:  # the last four days of T03
         row |= {'w15': 2.0 * row['w15'], 'contradiction': 'the acceleration is 0.5 times what ato/force and mass give'}
     view = analyse(rows, LIMIT)
