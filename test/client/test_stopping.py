@@ -187,8 +187,8 @@ def distances(form: RateShape, theta: Array, speed: float, command: float, appli
     [
         (LEARNED, (), 20.0, 1.0, 0.0),
         (LEARNED, (), 3.0, 0.7, 0.7),
-        (LEARNED, EMU, 24.0, 1.0, 0.0),
-        (UNKNOWN, (), 20.0, 1.0, 0.0),
+        pytest.param(LEARNED, EMU, 24.0, 1.0, 0.0, marks=pytest.mark.long),
+        pytest.param(UNKNOWN, (), 20.0, 1.0, 0.0, marks=pytest.mark.long),
         (UNKNOWN, EMU, 12.0, 0.8, 0.3),
     ],
 )
