@@ -342,8 +342,8 @@ class InputCheck:
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         factor = PRIORS[trial.row].row.speed
-        # After slip the forces explain the next steps of the speed again, but the filter has lost it.
-        is_lost = abs(at.miss) < _NOISE_SIGMAS * factor * math.sqrt(at.variance)
+        # After slip the forces explain the next steps of the speed again, but the filter of health has lost it.
+        is_lost = trial.row == 0 and abs(at.miss) < _NOISE_SIGMAS * math.sqrt(at.variance)
         if is_odd and trial.odd_s > _SLIP_S and (is_lost or abs(factor * at.speed - trial.x[V]) > most):
             trial.measure(factor * at.speed, factor * factor * at.variance)
         if not self._slips:
