@@ -7,13 +7,16 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import pytest
 
 from benchmarks import healthy
 from benchmarks.healthy import UNUSUAL, Case, moments_of, outcome_of, rows_of
 from benchmarks.worlds import WORLDS, drive
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.sim.worlds import REALISMS
+from trainid_ros.train.train_file import load_train_file
 
 SEED = 9000
 DURATION_S = 900.0
@@ -45,4 +48,12 @@ def test_nothing_is_found_on_a_healthy_train(case: Case, monkeypatch: pytest.Mon
     outcome = outcome_of(moments_of(*rows_of(case, DURATION_S)))
     print(name_of(case), outcome.findings, f'suspected {outcome.suspected:.1%}', outcome.suspicions)
     assert outcome.moved_s > MIN_MOVED_S
+    assert outcome.findings == ()
+
+
+def test_nothing_is_found_on_the_freight_run_of_another_simulator() -> None:
+    bag = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'
+    with BagReader(bag) as reader:
+        outcome = outcome_of(moments_of(load_train_file(bag / 'train.yaml'), (r.row() for r in reader.records())))
+    assert outcome.moved_s > 3000.0
     assert outcome.findings == ()

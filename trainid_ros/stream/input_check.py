@@ -341,11 +341,9 @@ class InputCheck:
         is_odd = score + blank < _ODD
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
-        factor = PRIORS[trial.row].row.speed
-        # After slip the forces explain the next steps of the speed again, but the filter of health has lost it.
-        is_lost = trial.row == 0 and abs(at.miss) < _NOISE_SIGMAS * math.sqrt(at.variance)
-        if is_odd and trial.odd_s > _SLIP_S and (is_lost or abs(factor * at.speed - trial.x[V]) > most):
-            trial.measure(factor * at.speed, factor * factor * at.variance)
+        speed = at.speed * PRIORS[trial.row].row.speed
+        if is_odd and trial.odd_s > _SLIP_S and abs(speed - trial.x[V]) > most:
+            trial.measure(speed, at.variance)
         if not self._slips:
             return score
         # Wheels that slip say nothing about forces; the speed is followed as it comes.
