@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.state import encode, restore
-from trainid_ros.stream.fault_filter import BRAKES, Forces, Lasting, Prior, Trial, force_lead, learn_lead, student_t
+from trainid_ros.stream.fault_filter import MIN_BRAKE, Forces, Lasting, Prior, Trial, force_lead, learn_lead, student_t
 from trainid_ros.stream.fault_table import BRAKE, GAIN, OFFSET, TABLE, USUAL, Input, Row
 from trainid_ros.stream.input_blocks import MOVING, Block
 from trainid_ros.stream.input_check import InputCheck, Verdict
@@ -312,7 +312,7 @@ def test_the_lead_of_a_force_against_regression_and_with_braking_without_a_comma
         H = after.brake - before.brake
         block.force = block.brake + lead * H + rng.normal(0.0, 1.0)
         weight = (3.0 + 0.25 * max(abs(block.brake), abs(block.force))) ** -2
-        if abs(H) >= BRAKES and block.force <= 0.0:
+        if abs(H) >= MIN_BRAKE and block.force <= 0.0:
             sum_HH, sum_Hy = sum_HH + weight * H * H, sum_Hy + weight * H * (block.force - block.brake)
         learn_lead(used, before, block, after)
     assert used.mean == pytest.approx(sum_Hy / sum_HH, abs=0.05)

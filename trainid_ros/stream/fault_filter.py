@@ -47,7 +47,7 @@ _APPLICATION: Final = 5.0  # nats: the most that one application of the brake co
 
 # Scores: assumed costs of one block, next to its likelihood; benchmarks/healthy.py and faults.py show that they fit.
 
-MOST: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
+MAX_COST: Final = 4.0  # nats: the most that one block of one score can cost (slip, a jump of the position)
 
 # Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
@@ -65,11 +65,12 @@ _ANY_FORCE_BRAKED: Final = 8.0  # ... and beside a brake
 _MIN_POSITION_STD: Final = 0.1  # m: least such noise
 _LAG_STD: Final = 0.1  # s, white: by which position and speed are apart at random
 _DISTANCE_SHARE: Final = 0.01  # share of a distance by which positions are off between balises
-BRAKES: Final = 3.0  # N/kN: a weaker brake is not compared with the force
+MIN_BRAKE: Final = 3.0  # N/kN: a weaker brake is not compared with the force
 _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
 _RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
 
+_JUMP: Final = 4.0  # standard deviations by which a speed jumps that no error of the forces explains
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
 
 # What is usual, and how far a row may depart from it
@@ -122,7 +123,7 @@ class Prior:
         self.delays_command = (others and late is not Input.COMMAND) or late is Input.BRAKE
         self.delays_gradient = others
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
-        self.is_of_times, self.has_speed = row.is_of_times, row.has_speed
+        self.is_of_times, self.is_of_wheel = row.is_of_times, row.is_of_wheel
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
         self.is_of_odometer = row.is_of_odometer
         self.is_of_line = (self.ignores_line and not row.is_of_odometer) or row.gradient != 1.0
@@ -151,7 +152,7 @@ def student_t(z2: float, spread: float) -> tuple[float, float]:
         spread: That variance over the one of the measurement alone [1].
     """
     score = -0.5 * (_NU + 1.0) * math.log(1.0 + z2 / _NU) - 0.5 * math.log(spread)
-    return max(score, -MOST), min((_NU + 1.0) / (_NU + z2), 1.0)
+    return max(score, -MAX_COST), min((_NU + 1.0) / (_NU + z2), 1.0)
 
 
 def wind_std(speed: float, tunnel: bool) -> float:
@@ -198,7 +199,7 @@ class Trial:
 
     @property
     def sum(self) -> float:
-        """S of (4) [nats]."""
+        """S of (4) in :mod:`input_check` [nats]."""
         return self.total + min(self.part, _APPLICATION)
 
     def start(self, other: Trial, shift: int) -> None:
@@ -216,7 +217,7 @@ class Trial:
                 else:
                     self.P[k] = other.P[k]
                 k += 1
-        is_mine = prior.has_speed or theirs.has_speed
+        is_mine = prior.is_of_wheel or theirs.is_of_wheel
         std = prior.row.wheel_std
         self.wheel, self.wheel_var = (0.0, std * std) if is_mine else (other.wheel, other.wheel_var)
         self.wheel_centre = 0.0
@@ -293,15 +294,16 @@ class Trial:
             k = diagonal(WIND)
             P[k] = max(P[k], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
 
-    def correct(self, speed: float, R: float, most: float = math.inf) -> float:
+    def correct(self, speed: float, R: float, jumps: bool = False) -> float:
         """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
 
-        Where it differs by more than ``most`` [m/s] wheels slip, and nothing is corrected.
+        Where it jumps farther than the filter can explain wheels slip: it is taken as measured, and nothing learned.
         """
         x, P, column = self.x, self.P, self._row
         S, nu = P[V] + R, speed - x[V]
         score, weight = student_t(nu * nu / S, S / R)
-        if abs(nu) > most:
+        if jumps and nu * nu > _JUMP * _JUMP * S:
+            self.measure(speed, R)
             return score
         # K = P e_v / (P_vv + R / weight);  x += K nu;  P -= K e_v' P
         gain = 1.0 / (P[V] + R / weight)
@@ -330,9 +332,9 @@ class Trial:
         prior, std = PRIORS[self.row], PRIORS[self.row].row.wheel_std
         by_speed = prior.row.speed * block.by_speed
         # First-order Gauss-Markov process about the centre.
-        time_s = LASTING_S if prior.has_speed else WHEEL.time_s
+        time_s = LASTING_S if prior.is_of_wheel else WHEEL.time_s
         share = block.seconds / time_s
-        if accepted and prior.has_speed:
+        if accepted and prior.is_of_wheel:
             self.wheel_centre += share * (self.wheel - self.wheel_centre)
             std = min(std, WHEEL.std)
         self.wheel += share * (self.wheel_centre - self.wheel)
@@ -347,7 +349,7 @@ class Trial:
         K = H * self.wheel_var / (H * H * self.wheel_var + R / weight)
         self.wheel += K * nu
         self.wheel_var -= K * H * self.wheel_var
-        if not (accepted and prior.has_speed):
+        if not (accepted and prior.is_of_wheel):
             most = RANGE * prior.row.wheel_std
             self.wheel = min(max(self.wheel, -most), most)
         return score
@@ -408,7 +410,7 @@ def learn_lead(lead: Lasting, before: Block, block: Block, after: Block) -> None
     if before.state != MOVING or block.state != MOVING or after.state == UNKNOWN or block.force > 0.0:
         return
     H = (after.brake - before.brake) / (block.seconds + 0.5 * (before.seconds + after.seconds))
-    if abs(H) >= BRAKES:
+    if abs(H) >= MIN_BRAKE:
         # Student's t is for braking without a command.
         noise = _REPORTED_STD + _REPORTED_SHARE * max(abs(block.brake), abs(block.force))
         lead.correct(block.force - block.brake, H, noise * noise, block.seconds)
@@ -463,13 +465,13 @@ class Forces:
         """Correct force and brake, each from its own block; ``at`` is that of the speed."""
         row = prior.row
         # Where a brake builds up, the step of a force without sign is wrong for one block, and counts as jitter.
-        factor = -row.force if row.signless and command.brake < -BRAKES else row.force
+        factor = -row.force if row.signless and command.brake < -MIN_BRAKE else row.force
         F, dF = factor * force.force, factor * force.force_step / force.seconds
         scale = 0.0 if prior.ignores_command else row.command
         B, dB = scale * command.brake, scale * command.brake_step / command.seconds
         T, dT = F - B, dF - dB
         # A driver who pulls after a command pulls also if the brake acts later.
-        is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -BRAKES
+        is_braked = min(command.brake, at.brake if row.late is Input.BRAKE else 0.0) < -MIN_BRAKE
         self.mismatch = 0.0
         if is_braked and command.brake_step <= _RELEASING * abs(command.brake) * command.seconds:
             self.mismatch = T / (_REPORTED_STD + _REPORTED_SHARE * max(abs(B), abs(F)) + 0.5 * abs(dB))

@@ -122,7 +122,7 @@ class Row:
         return self.speed == self.position != 1.0
 
     @property
-    def has_speed(self) -> bool:
+    def is_of_wheel(self) -> bool:
         """True if it says something about speed over position."""
         return self.speed != self.position or self.wheel_std != WHEEL.std
 
@@ -130,7 +130,7 @@ class Row:
 _FOLLOWS_NOTHING: Final = 20.0  # nats: explains any input
 _SLIDES: Final = 60.0  # nats: 2 for each block of some 20 s in which sliding wheels follow nothing
 _RARE: Final = 3.0  # nats: also explains what is more frequent, as tunnels that no file states, or a speed that is late
-# Delays that are told apart [s]: blocks are half a second, and longer ones show like the longest.
+# Delays that are told apart [s]: up to five blocks, which are 0.6 s long at 5 Hz; longer ones show like the longest.
 _LATE_S: Final = (0.6, 1.2, 1.8, 3.0)
 _MPH: Final = 2.236936
 _LBF: Final = 4.448222  # [N]
@@ -211,7 +211,8 @@ TABLE: Final[tuple[Row, ...]] = (
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=0.5, unusual=((GAIN, 1.0, 0.2),)),
     Row(_WEIGHT, _only(Input.FORCE, Input.MASS), force=0.75, unusual=((GAIN, 1.0, 0.1),)),
     Row(
-        'ato/force or ato/gradient is off by {offset:+.0f} N/kN, if no tunnel is missing in the train file',
+        'the resistance is {offset:+.0f} N/kN off that of the train file: '
+        'is ato/force or ato/gradient off, or a tunnel missing?',
         _only(Input.FORCE, Input.GRADIENT),
         unusual=((OFFSET, 0.0, 12.0),),
         asks=_RARE,

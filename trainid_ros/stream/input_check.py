@@ -29,9 +29,9 @@ from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, several, unknown
 from trainid_ros.interface.vectors import vec
 from trainid_ros.stream.fault_filter import (
-    BRAKES,
     LASTING_S,
-    MOST,
+    MAX_COST,
+    MIN_BRAKE,
     PRIORS,
     RANGE,
     STATES,
@@ -153,7 +153,7 @@ class InputCheck:
     def at_limit(self, places: tuple[int, ...]) -> str:
         """Return which of some quantities is as far from usual as a healthy train can have it, empty if none is."""
         trial = self._accepted
-        if abs(trial.wheel) > _LIMIT * WHEEL.std and not PRIORS[trial.row].has_speed:
+        if abs(trial.wheel) > _LIMIT * WHEEL.std and not PRIORS[trial.row].is_of_wheel:
             return f'{WHEEL.name} is at the limit of what is usual'
         for place in places:
             usual = USUAL[place - 1]
@@ -190,10 +190,6 @@ class InputCheck:
         if abs(self._slope.excess) < _CREDIBLE:
             return ''
         return f'ato/gradient is {self._slope.mean:+.1f} per mille off line.gradient of the train file on average'
-
-    def forget_brake(self) -> None:
-        """Let the brake confirm itself anew."""
-        self.is_brake_confirmed = False
 
     @property
     def gain(self) -> float:
@@ -267,9 +263,9 @@ class InputCheck:
 
     def _promises(self, prior: Prior, shift: int, score: float) -> bool:
         """Return whether a row may explain the last block better than the accepted one, whose score it is [nats]."""
-        if prior.has_speed or (prior.row.ignores and not prior.is_of_odometer):
+        if prior.is_of_wheel or (prior.row.ignores and not prior.is_of_odometer):
             is_line_off = prior.is_of_line and self._line_score < _START
-            is_distance_off = (prior.has_speed or prior.ignores_position) and self._distance_score < _START
+            is_distance_off = (prior.is_of_wheel or prior.ignores_position) and self._distance_score < _START
             is_braked_off = (prior.ignores_command or prior.ignores_braking) and self._mismatch > _START_MISMATCH
             return is_line_off or is_distance_off or is_braked_off or (score < _ODD and not prior.is_of_line)
         if self._accepted.row > 0:
@@ -298,16 +294,15 @@ class InputCheck:
         was, mismatch = trial.x[V], forces.mismatch
         # A place that is off looks like a speed that is late: the line says nothing about times.
         gradient = at.gradient if prior.is_of_times else forces.gradient
-        # No error of the forces changes the speed by more: only wheels that slip do.
-        most = math.inf
+        jumps = False
         if accepted:
             at.miss, self._mismatch = self._miss(prior, trial.x, at, back), abs(mismatch)
-            most = at.seconds * (forces.effort + _SLIPS) / forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
+            jumps = abs(at.miss) > self._jump(at)
         says_nothing = not accepted and self._says_nothing(trial, prior, at, back)
         trial.predict(forces, at, self._decay, accepted=accepted)
-        score = self._score_motion(trial, prior, at, was, most, accepted=accepted)
+        score = self._score_motion(trial, prior, at, was, jumps, accepted=accepted)
         if accepted:
-            score = self._forgive_slip(trial, at, score, most)
+            score = self._forgive_slip(trial, at, score)
         trial.limit(at.tunnel, accepted=accepted)
         if says_nothing:
             return math.nan
@@ -322,28 +317,29 @@ class InputCheck:
         trial.scores[place] = score
         return score
 
+    def _jump(self, at: Block) -> float:
+        """Return the least change of the speed over a block that slip may be [m/s]."""
+        return at.seconds * _SLIPS / self._forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
+
     def _says_nothing(self, trial: Trial, prior: Prior, at: Block, back: int) -> bool:
         """Return whether a block, which is so far back, says nothing of a row that is not accepted.
 
         Late commands show while the train brakes. A jump that forces do not explain much better is slip.
         """
-        if prior.is_of_brake and min(self._forces.brake, at.brake) > -BRAKES:
+        if prior.is_of_brake and min(self._forces.brake, at.brake) > -MIN_BRAKE:
             return True
-        jump = at.seconds * _SLIPS / self._forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
+        jump = self._jump(at)
         if prior.ignores_speed or prior.ignores_force or not abs(at.miss) > jump:
             return False
         return abs(self._miss(prior, trial.x, at, back)) > max(jump, _JUMP_SHARE * abs(at.miss))
 
-    def _forgive_slip(self, trial: Trial, at: Block, score: float, most: float) -> float:
+    def _forgive_slip(self, trial: Trial, at: Block, score: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
         # A position that is ignored costs the same in every block, odd or not.
         blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
         is_odd = score + blank < _ODD
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
-        speed = at.speed * PRIORS[trial.row].row.speed
-        if is_odd and trial.odd_s > _SLIP_S and abs(speed - trial.x[V]) > most:
-            trial.measure(speed, at.variance)
         if not self._slips:
             return score
         # Wheels that slip say nothing about forces; the speed is followed as it comes.
@@ -351,7 +347,7 @@ class InputCheck:
             trial.x[i] = self._before.x[i]
         return max(score, -_SLIP)
 
-    def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, most: float, *, accepted: bool) -> float:
+    def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, jumps: bool, *, accepted: bool) -> float:
         """Correct a row with speed and position; return the log likelihood of both [nats]."""
         factor, has_position = prior.row.speed, is_finite(at.by_position)
         if prior.ignores_speed:
@@ -363,7 +359,7 @@ class InputCheck:
                 R = position_variance(at, self.blocks.distance_var()) / (at.seconds * at.seconds)
                 score += trial.correct(at.by_position / at.seconds + 0.5 * (trial.x[V] - was), R)
             return score
-        score = trial.correct(at.speed * factor, at.variance * factor * factor, most)
+        score = trial.correct(at.speed * factor, at.variance * factor * factor, jumps)
         self._speed_score = score if accepted else self._speed_score
         if not has_position:
             return score
@@ -372,7 +368,7 @@ class InputCheck:
         # Slip shows in both alike.
         distance_score = trial.compare_distances(at, self._lag, self.blocks.distance_var(), accepted=accepted)
         self._distance_score = distance_score if accepted else self._distance_score
-        return max(score + distance_score, -MOST)
+        return max(score + distance_score, -MAX_COST)
 
     def _rest(self, trial: Trial, at: Block) -> None:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
@@ -446,7 +442,7 @@ class InputCheck:
         theirs = PRIORS[accepted.row]
         later = accepted.shift if theirs.delays_speed else 0
         is_stuck = self._is_stuck(theirs)
-        is_released = block.brake > -BRAKES and self.blocks.brake > -BRAKES
+        is_released = block.brake > -MIN_BRAKE and self.blocks.brake > -MIN_BRAKE
         kept, rival = list[Trial](), -math.inf
         moved_s = block.seconds if block.state == MOVING else 0.0
         for other in self._others:
@@ -485,12 +481,16 @@ class InputCheck:
         )
 
     def _decide(self, seconds: float) -> None:
-        """Accept the best row if it is good enough; health is more probable, so less is asked for."""
-        first, second, best, health = -math.inf, -math.inf, self._accepted, -math.inf
+        """Accept the best row if it is good enough, and far ahead of the second or long the best.
+
+        Health is more probable, so less is asked for.
+        """
+        first, second, best = -math.inf, -math.inf, self._accepted
+        health, healthy = -math.inf, self._accepted
         for other in self._others:
             score = self._evidence(other)
             if other.row == 0:
-                health = other.sum
+                health, healthy = other.sum, other
             elif score > first:
                 first, second, best = score, first, other
             elif score > second:
@@ -500,8 +500,8 @@ class InputCheck:
         if self._usual_s > _LEAD_S:
             self._spare[0].start(self._accepted, 0)
             self._accept(self._spare[0])
-        elif health > _CLEAR and health > first - _LEAD and self._others[0].rise_s > _LEAD_S:
-            self._accept(self._others[0])
+        elif health > _CLEAR and health > first - _LEAD and healthy.rise_s > _LEAD_S:
+            self._accept(healthy)
         elif first > _FIND and first - max(second, health) > _LEAD:
             self._accept(best)
         elif self._waited_s > _LEAD_S:
@@ -546,7 +546,7 @@ class InputCheck:
         for i in range(1, STATES):
             if prior.own[i] > 0.0:
                 accepted.centre[i] = trial.x[i]
-        accepted.wheel_centre = trial.wheel if prior.has_speed else 0.0
+        accepted.wheel_centre = trial.wheel if prior.is_of_wheel else 0.0
         self._accepted, self._others, self._waited_s, self._usual_s = accepted, [], 0.0, 0.0
         self.verdict = Verdict(_told(trial, trial.row), '', trial.row, 0)
 

@@ -18,7 +18,7 @@ from trainid_ros.interface.results import Reason, Rejection
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare
 from trainid_ros.stream.brake_shape import BrakeShapeCheck
-from trainid_ros.stream.fault_filter import BRAKES
+from trainid_ros.stream.fault_filter import MIN_BRAKE
 from trainid_ros.stream.fault_table import BRAKE, BRAKE_LATE, FORCE_LATE, GAIN, TABLE, Input
 from trainid_ros.stream.input_blocks import MIN_SPEED, MOVING
 from trainid_ros.stream.input_check import InputCheck
@@ -160,10 +160,8 @@ class InputFaults:
         """Topics that the finding condemns, none without one."""
         if not self.finding:
             return ()
-        condemned = TABLE[self.check.verdict.row].condemns
-        for check, what in self._messages():
-            if check.finding == self.finding:
-                condemned = frozenset({what})
+        of_messages = (frozenset({what}) for check, what in self._messages() if check.finding)
+        condemned = next(of_messages, TABLE[self.check.verdict.row].condemns)
         return tuple(sorted({one.topic for one in condemned} - {''}))
 
     @property
@@ -243,7 +241,7 @@ class InputFaults:
         blocks, known = self.check.blocks, self._known
         middle = blocks.block(_NEIGHBOURS)
         level = middle.brake
-        if level > -BRAKES or middle.state != MOVING or self.brake_rate.finding:
+        if level > -MIN_BRAKE or middle.state != MOVING or self.brake_rate.finding:
             self.shape.end()
             return
         for back in range(2 * _NEIGHBOURS + 1):
@@ -281,7 +279,7 @@ class InputFaults:
         if self.resistance.finding:
             self._moved_s = 0.0
         if self.brake_rate.finding:
-            self.check.forget_brake()
+            self.check.is_brake_confirmed = False
         self.finding = of_command or ('' if Input.BRAKE in row.condemns else verdict.finding)
         self.last_finding = self.finding or self.last_finding
 
