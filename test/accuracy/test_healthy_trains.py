@@ -51,6 +51,15 @@ def test_nothing_is_found_on_a_healthy_train(case: Case, monkeypatch: pytest.Mon
     assert outcome.findings == ()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [9000, 8400, 8403])
+def test_nothing_is_found_where_wheels_slip_in_one_eighth_of_the_time(seed: int) -> None:
+    """A filter that learns from slip finds a wrong force, command or unit on these."""
+    place = next(k for k, unusual in enumerate(UNUSUAL) if unusual.name == 'slip in 12 %')
+    outcome = outcome_of(moments_of(*rows_of(Case('metro', seed, place), 600.0)))
+    assert outcome.findings == ()
+
+
 def test_nothing_is_found_on_the_freight_run_of_another_simulator() -> None:
     bag = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'
     with BagReader(bag) as reader:

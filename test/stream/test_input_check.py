@@ -379,6 +379,14 @@ def test_a_state_that_does_not_fit_changes_nothing() -> None:
     assert encode(check) == before
 
 
+def test_a_force_off_in_braking_alone_does_not_hold_the_resistance() -> None:
+    drive = driven(600.0)
+    force = np.where(drive.force < 0.0, 0.7 * drive.force, drive.force)
+    check = InputCheck(KnownForce(FILE))
+    held = [TABLE[check.take(sample).row].holds_resistance for sample in samples_of(replace(drive, force=force))]
+    assert not any(held)
+
+
 def test_unknown_inputs_are_no_fault() -> None:
     check = InputCheck(KnownForce(FILE))
     for k, sample in enumerate(samples_of(driven(120.0))):
