@@ -273,6 +273,16 @@ def test_date_and_clock_may_be_two_columns(tmp_path: Path) -> None:
         records(TableRecords(path, MappedInputs(wrong, None)))
 
 
+def test_rows_without_a_date_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / 'log.csv'
+    blank = ';12:00:00;1\n' * (ROWS_AT_ONCE + 1)
+    path.write_text(f'day;t;v\n{blank}2024-04-03;12:00:00;2\n', encoding='utf-8')
+    mapping = parse_mapping('{time: {field: t, date: day}, speed: {field: v}}', 'map.yaml')
+    table = TableRecords(path, MappedInputs(mapping, None))
+    assert [record.stamp_ns for record in records(table)] == [1_712_145_600 * S]
+    assert table.blank['time'] == ROWS_AT_ONCE + 1
+
+
 def test_codes_of_no_value_are_left_out_of_all_files(tmp_path: Path) -> None:
     source = mapped(tmp_path, f'{SPEED}, missing: [-999, off]}}', t=[at(0), at(1)], v=[-999.0, 2.0])
     assert [record.stamp_ns for record in records(source)] == [at(1)]

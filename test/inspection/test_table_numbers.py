@@ -200,6 +200,16 @@ def test_the_time_is_found_with_its_form(
     assert numbers.left_out == (('note', 'no numbers or times'),)
 
 
+def test_a_date_that_is_blank_at_first_is_found(tmp_path: Path, rows: list[Row]) -> None:
+    def line(t: float, v: float, *_: float) -> str:
+        return f'{"14.11.2023" if t > 50.0 else ""},{clock(t, "%H:%M:%S.%f")},{v:.3f}'
+
+    numbers, (time, *_) = read_table(write(tmp_path / 'log.csv', 'Date,Clock,v', rows, line))
+    assert time.text == '{field: Clock, date: Date}'
+    assert f'251 of {COUNT} rows have no date' in time.decisions[0]
+    assert numbers.duration_s == pytest.approx(80.0 - 50.2 - 0.2)
+
+
 def test_a_file_without_a_time_is_refused(tmp_path: Path, rows: list[Row]) -> None:
     path = write(tmp_path / 'log.csv', 'v;F', rows, lambda _t, v, _x, f, *_: f'{v:.3f};{f:.1f}')
     with pytest.raises(InputError, match=r'log\.csv: no column is a time \(columns: v, F\)'):
@@ -270,6 +280,18 @@ def test_notches_of_any_order_and_flags_get_a_table(
     found = text_of(path, TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance))
     assert lines_of(found)[-1] == f'brake_command: {{field: brake, table: {table}}}'
     assert 'the nominal deceleration of each notch' in found.choices[-1].decisions
+
+
+def test_a_force_of_traction_alone_shows_no_brake(tmp_path: Path, rows: list[Row], metro: TrainFile) -> None:
+    def line(t: float, v: float, _x: float, f: float, _i: float, brake: float) -> str:
+        return f'{t:.3f},{v:.3f},{max(f, 0.0) / 1e3:.1f},{4 * (brake > 0.0):.0f}'
+
+    path = write(tmp_path / 'log.csv', 't,v,F,brake', rows, line)
+    found = text_of(path, TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance))
+    force, brake = found.choices[2:]
+    assert 'it is never negative' in force.decisions[-1]
+    assert dict(brake.parts[0].table)[4.0] == pytest.approx(-0.35, abs=0.1)
+    assert 'd(speed)/dt while it holds' in brake.reasons[-1]
 
 
 @pytest.mark.parametrize(('code', 'said'), [('-999', '-999'), ('6553.50', '6553.5'), ('0.00', '')])

@@ -323,9 +323,10 @@ class CsvTable(Table):
         below = [row for row in rows[place:] if not self._is_comment(row)]
         cells = [[row[i] if i < len(row) else '' for i in places] for row in below]
         named = int(not self._is_comment(rows[place]))
-        if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
-            cell = next((cell for cell in cells[-1] if cell.strip()), '')
-            which = ', '.join(map(shown, names)) + (f' (but {shown(cell)})' if cell else '')
+        texts = [cell for row in cells[named:] for cell in row if not _is_blank(cell)]
+        # Blank ones say nothing of the rest of the file.
+        if texts and not any(map(_is_value, texts)):
+            which = f'{", ".join(map(shown, names))} (but {shown(texts[-1])})'
             raise InputError(f'{self.path}: no numbers below the names of its columns {which}')
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         stated = _vbox_units(text, known) if self._is_vbox else {}

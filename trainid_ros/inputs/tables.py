@@ -51,7 +51,7 @@ class Clock:
             form = '' if dates and '%' in self._time.format else self._time.format
             values = _of_form(clock, form, f'{where}: {place}')
             for day in dates:
-                if values.dtype.kind != 'm' or day.dtype.kind != 'M':
+                if not (_are(values, 'm') and _are(day, 'M')):
                     raise InputError(f'{where}: {place}: time: {{field, date}} must be times of day and dates')
                 values = np.asarray(day.astype('datetime64[D]') + values.astype('timedelta64[ns]'))
         else:
@@ -97,6 +97,11 @@ class Clock:
             self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
         since_ns[known] = times + DAY_NS * days
         return since_ns
+
+
+def _are(times: Column, kind: str) -> bool:
+    """Return whether times are of a kind; blank cells alone are numbers, which are NaN."""
+    return times.dtype.kind == kind or bool(times.dtype.kind == 'f' and np.isnan(times).all())
 
 
 def _of_form(values: Column, form: str, where: str) -> Column:

@@ -451,6 +451,8 @@ def _as_force(groups: list[list[NumberSeries]], motion: _Motion) -> list[Choice]
     choice = Choice('force', reasons=[f'correlation {with_it:.2f} with d(speed)/dt {motion.minutes}'])
     unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), motion.train_file)
     choice.parts = tuple(Part(item, unit, sign) for sign, items in zip(signs, groups, strict=True) for item in items)
+    if not np.nanmin(total) < -0.05 * np.nanmax(total):
+        choice.decisions.append('it is never negative: leave cells blank while brakes act, whose force is missing')
     if is_nameless(choice.parts[0].series):
         choice.decisions.append('whether this is the force: no name says so')
     if len(choice.parts) > 1:
@@ -608,6 +610,9 @@ def _choose_brake(series: Sequence[NumberSeries], motion: _Motion, effort: Array
         return []
     ranked.sort(key=lambda entry: -entry[0])
     _, lag_s, with_it, item = ranked[0]
+    # A force of traction alone does not show what the brake does.
+    if effort is not None and not np.nanmin(effort) < -_MIN_BRAKING:
+        effort = None
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
     target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
     target = _earlier(target, _precedes(item, motion, target)[0])

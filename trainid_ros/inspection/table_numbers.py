@@ -202,6 +202,8 @@ def _time(
     known = {other: day[~np.isnat(day)] for other, day in days.items() if column.dtype.kind == 'm'}
     dates = [x for x, day in known.items() if day.size and np.all(day == columns[x][~np.isnat(columns[x])])][:1]
     words += [f'date: {quoted(date)}' for date in dates]
+    if blank := sum(int(np.count_nonzero(np.isnat(columns[date]))) for date in dates):
+        choice.decisions.append(f'{blank} of {len(column)} rows have no date and are left out; without date: none is')
     for of_form in (name, *dates):
         if of_form in reader.forms:
             form = reader.forms[of_form].choice
