@@ -364,5 +364,6 @@ def test_a_checkpoint_must_be_there_and_fit(
     for text, problem in (('', 'there is no checkpoint such as'), (other.text(), 'is of V-MILS, not of filter-bank')):
         if text:
             path.write_text(text, encoding='utf-8')
-        assert call(driven_bag, '--checkpoint', str(tmp_path)) == 2
-        assert problem in capsys.readouterr().err
+        train = str(driven_bag / 'train.yaml')
+        assert main(['replay', *[str(driven_bag)] * 2, '--train', train, '--checkpoint', str(tmp_path)]) == 2
+        assert capsys.readouterr().err.count(problem) == 1

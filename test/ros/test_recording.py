@@ -37,6 +37,8 @@ def test_the_last_inputs_are_recorded_on_request(graph: Graph, train_file: str, 
     with BagReader(bag) as reader:
         assert list(reader.records()) == records
     assert load_train_file(bag / 'train.yaml').train.mass == 194e3
+    make = recorder.files['train.yaml']
+    assert make() is make()  # written out once, as that takes long
     for name in SPECS:
         checkpoint = parse_checkpoint((bag / f'{name}.json').read_text(encoding='utf-8'), name)
         assert checkpoint.stamp_ns == 0  # before the first message

@@ -95,7 +95,8 @@ def run(args: argparse.Namespace) -> int:
     """Replay bags and print what was identified."""
     args.map = args.map or mapping_in(args.params, args.namespace)
     # What cannot be used for any bag is reported once.
-    mapped_inputs(args.map, _load_setups(args, args.train)[0].train_file)
+    setups, _ = _start(args, _load_setups(args, args.train), lambda _: None)
+    mapped_inputs(args.map, setups[0].train_file)
     if len(args.bags) > 1:
         _check_outputs(args)
     for out, report in (_outputs(args, bag) for bag in args.bags):

@@ -379,7 +379,8 @@ class EstimatorNode(ManagedNode):
             minutes = float(parameters.value('record_minutes'))
             path = Path(folder).expanduser()
             inputs.recorder = EventRecorder(path, minutes, write_rows, logger.info, logger.warning)
-            inputs.recorder.files['train.yaml'] = partial(dump_train_file, train_file)
+            # Once: that of a long line takes longer than there is between two messages.
+            inputs.recorder.files['train.yaml'] = partial(str, dump_train_file(train_file))
         if inputs.recorder is not None:
             inputs.recorder.files[f'{self.get_name()}.json'] = self.checkpoints.text
 
