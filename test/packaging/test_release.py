@@ -15,8 +15,8 @@ from trainid_ros import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = (ROOT, ROOT / 'msg_defs')
-# Packages of Python that rosdep does not know; see package.xml.
-WITHOUT_KEY = {'python3-mcap', 'python3-rosbags', 'python3-zstandard', 'python3-pytest-xdist', 'python3-rerun-sdk'}
+# Packages of Python that rosdep does not know, or from pip, for which bloom names a package that apt lacks.
+WITHOUT_KEY = {'python3-mcap', 'python3-rosbags', 'python3-rosbags-pip', 'python3-zstandard', 'python3-rerun-sdk'}
 
 
 def sources() -> list[Path]:
@@ -51,6 +51,16 @@ def test_there_is_one_version() -> None:
     found = {re.findall(r'<version>(\d+\.\d+\.\d+)</version>', text)[0] for text in texts}
     assert found == {__version__, version('trainid_ros')}
     assert f"version='{__version__}'" in (ROOT / 'setup.py').read_text(encoding='utf-8')
+
+
+@pytest.mark.filterwarnings('ignore::DeprecationWarning')  # of catkin_pkg itself
+def test_bloom_finds_the_entries_of_a_version(tmp_path: Path) -> None:
+    changelog = pytest.importorskip('catkin_pkg.changelog')
+    text = (ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8')
+    text = re.sub(r'^Forthcoming\n-+$', f'{__version__} (2026-12-01)\n------------------', text, flags=re.MULTILINE)
+    (tmp_path / 'CHANGELOG.rst').write_text(text, encoding='utf-8')
+    found = changelog.get_changelog_from_path(str(tmp_path)).get_content_of_version(__version__)
+    assert len(found[0].bullets) == len(re.findall(r'^\* ', text, re.MULTILINE))
 
 
 @pytest.mark.parametrize('option', ['--record', '--editable'])
