@@ -62,6 +62,7 @@ def test_an_unknown_unit_is_rejected_with_a_hint(text: str, quantity: str, hint:
         ('千牛', 'force', 'kN'),
         ('KN', 'force', 'kN'),
         ('‰', 'gradient', 'per_mille'),
+        ('%o', 'gradient', 'per_mille'),
         ('°', 'gradient', 'deg'),
         ('ms', 'time', 'ms'),
         ('%', 'force', ''),

@@ -30,6 +30,7 @@ _FRACTION: Final = re.compile(
     r'(?:(?<=[^+-]\d\d:\d\d:\d\d)|(?<=[^+\-\d]\d{6}))(?:[.,](\d{1,9})\d*|:(\d{3}))(?![\d.,:])'
 )
 _UNDIVIDED: Final = re.compile(r'^(\d{4})(\d\d)(\d\d)(?=[T ]\d{2,6}(?!\d))')
+_CHINESE: Final = re.compile(r'^(\d{4})年(\d\d?)月(\d\d?)日 ?')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
 _TIME_OF_DAY: Final = re.compile(
     r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?(?: ?([AP])\.?M\.?)?', re.IGNORECASE
@@ -46,6 +47,7 @@ class Stamp(NamedTuple):
 def date_time(text: str) -> Stamp | None:
     """Return a date with time of ISO 8601, or with dots; None if the text is none."""
     text = _DOTTED.sub(lambda found: f'{found[3]}-{found[2]:>02}-{found[1]:>02}', text)
+    text = _CHINESE.sub(lambda found: f'{found[1]}-{found[2]:>02}-{found[3]:>02} ', text).rstrip()
     text = _UNDIVIDED.sub(r'\1-\2-\3', text)
     if text.count('-') < 2:  # datetime also takes 20240308
         return None

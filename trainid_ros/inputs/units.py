@@ -66,8 +66,9 @@ def unit_factors(quantity: str) -> dict[str, float]:
 
 # Other ways to write units, in lower case.
 _SPELLINGS: Final = {
-    '‰': 'per_mille', 'permille': 'per_mille', '%': 'percent', 'pct': 'percent', '°': 'deg', 'm/s²': 'm/s^2',
-    'm/s2': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h', 'kph': 'km/h', '公里/小时': 'km/h', '千米/小时': 'km/h',
+    '‰': 'per_mille', '%o': 'per_mille', '0/00': 'per_mille', 'o/oo': 'per_mille', 'permille': 'per_mille',
+    '%': 'percent', 'pct': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'm/s2': 'm/s^2',
+    'km/hr': 'km/h', 'kmh': 'km/h', 'kph': 'km/h', '公里/小时': 'km/h', '千米/小时': 'km/h',
     'mps': 'm/s', 'ms': 'm/s', 'meters/second': 'm/s', '米/秒': 'm/s', '公里': 'km', '千米': 'km', '米': 'm',
     '千牛': 'kN', 'newton': 'N', '牛': 'N', 'ton': 't', 'tons': 't', 'tonnes': 't', '吨': 't', 'sec': 's', '秒': 's',
     'µs': 'us', '毫秒': 'ms', 'kip': 'klbf', 'kips': 'klbf', 'miles': 'mi', 'milepost': 'mi',
