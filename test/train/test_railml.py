@@ -99,6 +99,12 @@ def newtons(found: TrainFile, speed: float) -> float:
     return davis(found.resistance, speed) * found.train.mass * G / 1000.0
 
 
+def test_the_length_of_a_formation_is_that_of_its_cars() -> None:
+    text = STOCK_3.format(resistance=FORMULA).replace(' length="67.5"', '').replace('"23"', '"26.4"')
+    text = text.replace('"21.5"', '"19"').replace('orderNumber="3"', 'orderNumber="3" vehicleCount="6"')
+    assert railml(text).train['length'] == 203.8  # not 203.79999999999998, their sum
+
+
 def test_a_formation_of_railml_3_has_the_cars_in_their_order() -> None:
     draft = railml(STOCK_3.format(resistance=FORMULA))
     train = train_file(draft).train

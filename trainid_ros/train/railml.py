@@ -114,7 +114,7 @@ def _read_train(root: _Element, vehicles: dict[str, _Element], name: str, draft:
             place.fail(f'vehicleRef = {reference} is no vehicle')
         order += [vehicles[reference]] * min(int(place.number('vehicleCount', default=1.0)), 1000)
     cars = [(1e3 * one.number('tareWeight', 'bruttoWeight'), one.number('length')) for one in order]
-    sums = [math.fsum(x) for x in zip(*cars, strict=True)] or [math.nan, math.nan]
+    sums = [round(math.fsum(x), 6) for x in zip(*cars, strict=True)] or [math.nan, math.nan]
     mass = 1e3 * train.number('tareWeight', 'bruttoWeight', 'weight', default=sums[0] / 1e3)
     speeds = [speed for one in order if math.isfinite(speed := one.number('speed'))]
     found = {
