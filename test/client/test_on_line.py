@@ -128,7 +128,7 @@ def test_bounds_cover_their_share_of_the_posterior(
     model, command, dt, rng = TrainModel(None, METRO), 0.8, 0.05, np.random.default_rng(11)
     known = model._posterior(0.0)
     stated = replace(known, variances=(rate_std**2, *known.variances[1:]))
-    monkeypatch.setattr(model, '_posterior', lambda _: stated)
+    monkeypatch.setattr(model, '_posterior', lambda *_: stated)
     bound = model.stopping_distance(speed, 0.0, -command, 0.95, position=position).value
     theta = np.array(known.mean)[:, None] + np.sqrt(known.variances)[:, None] * rng.standard_normal((9, DRAWS))
     theta[0] = known.mean[0] + rate_std * rng.standard_normal(DRAWS)
@@ -180,8 +180,17 @@ def test_a_stop_beyond_the_end_of_the_line_is_named(position: float, direction: 
     assert away.reason == 'train file: no estimate yet'
 
 
-def test_a_line_without_stops_has_no_end() -> None:
+def test_a_line_without_stops_is_known_as_far_as_its_gradients() -> None:
     model = TrainModel(None, replace(METRO, line=replace(METRO.line, stops=())))
+    last = METRO.line.gradient[-1][0]
+    assert model.stopping_distance(18.0, position=last - 1000.0).reason == 'train file: no estimate yet'
+    for position in (last - 100.0, 1e5):
+        reason = model.stopping_distance(18.0, position=position).reason
+        assert reason == f'train file: no estimate yet; beyond the gradients of the line, which end at {last:.10g} m'
+
+
+def test_a_single_gradient_holds_everywhere() -> None:
+    model = TrainModel(None, replace(METRO, line=replace(METRO.line, stops=(), gradient=((0.0, 5.0),))))
     assert model.stopping_distance(18.0, position=1e5).reason == 'train file: no estimate yet'
 
 

@@ -191,10 +191,13 @@ class FileValues:
 
     def beyond_line(self, way: float, direction: int, position: float | None) -> str:
         """Return what to add to the reason of an answer if a way [m] from a position [m] leads off the line."""
-        line = self.effects.profile
-        if position is None or line.first <= position + direction * way <= line.last:
+        line, known = self.effects.profile, self.train_file.line.gradient
+        first, last, end = line.first, line.last, 'end of the line'
+        if math.isinf(last) and len(known) > 1:  # no stops; a single gradient is that of any place
+            first, last, end = known[0][0], known[-1][0], 'gradients of the line, which end'
+        if position is None or first <= position + direction * way <= last:
             return ''
-        return f'; beyond the end of the line at {line.last if direction > 0 else line.first:.10g} m'
+        return f'; beyond the {end} at {last if direction > 0 else first:.10g} m'
 
     def motion_shape(self, direction: int, position: float | None) -> RateShape:
         """Return the same for a cold brake."""
