@@ -239,6 +239,22 @@ def test_a_bound_counts_drops_since_the_brake_was_last_observed() -> None:
     assert model.braking_curve(later[2].value, (0.0,)) == (speed,)
 
 
+@pytest.mark.parametrize(('confidence', 'share'), [(0.95, 0.9), (0.99, 0.9), (0.9, 0.9), (0.5, 0.5)])
+def test_a_bound_holds_its_stated_share_of_the_first_stops_after_a_drop(confidence: float, share: float) -> None:
+    now = 0.0
+    asked = replace(HAZARD, brake=replace(HAZARD.brake, loss_per_hour=0.01, loss_confidence=0.9))
+    model, plain = (TrainModel(None, file, max_age=1e9, clock=lambda: now) for file in (asked, FILE))
+    for one, factor in ((model, 1.0), (plain, 1.0 - HAZARD.brake.loss)):
+        one.take(Output(1, W, Status.VALID, 1, 0, None))
+        lower = replace(F, brake_rate=factor * F.brake_rate, brake_rate_std=factor * F.brake_rate_std)
+        one.take(Output(1, lower, Status.VALID, 1, 0, None))
+    now = 60.0
+    bound = model.stopping_distance(20.0, confidence=confidence).value
+    # The rate over speed of the lower brake is as uncertain as that of the known one here: slightly longer.
+    assert bound >= 0.995 * plain.stopping_distance(20.0, confidence=share).value
+    assert bound <= 1.02 * plain.stopping_distance(20.0, confidence=max(share, confidence)).value
+
+
 def test_without_a_braking_a_brake_counts_as_not_observed_for_an_hour() -> None:
     fresh, hour = Drive(HAZARD), Drive(HAZARD)
     seen = Output(1, braking(F), Status.CONVERGING, 1, 0, None)

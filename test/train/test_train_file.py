@@ -98,7 +98,8 @@ INVALID = [
     ('brake: {rate: [[5, 1], [5, 0.9]]}', 'brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds must increase'),
     (
         'brake: {rate_table: [[5, 1]]}',
-        'brake.rate_table is not a known field; known: delay, loss, loss_per_hour, rate, time_constant, timing_std',
+        'brake.rate_table is not a known field; known: delay, loss, loss_confidence, loss_per_hour, rate, '
+        'time_constant, timing_std',
     ),
     ('line: {stops: 5}', 'line.stops = 5 must be a list'),
     ('line: {stops: [0, 5, 5]}', 'line.stops[2] = 5 m must be above 5 m: positions must increase'),
@@ -218,6 +219,7 @@ RANGES = {
     'brake.timing_std': (0.0, 1.0),
     'brake.loss_per_hour': (0.0, 100.0),
     'brake.loss': (0.0, 0.9),
+    'brake.loss_confidence': (0.0, 0.99),
     'line.gradient_std': (0.0, 50.0),
 }
 START_NS = 1_700_000_000 * NS_PER_S

@@ -544,7 +544,7 @@ class TrainModel:
         shape = self._file.stop_shape(checked_direction(direction), place)
         with self._lock:
             self._go_on()
-            posterior = self._posterior(i)
+            posterior = self._posterior(i, P)
             live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
             most, why = self._adhesion.limit(P)
         if why:
@@ -553,7 +553,7 @@ class TrainModel:
             u1, u0, reason = min(u1, force), min(u0, force), f'{reason}; {why}'
         return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
-    def _posterior(self, gradient: float) -> StopPosterior:
+    def _posterior(self, gradient: float, confidence: float = 1.0) -> StopPosterior:
         file, davis, rate = self._file, self._resistance.normal(DAVIS), self._brake_rate.normal(BRAKE_RATE)
         config, (delay_std, lag_std) = file.config, file.timing_stds
         map_std = file.train_file.line.gradient_std
@@ -562,8 +562,12 @@ class TrainModel:
         rest = (map_std**2, delay_std**2, lag_std**2)
         variances = (rate.covariance[0], *over_speed, 0.0, 0.0, 0.0, *rest)
         unseen_s = _UNSEEN_S if math.isinf(self._observed_s) else self._clock.now() - self._observed_s
-        dropped = -math.expm1(-file.train_file.brake.loss_per_hour * unseen_s / 3600.0)
-        return StopPosterior(mean, variances, davis.covariance, dropped, file.train_file.brake.loss)
+        stated = file.train_file.brake
+        dropped = -math.expm1(-stated.loss_per_hour * unseen_s / 3600.0)
+        if stated.loss_per_hour * stated.loss_confidence > 0.0:
+            # Of a share q of lower brakes, a bound holds at least 1 - (1 - P) / q: this q gives loss_confidence.
+            dropped = max(dropped, min(1.0, (1.0 - confidence) / (1.0 - stated.loss_confidence)))
+        return StopPosterior(mean, variances, davis.covariance, dropped, stated.loss)
 
     def _resistance_at(self, speed: float, direction: int) -> Value:
         w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))

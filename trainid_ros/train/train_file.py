@@ -80,6 +80,7 @@ class Brake:
     # What no estimate can know before the next braking, such as rain or a brake unit that fails.
     loss_per_hour: float = setting(0.0, 'rate of sudden drops of the brake rate', '1/h', 0.0, 100.0)
     loss: float = setting(0.0, 'size of such a drop as a share of the brake rate', '1', 0.0, 0.9)
+    loss_confidence: float = setting(0.0, 'least share of the first stops after a drop within a bound', '1', 0.0, 0.99)
 
     def shape_at(self, speed: float) -> float:
         """Return the table's value [1] at a speed [m/s]: linear between rows, constant beyond; 1 without a table."""
