@@ -75,6 +75,24 @@ def test_one_that_is_over_is_named(status: Status, level: Level) -> None:
     assert ('Usable in part, not brake rate: brake rate is CONVERGING' in found.text) == (level is Level.PART)
 
 
+def test_a_brake_that_the_train_file_states_wrongly_is_to_be_fitted() -> None:
+    outcome = replace(drive(Status.VALID, Status.VALID, Status.CONVERGING), brake_findings=('brake.delay is wrong',))
+    assert verdict(outcome).text == (
+        'Usable in part, not brake rate: brake.delay is wrong. '
+        'Next: trainid fit --brake day --train train.yaml finds the brake.'
+    )
+
+
+@pytest.mark.parametrize('stated', [1.0, 1.012, 1.02])
+def test_wheels_that_are_not_those_of_the_train_file_are_named(stated: float) -> None:
+    outcome = drive(Status.VALID, Status.VALID, Status.HOLDING)
+    found = verdict(replace(outcome, wheel_ratio=(1.02, 0.0002), stated_ratio=stated))
+    wanted = 'wheel ratio 1.0200 ± 0.0002: state the effect wheel_diameter with ratio: 1.0200'
+    assert (found.level is Level.CARE) == (wanted in found.text) == (stated == 1.0)
+    unsure = verdict(replace(outcome, wheel_ratio=(1.02, 0.006)))
+    assert unsure.level is Level.USABLE
+
+
 def test_errors_larger_than_stated_need_care() -> None:
     outcome = drive(Status.VALID, Status.VALID, Status.VALID)
     optimistic = replace(CONSISTENT, verdict=ConsistencyVerdict.OPTIMISTIC, ratio=4.0)

@@ -46,6 +46,7 @@ from trainid_ros.interface.results import (
     quantities,
 )
 from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings, force_findings
+from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -102,11 +103,19 @@ class Replay:
     brake_findings: tuple[str, ...] = ()  # What is wrong with the brake of the train file
     # Measured over true speed by distances from stop to stop, and its standard deviation [1]; None if there was none
     wheel_ratio: tuple[float, float] | None = None
+    stated_ratio: float = 1.0  # The same as the effect ``wheel_diameter`` of the train file states it [1]
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is wrong with the force, its stamps and the brake of the train file."""
-        return (*force_findings(self.resistance.output.estimate), *self.brake_findings)
+        """What is wrong with the wheels, the force, its stamps and the brake of the train file."""
+        return (*self._wheel_finding(), *force_findings(self.resistance.output.estimate), *self.brake_findings)
+
+    def _wheel_finding(self) -> tuple[str, ...]:
+        """Return a sentence if the wheels are not those stated, by as much as matters for a force."""
+        ratio, std = self.wheel_ratio or (self.stated_ratio, 0.0)
+        if abs(ratio - self.stated_ratio) <= max(0.01, 4.0 * std):
+            return ()
+        return (f'wheel ratio {ratio:.4f} ± {std:.2g}: state the effect wheel_diameter with ratio: {ratio:.4f}',)
 
     def why_no_resistance(self) -> str:
         """Return why nothing was learned of the resistance, with the most frequent rejection; '' if it was."""
@@ -248,7 +257,8 @@ def replay_through(
     resistance, speed_model, brake = pipelines
     results = (_result(resistance, named), _result(speed_model, named), _result(brake, named))
     findings = tuple(map(named, brake_findings(brake)))
-    return Replay(records, group.covered_s, *results, brake.adhesion(), last, findings, odometer.ratio)
+    stated = effect_value(resistance.stream.config.train_file.effects, 'wheel_diameter', 'ratio', 1.0)
+    return Replay(records, group.covered_s, *results, brake.adhesion(), last, findings, odometer.ratio, stated)
 
 
 def _result(of: EstimatorPipeline[EstimateT], named: Callable[[str], str]) -> Result[EstimateT]:

@@ -247,7 +247,8 @@ class BrakeRateEstimator:
             return ''
         return (
             f'brake.delay = {brake.delay:.2f} s or brake.time_constant = {brake.time_constant:.2f} s of the train file '
-            f'is wrong: brakings so far show {timing.delay:.2f} and {timing.lag:.2f} s; see trainid fit --brake'
+            f'is wrong: brakings so far lead to {timing.delay:.2f} and {timing.lag:.2f} s, and perhaps further; '
+            'see trainid fit --brake'
         )
 
     def step(self, sample: Sample) -> Rejection | None:

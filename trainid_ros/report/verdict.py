@@ -122,9 +122,12 @@ def judge(
     unusable = {name: result for name, result in results.items() if not result.output.status.is_usable}
     level = Level.NOT if len(unusable) == len(results) else Level.PART if unusable else Level.USABLE
     info = f'{shlex.join(("trainid", "info", bag))} shows what the bag holds'
-    reasons = [_why(name, result) for name, result in unusable.items()]
+    found = {'brake rate': outcome.brake_findings}
+    reasons = [text for name, result in unusable.items() for text in found.get(name) or (_why(name, result),)]
     suggested = zip(('resistance', 'brake rate'), drives, strict=True)
     steps = [drive.text for name, drive in suggested if name in unusable and drive is not None]
+    if outcome.brake_findings and 'brake rate' in unusable:
+        steps = [f'{shlex.join(("trainid", "fit", "--brake", bag, "--train", train))} finds the brake']
     if reason := outcome.why_no_resistance():
         reasons = [reason]
     elif not unusable and (findings := outcome.findings):
