@@ -25,6 +25,8 @@ from trainid_ros.report.drive_report import (
     resistance_std,
     score_brake_rate,
     score_resistance,
+    stop_errors,
+    stop_sentences,
     write_report,
 )
 from trainid_ros.report.page import keep_room, styled_figure, to_svg
@@ -35,7 +37,7 @@ from trainid_ros.sim.truth import Truth
 FIGURES = (
     'Running resistance and Davis parameters over time', 'Resistance curve against speed', 'Brake rate over time',
     'Speed profile with driving modes', 'Status of the estimators over time', 'Innovation test ratios over time',
-    'Speed model over time',
+    'Speed model over time', 'Errors of stops by one brake command',
 )  # fmt: skip
 
 
@@ -221,3 +223,24 @@ def test_modes_statuses_and_observability_are_spans(make_chapter: Callable[..., 
     assert [span.label for span in recording.resistance.statuses[:3]] == ['CONVERGING', 'VALID', 'HOLDING']
     assert [(span.start_s, span.end_s) for span in recording.observable] == [(60.0, 90.0), (180.0, 210.0)]
     assert recording.duration_s == 239.0
+
+
+def test_stops_by_one_command_are_off_by_what_the_values_do_not_know(make_chapter: Callable[..., Any]) -> None:
+    """The brake has dropped to .9 when the first braking begins; live values know that, and the second stop does."""
+    chapter = make_chapter(240)
+    time_s, errors = stop_errors(chapter.recording, chapter.truth, chapter.train_file)
+    stated, last, live = errors.values()
+    assert time_s.tolist() == [60.0, 180.0]
+    # From 10 m/s a brake of .72 instead of .8 m/s^2 takes 7 m more, the resistance unchanged.
+    assert stated == pytest.approx([7.0, 7.0], abs=1.0)
+    assert last == pytest.approx([stated[0], -0.2], abs=0.3)
+    assert live == pytest.approx([0.0, 0.0], abs=0.3)
+    assert stop_sentences(errors)[0].endswith(f'{abs(live).mean():.1f} m by live values')
+
+
+def test_without_a_known_brake_rate_no_stops_are_shown(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(120, truth=replace(TRUTH, brake_rate=()))
+    time_s, errors = stop_errors(chapter.recording, chapter.truth, chapter.train_file)
+    assert time_s.size == 0
+    assert stop_sentences(errors) == ()
+    assert 'by one brake command' not in render_report('A drive', (chapter,))

@@ -452,7 +452,10 @@ def _conclude(bag: DemoBag, live: Live, replayed: Replayed) -> Played:
         **{node.key: newest[node.key] for node in MISSION},
         rejections={node.label: dict(getattr(replayed.outcome, node.key).rejections) for node in MISSION},
         truth=truth,
-        notes=tuple(f'{node.label}: {comparison}' for node, comparison in compared.items()),
+        notes=(
+            *(f'{node.label}: {comparison}' for node, comparison in compared.items()),
+            *drive_report.stop_sentences(drive_report.stop_errors(recording, truth, bag.train_file)[1]),
+        ),
         others=(('V-MILS', beside.resistance),),
         verdict=judge(replayed.outcome, (None, None), str(bag.path), str(bag.train_path)),
     )

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -17,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from trainid_ros.client import TrainModel
 from trainid_ros.interface.files import write_text
 from trainid_ros.interface.records import KM_H, NS_PER_S
 from trainid_ros.interface.results import (
@@ -136,6 +138,51 @@ def score_brake_rate(recording: Recording, truth: Truth) -> AccuracyScore | None
     return _score(error, track.column('brake_rate_std'), track.usable)
 
 
+STOP_COMMAND: Final = -0.8
+"""Brake command to the stops that are compared [m/s^2], one of service."""
+_VALUES: Final = {'train file': page.MUTED, 'brake rate of the last stop': page.BRAKE, 'live values': page.ESTIMATE}
+
+
+def stop_errors(recording: Recording, truth: Truth | None, train_file: TrainFile) -> tuple[Array, dict[str, Array]]:
+    """Return when brakings to stops begin [s], and by values how far beyond the stop the train would come to rest [m].
+
+    One command, given where the values say, is never corrected. Values that are not usable are those of the train file.
+    Without a true brake rate there is no stop.
+    """
+    rows, modes, stated = list[tuple[float, ...]](), recording.modes, (train_file.resistance, train_file.brake.rate)
+    before, (time_ns, speed, _) = stated[1], recording.drive()
+    for braking, rest in pairwise(modes):
+        if truth is None or not truth.brake_rate or (braking.label, rest.label) != (BRAKING, STANDSTILL):
+            continue
+        v = float(np.interp(NS_PER_S * braking.start_s, time_ns, speed))
+        true = truth.truth_at_ns(recording.start_ns + round(NS_PER_S * braking.start_s))
+        w, f = (_usable(track, braking.start_s) for track in (recording.resistance, recording.brake_rate))
+        live = Davis(w.a, w.b, w.c) if w else stated[0], f.brake_rate if f else stated[1]
+        actual = _distance(train_file, true.resistance, true.brake_rate or stated[1], v)
+        values = stated, (stated[0], before), live
+        rows.append((braking.start_s, *(actual - _distance(train_file, *known, v) for known in values)))
+        before = true.brake_rate or stated[1]
+    time_s, *errors = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    return time_s, dict(zip(_VALUES, errors, strict=True))
+
+
+def _usable(track: Track, time_s: float) -> Any:
+    """Return the newest estimate before a time [s] if it is usable, else None."""
+    at = int(np.searchsorted(track.time_s, time_s)) - 1
+    return track.estimates[at] if at >= 0 and track.usable[at] else None
+
+
+def _distance(train_file: TrainFile, resistance: Davis, rate: float, speed: float) -> float:
+    known = replace(train_file, resistance=resistance, brake=replace(train_file.brake, rate=rate))
+    return TrainModel(None, known).stopping_distance(speed, command=STOP_COMMAND, confidence=0.5).value
+
+
+def stop_sentences(errors: dict[str, Array]) -> tuple[str, ...]:
+    """Return how far off the stops are on average; nothing without a stop."""
+    sizes = ', '.join(f'{np.abs(each).mean():.1f} m by {name}' for name, each in errors.items() if each.size)
+    return (f'stops by one brake command, never corrected, are off on average: {sizes}',) if sizes else ()
+
+
 def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> AccuracyScore | None:
     kept = usable & np.isfinite(error) & np.isfinite(std)
     if not kept.any():
@@ -176,7 +223,7 @@ def _content(chapter: Chapter) -> dict[str, object]:
     """Return what is shown of a chapter besides its own fields, figures by the names of their functions."""
     figures = (
         resistance_over_time, resistance_curve, brake_rate_over_time, adhesion_over_time, speed_profile,
-        status_timeline, innovation_ratios, speed_model_over_time,
+        status_timeline, innovation_ratios, speed_model_over_time, stops,
     )  # fmt: skip
     train, recording = chapter.train_file.train, chapter.recording
     start = datetime.fromtimestamp(recording.start_ns / NS_PER_S, UTC)
@@ -462,6 +509,22 @@ def _draw_ratios(axes: Axes, ratios: Series) -> None:
     axes.plot(time_min[rejected], greatest[rejected], 'x', color=page.BAD, markersize=4.0)
     axes.axhline(1.0, color=page.BAD, linewidth=1.0)
     axes.set(yscale='log', ylim=(1e-4, max(3.0, 2.0 * float(greatest.max()))), ylabel='test ratio')
+
+
+def stops(chapter: Chapter) -> str:
+    """Plot a dot for each stop by one command, and values; '' without a stop."""
+    time_s, errors = stop_errors(chapter.recording, chapter.truth, chapter.train_file)
+    if not time_s.size:
+        return ''
+    with page.styled_figure(3.0) as figure:
+        axes = figure.subplots()
+        handles = [
+            axes.plot(time_s / 60.0, each, 'o', color=_VALUES[name], label=name)[0] for name, each in errors.items()
+        ]
+        axes.set(title='Stops', ylabel='beyond the stop [m]')
+        page.time_axis(axes, chapter.recording.duration_s)
+        page.legend_above(figure, handles)
+        return page.to_svg(figure, 'Errors of stops by one brake command')
 
 
 def speed_model_over_time(chapter: Chapter) -> str:
