@@ -177,6 +177,13 @@ def test_the_section_of_a_table_reads_back() -> None:
     assert to_json(FIT, brake, None)['std'] == {'rate': [0.02, 0.01], 'delay': 0.03, 'time_constant': 0.05}
 
 
+def test_stated_drops_stay() -> None:
+    brake = replace(STATED, loss_per_hour=0.5, loss=0.1, loss_confidence=0.9)
+    text = describe(FIT, fitted_brake(FIT, replace(TRAIN, brake=brake)), 'a bag', None)
+    read = parse_train_file(HEAD + text, 'made').brake
+    assert (read.loss_per_hour, read.loss, read.loss_confidence) == (0.5, 0.1, 0.9)
+
+
 def test_times_that_are_not_told_stay() -> None:
     unsure = replace(FIT, quantities=tuple(replace(one, value=one.stated, std=0.4) for one in FIT.quantities))
     brake = fitted_brake(unsure, TRAIN)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -187,15 +188,16 @@ def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
     if not response.is_told or (response.agrees and times[2] > stated.timing_std):
         times = stated.delay, stated.time_constant, stated.timing_std
     dead, constant, std = map(_rounded, times)
+    kept = replace(stated, rate=1.0, time_constant=constant, delay=dead, timing_std=std, rate_table=())
     rows = list(zip(fit.knots, fit.rates.tolist(), strict=True))
     if len(rows) == 1 and not stated.rate_table:
-        return Brake(_rounded(rows[0][1]), constant, dead, timing_std=std)
+        return replace(kept, rate=_rounded(rows[0][1]))
     if len(rows) == 1:
         rows = [(v, rows[0][1]) for v in fit.speed_range]
     (slow, first), (fast, last) = rows[0], rows[-1]
     below = [(v, first * stated.rate_at(v) / stated.rate_at(slow)) for v, _ in stated.rate_table if v < slow]
     above = [(v, last * stated.rate_at(v) / stated.rate_at(fast)) for v, _ in stated.rate_table if v > fast]
-    return Brake(1.0, constant, dead, tuple((_rounded(v), _rounded(r)) for v, r in (*below, *rows, *above)), std)
+    return replace(kept, rate_table=tuple((_rounded(v), _rounded(r)) for v, r in (*below, *rows, *above)))
 
 
 def _rounded(value: float) -> float:
@@ -249,7 +251,10 @@ def to_json(fit: BrakeFit, brake: Brake, etcs: EtcsBrake | None) -> dict[str, An
 
 def _section(brake: Brake) -> dict[str, Any]:
     rate = [list(row) for row in brake.rate_table] if brake.rate_table else brake.rate
-    return {'rate': rate, 'delay': brake.delay, 'time_constant': brake.time_constant, 'timing_std': brake.timing_std}
+    section = {'rate': rate, 'delay': brake.delay, 'time_constant': brake.time_constant, 'timing_std': brake.timing_std}
+    # No braking tells how often the brake drops: what is stated stays.
+    losses = {name: getattr(brake, name) for name in ('loss_per_hour', 'loss', 'loss_confidence')}
+    return section | {name: value for name, value in losses.items() if value > 0.0}
 
 
 def describe(fit: BrakeFit, brake: Brake, name: str, etcs: EtcsBrake | None) -> str:
