@@ -247,7 +247,7 @@ class BrakeRateEstimator:
             return ''
         return (
             f'brake.delay = {brake.delay:.2f} s or brake.time_constant = {brake.time_constant:.2f} s of the train file '
-            f'is wrong: brakings so far lead to {timing.delay:.2f} and {timing.lag:.2f} s, and perhaps further; '
+            f'is wrong: by the brakings so far {timing.delay:.2f} and {timing.lag:.2f} s are nearer; '
             'see trainid fit --brake'
         )
 

@@ -39,27 +39,21 @@ from trainid_ros.train.forces import STANDING, davis
 
 # Smallest spike of the gradient, which as the mean under a train cannot change for a moment [per mille].
 _GRADIENT_SPIKE: Final = 5.0
-# Its longest duration [s].
-_GRADIENT_SPIKE_S: Final = 0.65
-# Smallest spike of the brake command [m/s^2].
-_COMMAND_SPIKE: Final = 0.15
-# Its longest duration [s].
-_COMMAND_SPIKE_S: Final = 0.25
-# Shortest time for which the command has held before it [s].
-_COMMAND_HELD_S: Final = 1.0
+_GRADIENT_SPIKE_S: Final = 0.65  # s: longest duration of one
+_COMMAND_SPIKE: Final = 0.15  # m/s^2: smallest spike of the brake command
+_COMMAND_SPIKE_S: Final = 0.25  # s: longest duration of one
+_COMMAND_HELD_S: Final = 1.0  # s: shortest time for which the command has held before it
 # Error of a force by the change of the speed over two samples, besides the noise of the speed [N/kN].
 _IMPULSE_STD: Final = 3.0
 
 # A brake has followed a command after its dead time and this many time constants: to 1 - exp(-2) = 86 %.
 _TIME_CONSTANTS: Final = 2.0
-# A brake command that holds a train on any gradient [m/s^2].
-_HOLDING: Final = -0.3
+_HOLDING: Final = -0.3  # m/s^2: a brake command that holds a train on any gradient
 # A rise of the speed that is no noise [m/s], beside this many standard deviations of it.
 _ROLLING: Final = 0.2
 _ROLLING_SIGMAS: Final = 4.0
 
-# The command holds where the brake differs by no more than this share [1] in all blocks ...
-_HOLDS: Final = 0.2
+_HOLDS: Final = 0.2  # the command holds where the brake differs by no more than this share in all blocks ...
 # ... up to this number before and after: then an error of the dead time by some 1.5 s does not matter.
 _NEIGHBOURS: Final = 3
 

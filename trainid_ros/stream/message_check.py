@@ -16,12 +16,9 @@ from trainid_ros.train.forces import STANDING, BrakeCommandChange
 _DENSITY: Final = 0.2821
 # Probability of a repeat above which coarse steps hide the noise, so that repeats say nothing [1].
 _MAX_REPEAT_PROBABILITY: Final = 0.4
-# Probability of chance repeats below which the sensor is stuck [1]: once in 6 years at 5 Hz.
-_MIN_PROBABILITY: Final = 1e-9
-# Smallest number of repeats that is judged.
-_MIN_REPEATS: Final = 5
-# Number of changes of the speed that show its noise first.
-_MIN_CHANGES: Final = 100
+_MIN_PROBABILITY: Final = 1e-9  # probability of chance repeats below which the sensor is stuck: once in 6 years at 5 Hz
+_MIN_REPEATS: Final = 5  # smallest number of repeats that is judged
+_MIN_CHANGES: Final = 100  # number of changes of the speed that show its noise first
 
 
 @dataclass(slots=True)
@@ -66,12 +63,9 @@ def max_repeats(noise: SpeedNoise) -> int:
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
 # times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.
 _REVERSAL: Final = 0.15
-# Largest number of reversals of one publisher within the memory.
-_REVERSALS: Final = 6.0
-# That memory [s].
-_REVERSAL_MEMORY_S: Final = 1.0
-# Number of reversals below which a finding is over.
-_QUIET: Final = 2.0
+_REVERSALS: Final = 6.0  # largest number of reversals of one publisher within the memory
+_REVERSAL_MEMORY_S: Final = 1.0  # s: memory of reversals
+_QUIET: Final = 2.0  # number of reversals below which a finding is over
 
 
 @dataclass(slots=True)
@@ -153,16 +147,11 @@ class MassCheck(MessageCheck):
         self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
 
-# Largest number of spikes within the memory.
-_SPIKES: Final = 2.5
-# That memory [s].
-_SPIKE_MEMORY_S: Final = 30.0
-# Number of spikes below which a finding is over.
-_NO_SPIKES: Final = 1.0
-# Number of spikes above which more are suspected.
-_SUSPECTED: Final = 1.5
-# Difference of the values before and after a spike as a share of its height [1].
-_BACK: Final = 0.3
+_SPIKES: Final = 2.5  # largest number of spikes within the memory
+_SPIKE_MEMORY_S: Final = 30.0  # s: memory of spikes
+_NO_SPIKES: Final = 1.0  # number of spikes below which a finding is over
+_SUSPECTED: Final = 1.5  # number of spikes above which more are suspected
+_BACK: Final = 0.3  # difference of the values before and after a spike as a share of its height
 
 
 @dataclass(slots=True)
@@ -232,22 +221,14 @@ class ExcursionCheck(SpikeCount):
         return abs(excess) > self.height and self.held_s >= self.calm_s and excess * self.direction >= 0.0
 
 
-# Weakest command that brakes [m/s^2].
-_BRAKING: Final = -0.15
-# Weakest force that brakes [N/kN].
-_EFFORT: Final = -10.0
-# Largest difference of equal commands, as a share of them [1].
-_EQUAL: Final = 0.1
-# Time by which healthy brakes and their reports may be later than stated [s].
-_LATE_S: Final = 0.6
-# Share of a release above which the force has followed it [1].
-_FOLLOWED: Final = 0.7
-# Share below which the force has ignored it [1].
-_IGNORED: Final = 0.3
-# Variation of the force without a change of the command, as a share of it [1].
-_FORCE_ERROR: Final = 0.03
-# Largest error by it of the share that was followed [1].
-_MAX_ERROR: Final = 0.4
+_BRAKING: Final = -0.15  # m/s^2: weakest command that brakes
+_EFFORT: Final = -10.0  # N/kN: weakest force that brakes
+_EQUAL: Final = 0.1  # largest difference of equal commands, as a share of them
+_LATE_S: Final = 0.6  # s: time by which healthy brakes and their reports may be later than stated
+_FOLLOWED: Final = 0.7  # share of a release above which the force has followed it
+_IGNORED: Final = 0.3  # share below which the force has ignored it
+_FORCE_ERROR: Final = 0.03  # variation of the force without a change of the command, as a share of it
+_MAX_ERROR: Final = 0.4  # largest error by it of the share that was followed
 
 
 @dataclass(slots=True)
@@ -302,20 +283,16 @@ class ReleaseCheck(SpikeCount):
         self.since_s = 0.0
 
 
-# Smallest height of a spike of the force [N/kN].
-_SPIKE: Final = 12.0
+_SPIKE: Final = 12.0  # N/kN: smallest height of a spike of the force
 # Log-likelihood above which spikes are wrong forces rather than short cuts of traction, as by slip protection: e^4 = 55
 # to 1. A cut is towards zero, and the speed answers to it.
 _EVIDENCE: Final = 4.0
-# Largest contribution of one spike by the speed.
-_MAX_EVIDENCE: Final = 2.0
+_MAX_EVIDENCE: Final = 2.0  # largest contribution of one spike by the speed
 # Contribution of a spike that is no cut by its sign: traction rarely rises for a moment, except by a controller
 # with two steps only.
 _NO_CUT: Final = 1.0
-# Memory of the log-likelihood [s].
-_EVIDENCE_MEMORY_S: Final = 120.0
-# Number of samples without a large step before a spike: a controller that hunts has fewer.
-_CALM: Final = 3
+_EVIDENCE_MEMORY_S: Final = 120.0  # s: memory of the log-likelihood
+_CALM: Final = 3  # number of samples without a large step before a spike: a controller that hunts has fewer
 
 
 @dataclass(slots=True)
