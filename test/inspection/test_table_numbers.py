@@ -184,6 +184,14 @@ TIMES = [
     ('Date', lambda t: clock(t, '04/03/2023 %I:%M:%S.%f %p'), "format: '%d/%m/%Y'", 'several orders'),
     ('clock', lambda t: clock(t, '%H:%M:%S.%f'), '', 'start: 2024'),
     ('x', lambda t: clock(t, '%Y-%m-%dT%H:%M:%S.%fZ'), '', ''),
+    ('when', lambda t: clock(t, '%a %b %d %H:%M:%S.%f %Y'), '', 'zone: Europe'),
+    (
+        'm',
+        lambda t: f'{int(t + 3560.0) // 60 % 60:02}:{(t + 3560.0) % 60.0:04.1f}',
+        "format: '%M:%S.%f'",
+        'the hour is missing',
+    ),
+    ('at', lambda t: clock(t, '%Y/%m/%d-%H:%M:%S.%f'), '', 'zone: Europe'),
 ]
 
 
@@ -280,6 +288,27 @@ def test_notches_of_any_order_and_flags_get_a_table(
     found = text_of(path, TrainFile(type(metro.train)(mass=300e3, rotary_mass=0.08), metro.resistance))
     assert lines_of(found)[-1] == f'brake_command: {{field: brake, table: {table}}}'
     assert 'the nominal deceleration of each notch' in found.choices[-1].decisions
+
+
+@pytest.mark.parametrize(('name', 'scale'), [('F [kN]', 1e3), ('effort', 1e3), ('F [kN]', 1e5)])
+def test_a_force_in_few_whole_units_is_no_notch(tmp_path: Path, rows: list[Row], name: str, scale: float) -> None:
+    def line(t: float, v: float, _x: float, f: float, _i: float, brake: float) -> str:
+        return f'{t:.1f},{v:.3f},{f / scale:.0f},{4 * (brake > 0.5):.0f}'
+
+    found = lines_of(text_of(write(tmp_path / 'log.csv', f't [s],v [m/s],{name},brake', rows, line)))
+    assert found[2].startswith('force: {field: ')
+    assert 'table' in found[3]
+    found = lines_of(
+        text_of(
+            write(
+                tmp_path / 'lever.csv',
+                't [s],v [m/s],effort,brake',
+                rows,
+                lambda t, v, _x, f, *_: f'{t:.1f},{v:.3f},{f / 1e5:.0f},0',
+            )
+        )
+    )
+    assert not any(line.startswith('force') for line in found)
 
 
 def test_a_force_of_traction_alone_shows_no_brake(tmp_path: Path, rows: list[Row], metro: TrainFile) -> None:

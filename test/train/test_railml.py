@@ -118,6 +118,12 @@ def test_a_formation_of_railml_3_has_the_cars_in_their_order() -> None:
         assert text in left
 
 
+def test_a_factor_of_the_engine_alone_is_named() -> None:
+    draft = railml(STOCK_3.replace(' rotatingMassFactor="1.05"', ''))
+    assert 'rotary_mass' not in draft.train
+    assert 'rotatingMassFactor 1.15 of loco: other vehicles state none' in draft.left_out
+
+
 def test_its_formula_is_in_newtons_with_the_speed_in_km_h() -> None:
     draft = railml(STOCK_3.format(resistance=FORMULA))
     assert newtons(train_file(draft), 100.0 * KM_H) == pytest.approx(3800.0 + 45.0 * 100.0 + 2.5 * 1e4, rel=1e-5)

@@ -34,7 +34,7 @@ class Clock:
         self._start_ns = time.start_ns  # what numbers count from [ns], None if that is not known yet
         self._time = time
         self._local = LocalClock(time.zone)
-        self._midnights = 0
+        self._periods = 0  # days, or hours of a clock without them, that are over
         self._time_of_day_ns = 0
 
     def stamps(
@@ -80,7 +80,7 @@ class Clock:
         if values.dtype.kind == 'M':
             return np.where(known, values.astype('datetime64[ns]').astype(np.int64), 0)
         if values.dtype.kind == 'm':
-            return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
+            return self._through_periods(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
         limit = 2**61 // round(ns)  # which is no stamp either, and leaves room for a start
@@ -88,14 +88,19 @@ class Clock:
             return np.asarray(np.clip(values, -limit, limit) * round(ns))
         return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
 
-    def _through_midnight(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight."""
+    def _through_periods(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight.
+
+        Where the form has minutes and no hour, the same holds of hours.
+        """
+        form = self._time.format
+        period_ns = 3600 * NS_PER_S if '%M' in form and '%H' not in form and '%I' not in form else DAY_NS
         times = since_ns[known]
-        passed = np.diff(times, prepend=self._time_of_day_ns) < -DAY_NS // 2
-        days = self._midnights + np.cumsum(passed)
+        passed = np.diff(times, prepend=self._time_of_day_ns) < -period_ns // 2
+        periods = self._periods + np.cumsum(passed)
         if times.size:
-            self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
-        since_ns[known] = times + DAY_NS * days
+            self._time_of_day_ns, self._periods = int(times[-1]), int(periods[-1])
+        since_ns[known] = times + period_ns * periods
         return since_ns
 
 

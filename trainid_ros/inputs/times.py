@@ -32,6 +32,13 @@ _FRACTION: Final = re.compile(
 _UNDIVIDED: Final = re.compile(r'^(\d{4})(\d\d)(\d\d)(?=[T ]\d{2,6}(?!\d))')
 _CHINESE: Final = re.compile(r'^(\d{4})年(\d\d?)月(\d\d?)日 ?')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
+# As asctime of C and ``date`` of Unix write it, such as Tue Nov 14 23:13:20 UTC 2023.
+_UNIX: Final = re.compile(r'^[A-Z][a-z]{2} ([A-Z][a-z]{2}) {1,2}(\d\d?) (\S+) (?:(?:UTC|GMT)() )?(\d{4})$')
+_MONTHS: Final = ('Jan', 'Feb', 'Mar', 'Apr', 'May', 'Jun', 'Jul', 'Aug', 'Sep', 'Oct', 'Nov', 'Dec')
+# A date and the dash before its clock; one of a zone has no seconds.
+_DASHED: Final = re.compile(r'^(\d{1,4}([./-])\w{1,3}\2\d{1,4})-(?=\d\d?:\d\d:\d\d)')
+# As Excel saves times with a fraction: the hour is lost.
+_NO_HOUR: Final = re.compile(r'[0-5]?\d:[0-5]\d([.,])\d{1,6}')
 _TIME_OF_DAY: Final = re.compile(
     r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*|:(\d{3}))?(?: ?([AP])\.?M\.?)?', re.IGNORECASE
 )
@@ -45,7 +52,11 @@ class Stamp(NamedTuple):
 
 
 def date_time(text: str) -> Stamp | None:
-    """Return a date with time of ISO 8601, or with dots; None if the text is none."""
+    """Return a date with time of ISO 8601, with dots, or as Unix writes it; None if the text is none."""
+    if (words := _UNIX.match(text)) is not None and words[1] in _MONTHS:
+        month = _MONTHS.index(words[1]) + 1
+        text = f'{words[5]}-{month:02}-{words[2]:>02} {words[3]}{"" if words[4] is None else "Z"}'
+    text = _DASHED.sub(r'\1 ', text)
     text = _DOTTED.sub(lambda found: f'{found[3]}-{found[2]:>02}-{found[1]:>02}', text)
     text = _CHINESE.sub(lambda found: f'{found[1]}-{found[2]:>02}-{found[3]:>02} ', text).rstrip()
     text = _UNDIVIDED.sub(r'\1-\2-\3', text)
@@ -76,7 +87,8 @@ def time_of_day_ns(text: str) -> int | None:
 
 def is_time(text: str) -> bool:
     """Return whether a text is a time of day, or starts with a date."""
-    return time_of_day_ns(text) is not None or date_time(text) is not None or _DATE.match(text) is not None
+    of_day = time_of_day_ns(text) is not None or _NO_HOUR.fullmatch(text) is not None
+    return of_day or date_time(text) is not None or _DATE.match(_DASHED.sub(r'\1 ', text)) is not None
 
 
 def _part_ns(fraction: Iterable[str | None]) -> int:
@@ -150,6 +162,14 @@ class TextTimes:
         if (stamp := date_time(texts[0])) is not None:
             self.has_zone = stamp.has_zone
             return _ISO
+        if (lacking := _NO_HOUR.fullmatch(texts[0])) is not None:
+            form = f'%M:%S{lacking[1]}%f'
+            raise UnclearError(
+                f'{where} = {shown(texts[0])}: the hour is missing, as where Excel saves times with a fraction; '
+                f"time: {{format: '{form}'}} in the mapping counts the hours from the first row on",
+                form,
+            )
+        texts = [_DASHED.sub(r'\1 ', text) for text in texts]
         if (found := _DATE.match(texts[0])) is None:
             return ''
         dates = tuple(dict.fromkeys(text.partition(' ')[0] for text in texts))
@@ -171,10 +191,10 @@ class TextTimes:
         if self.form == _ISO:
             stamp = date_time(text)
             return stamp.ns if stamp is not None and stamp.has_zone == self.has_zone else None
-        if '%H' in self.form or '%I' in self.form:
+        if any(part in self.form for part in ('%H', '%I', '%M')):
             time_ns = _parsed_ns(text, self.form)
             return time_ns if time_ns is None or '%d' in self.form or '%j' in self.form else time_ns % DAY_NS
-        words, count = text.split(' '), self.form.count(' ') + 1
+        words, count = _DASHED.sub(r'\1 ', text).split(' '), self.form.count(' ') + 1
         day_ns, clock = _parsed_ns(' '.join(words[:count]), self.form), ' '.join(words[count:])
         of_day_ns = time_of_day_ns(clock) if clock else 0
         return None if day_ns is None or of_day_ns is None else day_ns + of_day_ns

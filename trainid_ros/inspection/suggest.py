@@ -201,6 +201,8 @@ _MIN_ALIKE: Final = 0.9
 # Correlation of a force or a brake with the acceleration [1], and without a name that says so.
 _MIN_CORRELATION: Final = 0.3
 _MIN_NAMELESS: Final = 0.6
+# Largest number of a step of a lever [1]: twice the 8 of the AAR's lever for locomotives, chosen, not measured.
+_MAX_NOTCH: Final = 16
 
 
 def trains_in(series: Sequence[NumberSeries]) -> tuple[str, ...]:
@@ -402,7 +404,7 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choic
     """Return the sources whose sum goes with the acceleration best; empty if nothing does."""
     groups: dict[tuple[str, str, str], list[NumberSeries]] = {}
     for item in series:
-        if score('force', item.topic, item.field) <= 0.0 or item.is_whole:
+        if score('force', item.topic, item.field) <= 0.0 or _is_notch(item):
             continue
         if abs(correlation(at_times(item, motion.times), motion.acceleration)) > _MIN_CORRELATION:
             groups.setdefault((family(item.source), item.topic and item.field, item.type), []).append(item)
@@ -420,6 +422,11 @@ def _choose_force(series: Sequence[NumberSeries], motion: _Motion) -> list[Choic
             break
         chosen, share = [*chosen, best], shares[best]
     return _as_force([groups[key] for key in chosen], motion)
+
+
+def _is_notch(item: NumberSeries) -> bool:
+    """Return whether a number may be a step of a lever rather than a force that is logged in whole units."""
+    return item.is_whole and not unit_in(item, 'force') and (bool(item.type) or np.abs(item.value).max() <= _MAX_NOTCH)
 
 
 def _by_numbers(series: Sequence[NumberSeries], motion: _Motion) -> list[NumberSeries]:

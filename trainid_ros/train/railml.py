@@ -17,6 +17,7 @@ import numpy as np
 
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import KM_H
+from trainid_ros.interface.text import listed
 from trainid_ros.train.draft import Draft, chosen
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G
@@ -123,6 +124,9 @@ def _read_train(root: _Element, vehicles: dict[str, _Element], name: str, draft:
     }  # fmt: skip
     factors = [one.anywhere('rotatingMassFactor', 'rotationMassFactor') - 1.0 for one in order]
     rotary = math.fsum(x * m for x, (m, _) in zip(factors, cars, strict=True))
+    if {math.isfinite(factor) for factor in factors} == {True, False}:
+        stated = (f'{x + 1.0:g} of {one.text("id")}' for one, x in zip(order, factors, strict=True) if math.isfinite(x))
+        draft.left_out.append(f'rotatingMassFactor {listed([*dict.fromkeys(stated)], 4)}: other vehicles state none')
     found['rotary_mass'] = round(rotary / (sums[0] or math.nan), 6)
     draft.train |= {key: value for key, value in found.items() if math.isfinite(value)}
     draft.train['cars'] = max(len(cars), 1)
