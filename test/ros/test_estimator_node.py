@@ -440,6 +440,18 @@ def test_missing_input_is_measured_on_simulated_time(graph: Graph, train_file: s
     graph.until(lambda: published[-1].status is Status.STALE)
 
 
+def test_two_clocks_are_logged_once(graph: Graph, train_file: str, capfd: Any) -> None:
+    node = graph.active(train_file, use_sim_time=True)
+    clocks = Simulated(graph, node), Simulated(graph, node)
+    for k in range(5):
+        clocks[0].go(START_NS + (8 + k) * NS_PER_S)
+        clocks[1].go(START_NS + k * NS_PER_S)
+        node.running_pipeline()
+    log = capfd.readouterr().err
+    assert log.count('clock jumped by') == 1
+    assert '(time_jump_policy reset); 2 publishers of /clock: stop all but one' in log
+
+
 @pytest.mark.parametrize(('policy', 'rejected'), [('reset', 0), ('ignore', 0), ('refuse', 4 * 189)])
 def test_a_looped_bag_follows_the_policy(graph: Graph, train_file: str, policy: str, rejected: int) -> None:
     node = graph.active(train_file, use_sim_time=True, time_jump_policy=policy)

@@ -72,6 +72,8 @@ from trainid_ros.train.train_file import TrainFile, dump_train_file, load_train_
 REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
 HEARTBEAT_NS: Final = NS_PER_S * 8 // 10
 _NOT_FIT: Final = frozenset({Status.CONVERGING, *REPEATED})
+_JUMPS_LOGGED_EVERY_S: Final = 10.0
+"""Least time between log lines on jumps of the clock [s], of which two players make 40 a second."""
 
 
 def is_latched(status: Status, latched: Status | None) -> bool:
@@ -574,7 +576,9 @@ class EstimatorNode(ManagedNode):
             self.checkpoints.is_wiped = True
         self.watchdog.restart()
         done = 'estimator reset' if follow else 'estimator continues'
-        self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
+        several = f'; {n} publishers of /clock: stop all but one' if (n := self.count_publishers('/clock')) > 1 else ''
+        text = f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value}){several}'
+        self.get_logger().warning(text, throttle_duration_sec=_JUMPS_LOGGED_EVERY_S)
 
 
 def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
