@@ -88,7 +88,7 @@ def test_quick_demo_end_to_end(start: Start, bag: Path, tmp_path: Path) -> None:
     assert chapter['scores']['brake_rate']['outputs'] > 100
     assert chapter['v_mils']['estimate']['a'] != chapter['resistance']['estimate']['a']
     text = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
-    assert text.count('<svg') == 7
+    assert text.count('<svg') == 8
     assert 'live equals replay to the bit' in text
     assert '>V-MILS<' in text[text.index('Resistance curve against speed') :]
     assert 'km/h' in err

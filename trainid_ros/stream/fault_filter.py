@@ -124,8 +124,7 @@ class Prior:
         self.delays_gradient = others
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.is_of_wheel = row.is_of_times, row.is_of_wheel
-        # Errors within one application of the brake are the same: of times, and of the force that is reported of it.
-        self.is_by_application = row.is_of_times or (self.own[GAIN] > 0.0 and not row.misread)
+        self.is_of_scale = self.own[GAIN] > 0.0 and not row.misread
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
         self.is_of_odometer = row.is_of_odometer
         self.is_of_line = (self.ignores_line and not row.is_of_odometer) or row.gradient != 1.0

@@ -12,9 +12,9 @@ One row is accepted, at first that all is well. For each other row
 
 from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
 ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``, ahead of health too:
-accepted, a finding. S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays, and sizes of the force,
-are scored by applications of the brake, since the errors within one are the same. What holds back an estimator is not
-replaced by what does not.
+accepted, a finding. S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays, and a wrong size of
+the force while all was well, are scored by applications of the brake, since the errors within one are the same. What
+holds back an estimator is not replaced by what does not.
 
 A speed that jumps farther than forces can explain is that of wheels that slip: it is taken as measured, the accepted
 row learns nothing from it, and others pay for it only if they claim to explain it.
@@ -455,7 +455,8 @@ class InputCheck:
             other.age_s += block.seconds
             if is_finite(gain) and not (is_stuck and not theirs.row.ignores <= prior.row.ignores):
                 other.part += gain
-            if is_released or not (prior.is_by_application or theirs.is_by_application):
+            is_of_times = prior.is_of_times or theirs.is_of_times
+            if is_released or not (is_of_times or (prior.is_of_scale and accepted.row == 0)):
                 other.total, other.part = other.sum, 0.0
             S = other.sum
             other.rise_s = other.rise_s + moved_s if S > 1.0 else 0.0
