@@ -298,7 +298,8 @@ class Trial:
     def correct(self, speed: float, R: float, jumps: bool = False) -> float:
         """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
 
-        Where it jumps farther than the filter can explain wheels slip: it is taken as measured, and nothing learned.
+        Where it jumps farther than the filter can explain, wheels slip: the speed is taken as measured, and nothing is
+        learned.
         """
         x, P, column = self.x, self.P, self._row
         S, nu = P[V] + R, speed - x[V]

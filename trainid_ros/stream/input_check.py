@@ -12,12 +12,14 @@ One row is accepted, at first that all is well. For each other row
 
 from a fresh start whenever S < ``_GIVE_UP``: a repeated sequential probability ratio test, or a generalised likelihood
 ratio over the time of onset. S > ``_SUSPECT``: suspected. S > ``_FIND``, the best by ``_LEAD``, ahead of health too:
-accepted, a finding. S of the first row > ``_CLEAR`` for ``_LEAD_S``: all is well again. Delays, and a wrong size of
-the force while all was well, are scored by applications of the brake, since the errors within one are the same. What
-holds back an estimator is not replaced by what does not.
+accepted, a finding. S of the first row > ``_CLEAR``, and above one nat for ``_LEAD_S`` of motion: all is well again.
+Delays, and a wrong size of the force while all was well, are scored by applications of the brake, since the errors
+within one are the same. What holds back an estimator is not replaced by what holds back fewer, but for rows of the
+line.
 
-A speed that jumps farther than forces can explain is that of wheels that slip: it is taken as measured, the accepted
-row learns nothing from it, and others pay for it only if they claim to explain it.
+A speed that jumps farther than forces can explain is that of wheels that slip: it is taken as measured, and the
+accepted row learns nothing from it. Other rows are scored on it only if they explain half of it, or ignore speed or
+force.
 
 A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
 """
@@ -81,12 +83,12 @@ _NO_LINE: Final = 2.0  # nats in that distance: the same if it is not compared w
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
-_SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then the speed is taken as measured), and ...
+_SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then it costs in full), and ...
 _SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
 _ODD: Final = -2.0  # nats: half of the most that a block can cost: its speed is odd
 _NOISE_SIGMAS: Final = 4.0  # standard deviations of a speed: the most that noise changes it
 _JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
-_SLIP_SHARE: Final = 0.5  # s by which that time falls per second without slip: wheels do not slip for ever
+_SLIP_SHARE: Final = 0.5  # s by which the time of an odd speed falls per second without one: slip ends
 _LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
@@ -321,7 +323,7 @@ class InputCheck:
         return score
 
     def _jump(self, at: Block) -> float:
-        """Return the least change of the speed over a block that slip may be [m/s]."""
+        """Return the least miss of a speed after a block that may be slip [m/s]."""
         return at.seconds * _SLIPS / self._forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
 
     def _says_nothing(self, trial: Trial, prior: Prior, at: Block, back: int) -> bool:
