@@ -45,7 +45,7 @@ from trainid_ros.interface.results import (
     parameters,
     quantities,
 )
-from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings, force_findings
+from trainid_ros.setup.pipelines import KINDS, EstimatorSettings, brake_findings, force_findings, wheel_findings
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
@@ -108,14 +108,8 @@ class Replay:
     @property
     def findings(self) -> tuple[str, ...]:
         """What is wrong with the wheels, the force, its stamps and the brake of the train file."""
-        return (*self._wheel_finding(), *force_findings(self.resistance.output.estimate), *self.brake_findings)
-
-    def _wheel_finding(self) -> tuple[str, ...]:
-        """Return a sentence if the wheels are not those stated, by as much as matters for a force."""
-        ratio, std = self.wheel_ratio or (self.stated_ratio, 0.0)
-        if abs(ratio - self.stated_ratio) <= max(0.01, 4.0 * std):
-            return ()
-        return (f'wheel ratio {ratio:.4f} ± {std:.2g}: state the effect wheel_diameter with ratio: {ratio:.4f}',)
+        of_wheels = wheel_findings(*self.wheel_ratio, self.stated_ratio) if self.wheel_ratio else ()
+        return (*of_wheels, *force_findings(self.resistance.output.estimate), *self.brake_findings)
 
     def why_no_resistance(self) -> str:
         """Return why nothing was learned of the resistance, with the most frequent rejection; '' if it was."""

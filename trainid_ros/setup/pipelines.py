@@ -179,17 +179,26 @@ def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
     return tuple(filter(None, (pipeline.stream.faults.brake_warning, pipeline.estimator.timing_finding)))
 
 
-def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
-    """Return one sentence per significant error of the reported force; none where it is not estimated.
+_LEAST_SHARE: Final = 0.01  # error of a force, or of a wheel beside it, that is large enough to matter
+_LEAST_DELAY_S: Final = 0.1  # s: the same of its times: half a sample period
+_SIGMAS: Final = 4.0  # standard deviations by which it must differ from 0
 
-    An error is large enough to matter, 1 % of the force or half a sample period, and four standard deviations from 0.
-    """
+
+def wheel_findings(ratio: float, std: float, stated: float) -> tuple[str, ...]:
+    """Return a sentence if measured over true speed, with its standard deviation, is not as the train file states."""
+    if abs(ratio - stated) <= max(_LEAST_SHARE, _SIGMAS * std):
+        return ()
+    return (f'wheel ratio {ratio:.4f} ± {std:.2g}: state the effect wheel_diameter with ratio: {ratio:.4f}',)
+
+
+def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
+    """Return one sentence per significant error of the reported force; none where it is not estimated."""
     scale, delay = estimate.force_scale - 1.0, estimate.force_delay
     found = []
-    if abs(scale) > max(0.01, 4.0 * estimate.force_scale_std):
+    if abs(scale) > max(_LEAST_SHARE, _SIGMAS * estimate.force_scale_std):
         value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
         found.append(f'force scale {value}: mass or force of the train file is off')
-    if abs(delay) > max(0.1, 4.0 * estimate.force_delay_std):
+    if abs(delay) > max(_LEAST_DELAY_S, _SIGMAS * estimate.force_delay_std):
         sense = 'later' if delay > 0.0 else 'earlier'
         value = f'{abs(delay):.2f} ± {estimate.force_delay_std:.2g} s'
         if is_delay_at_end(delay):
