@@ -238,6 +238,10 @@ def _slipping(share: float, most: float) -> Rows:
     return change
 
 
+def _then(first: Rows, second: Rows) -> Rows:
+    return lambda rows, file, seed: second(first(rows, file, seed), file, seed)
+
+
 def _sliding(rows: Sequence[Row], _: TrainFile, _seed: int) -> list[Row]:
     start_ns, braked, sent = rows[0][1], False, list[Row]()
     for row in rows:
@@ -261,6 +265,10 @@ UNUSUAL: Final = (
     Unusual('slip in 4 %', 'metro', rows=_slipping(0.04, 2.0)),
     Unusual('slip in 12 %', 'metro', rows=_slipping(0.12, 3.0)),
     Unusual('slip in 4 %', 'tram', rows=_slipping(0.04, 2.0)),
+    *(
+        Unusual('slip in 12 %, whole km/h', world, rows=_then(_slipping(0.12, 2.0), _whole_kmh))
+        for world in ('metro', 'emu', 'high_speed', 'tram')
+    ),
     Unusual('leaf season', 'tram', _LeafSeason, rows=_sliding),
     Unusual('leaf season', 'emu', _LeafSeason, rows=_sliding),
     Unusual('hill starts', 'metro', _HillStarts),

@@ -70,7 +70,6 @@ _REPORTED_STD: Final = 3.0  # N/kN: error of the reported force of a brake ...
 _REPORTED_SHARE: Final = 0.25  # ... and its share of that force
 _RELEASING: Final = 0.2  # 1/s: a brake that falls faster is being released, and a driver may pull already
 
-_JUMP: Final = 4.0  # standard deviations by which a speed jumps that no error of the forces explains
 _NU: Final = 4.0  # degrees of freedom of Student's t: tails of sensors with rare outliers
 
 # What is usual, and how far a row may depart from it
@@ -124,7 +123,7 @@ class Prior:
         self.delays_gradient = others
         self.held = row.holds_resistance + row.holds_brake_rate  # number of kinds of estimates that must wait
         self.is_of_times, self.is_of_wheel = row.is_of_times, row.is_of_wheel
-        self.is_of_scale = self.own[GAIN] > 0.0 and not row.misread
+        self.is_of_scale = (self.own[GAIN] > 0.0 and not row.misread) or row.is_of_odometer
         self.is_of_brake = late in {Input.COMMAND, Input.BRAKE}
         self.is_of_odometer = row.is_of_odometer
         self.is_of_line = (self.ignores_line and not row.is_of_odometer) or row.gradient != 1.0
@@ -231,9 +230,10 @@ class Trial:
         self.row, self.shift, self.x, self.P = other.row, other.shift, other.x[:], other.P[:]
         self.wheel, self.wheel_var = other.wheel, other.wheel_var
 
-    def measure(self, speed: float, variance: float) -> None:
-        """Take the speed [m/s] as measured, with its variance; keep the parameters."""
-        self.x[V], self.P[V] = speed, variance
+    def measure(self, at: Block) -> None:
+        """Take the speed at the end of a block as measured; keep the parameters."""
+        factor = PRIORS[self.row].row.speed
+        self.x[V], self.P[V] = factor * at.speed, factor * factor * at.variance
         for j in range(1, STATES):
             self.P[j] = 0.0
 
@@ -295,18 +295,11 @@ class Trial:
             k = diagonal(WIND)
             P[k] = max(P[k], _TUNNEL_WIND * _TUNNEL_WIND * x[V] * x[V])
 
-    def correct(self, speed: float, R: float, jumps: bool = False) -> float:
-        """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats].
-
-        Where it jumps farther than the filter can explain, wheels slip: the speed is taken as measured, and nothing is
-        learned.
-        """
+    def correct(self, speed: float, R: float) -> float:
+        """Correct with a measured speed [m/s] of variance R [(m/s)^2]; return its log likelihood [nats]."""
         x, P, column = self.x, self.P, self._row
         S, nu = P[V] + R, speed - x[V]
         score, weight = student_t(nu * nu / S, S / R)
-        if jumps and nu * nu > _JUMP * _JUMP * S:
-            self.measure(speed, R)
-            return score
         # K = P e_v / (P_vv + R / weight);  x += K nu;  P -= K e_v' P
         gain = 1.0 / (P[V] + R / weight)
         for j in range(STATES):

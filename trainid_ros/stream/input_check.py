@@ -17,8 +17,8 @@ Delays, and a wrong size of the force while all was well, are scored by applicat
 within one are the same. What holds back an estimator is not replaced by what holds back fewer, but for rows of the
 line.
 
-A speed that jumps farther than forces can explain is that of wheels that slip: it is taken as measured, and the
-accepted row learns nothing from it. Other rows are scored on it only if they explain half of it, or ignore speed or
+Wheels that slip say nothing about forces: for a while, the accepted row follows an odd speed as measured, and learns
+nothing. Other rows are scored on a jump that forces cannot explain only if they explain half of it, or ignore speed or
 force.
 
 A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
@@ -84,12 +84,13 @@ _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
 _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then it costs in full), and ...
-_SLIPS: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
+_SLIP_EFFORT: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
 _ODD: Final = -2.0  # nats: half of the most that a block can cost: its speed is odd
-_NOISE_SIGMAS: Final = 4.0  # standard deviations of a speed: the most that noise changes it
+_JUMP_FORCE: Final = 15.0  # N/kN: the most by which forces are off, but for faults, ...
+_JUMP_SIGMAS: Final = 4.0  # ... and standard deviations of a speed that noise changes it by: more is a jump
 _JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
 _SLIP_SHARE: Final = 0.5  # s by which the time of an odd speed falls per second without one: slip ends
-_LOST: Final = 3.0  # standard deviations from the measured speed at which another row starts from that instead
+_LOST: Final = 3.0  # standard deviations from the measured speed at which the accepted row has lost it
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
 _GRADIENTS: Final = 40.0  # per mille: range of all gradients
@@ -226,6 +227,7 @@ class InputCheck:
             self._decay[V] = math.exp(-block.seconds / LASTING_S)
             for i in range(1, STATES):
                 self._decay[i] = math.exp(-block.seconds / USUAL[i - 1].time_s)
+        self._find_speed()
         self._before.copy_estimate(accepted)
         self._mismatch = self._speed_score = self._distance_score = self._line_score = 0.0
         self._slips = False
@@ -237,6 +239,14 @@ class InputCheck:
         self._learn(block)
         self._sum(block)
         self._decide(block.seconds)
+
+    def _find_speed(self) -> None:
+        """Take the speed before the last block as measured where the accepted row has lost it, as after slip."""
+        trial, prior = self._accepted, PRIORS[self._accepted.row]
+        begin = self.blocks.block((trial.shift if prior.delays_speed else 0) + 1)
+        off = trial.x[V] - prior.row.speed * begin.speed
+        if not prior.ignores_speed and abs(off) > _LOST * prior.row.speed * math.sqrt(begin.variance):
+            trial.measure(begin)
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
         """Correct the inputs as a row says; return the block of its speed, None if they cannot be compared."""
@@ -299,13 +309,11 @@ class InputCheck:
         was, mismatch = trial.x[V], forces.mismatch
         # A place that is off looks like a speed that is late: the line says nothing about times.
         gradient = at.gradient if prior.is_of_times else forces.gradient
-        jumps = False
         if accepted:
             at.miss, self._mismatch = self._miss(prior, trial.x, at, back), abs(mismatch)
-            jumps = abs(at.miss) > self._jump(at)
         says_nothing = not accepted and self._says_nothing(trial, prior, at, back)
         trial.predict(forces, at, self._decay, accepted=accepted)
-        score = self._score_motion(trial, prior, at, was, jumps, accepted=accepted)
+        score = self._score_motion(trial, prior, at, was, accepted=accepted)
         if accepted:
             score = self._forgive_slip(trial, at, score)
         trial.limit(at.tunnel, accepted=accepted)
@@ -322,9 +330,9 @@ class InputCheck:
         trial.scores[place] = score
         return score
 
-    def _jump(self, at: Block) -> float:
+    def _least_jump(self, at: Block) -> float:
         """Return the least miss of a speed after a block that may be slip [m/s]."""
-        return at.seconds * _SLIPS / self._forces.inertia + _NOISE_SIGMAS * math.sqrt(at.variance)
+        return at.seconds * _JUMP_FORCE / self._forces.inertia + _JUMP_SIGMAS * math.sqrt(at.variance)
 
     def _says_nothing(self, trial: Trial, prior: Prior, at: Block, back: int) -> bool:
         """Return whether a block, which is so far back, says nothing of a row that is not accepted.
@@ -333,26 +341,27 @@ class InputCheck:
         """
         if prior.is_of_brake and min(self._forces.brake, at.brake) > -MIN_BRAKE:
             return True
-        jump = self._jump(at)
+        jump = self._least_jump(at)
         if prior.ignores_speed or prior.ignores_force or not abs(at.miss) > jump:
             return False
         return abs(self._miss(prior, trial.x, at, back)) > max(jump, _JUMP_SHARE * abs(at.miss))
 
     def _forgive_slip(self, trial: Trial, at: Block, score: float) -> float:
         """Return the score of the accepted row: an odd speed under effort costs little, for a while."""
+        prior = PRIORS[trial.row]
         # A position that is ignored costs the same in every block, odd or not.
-        blank = _BLANK if PRIORS[trial.row].ignores_position else 0.0
-        is_odd = score + blank < _ODD
-        self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIPS
+        blank = _BLANK if prior.ignores_position else 0.0
+        is_odd = score + blank < _ODD and not prior.ignores_speed
+        self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIP_EFFORT
         trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
         if not self._slips:
             return score
         # Wheels that slip say nothing about forces; the speed is followed as it comes.
-        for i in range(1, STATES):
-            trial.x[i] = self._before.x[i]
+        trial.copy_estimate(self._before)
+        trial.measure(at)
         return max(score, -_SLIP)
 
-    def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, jumps: bool, *, accepted: bool) -> float:
+    def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, *, accepted: bool) -> float:
         """Correct a row with speed and position; return the log likelihood of both [nats]."""
         factor, has_position = prior.row.speed, is_finite(at.by_position)
         if prior.ignores_speed:
@@ -364,7 +373,7 @@ class InputCheck:
                 R = position_variance(at, self.blocks.distance_var()) / (at.seconds * at.seconds)
                 score += trial.correct(at.by_position / at.seconds + 0.5 * (trial.x[V] - was), R)
             return score
-        score = trial.correct(at.speed * factor, at.variance * factor * factor, jumps)
+        score = trial.correct(at.speed * factor, at.variance * factor * factor)
         self._speed_score = score if accepted else self._speed_score
         if not has_position:
             return score
@@ -377,9 +386,9 @@ class InputCheck:
 
     def _rest(self, trial: Trial, at: Block) -> None:
         """Take the speed of a block as measured; a load that is not weighed may change at a stop."""
-        prior = PRIORS[trial.row]
-        trial.measure(at.speed * prior.row.speed, at.variance * prior.row.speed * prior.row.speed)
+        trial.measure(at)
         if at.state == AT_STOP and not self.blocks.is_weighed:
+            prior = PRIORS[trial.row]
             std = max(prior.std[GAIN], _BOARDING)
             more = _BOARDING * _BOARDING * at.seconds / _BOARDING_S
             k = diagonal(GAIN)
@@ -389,10 +398,6 @@ class InputCheck:
         """Start all rows that are not followed from what the accepted one knew before the last block."""
         others, accepted, theirs = self._others, self._accepted.row, PRIORS[self._before.row]
         n, place, started = len(others), 0, list[Trial]()
-        last = self._last
-        scale = theirs.row.speed
-        off = self._before.x[V] - scale * last.speed
-        is_lost = theirs.delays_speed or off * off > _LOST * _LOST * scale * scale * last.variance
         for row in range(len(TABLE)):
             if place < n and others[place].row == row:
                 started.append(others[place])
@@ -406,10 +411,10 @@ class InputCheck:
                 continue
             trial = self._spare[row]
             trial.start(self._before, shift)
-            # Where it is another block, or another unit, or the accepted row has lost it, the speed is as measured.
-            if is_lost or prior.delays_speed or prior.row.speed != theirs.row.speed:
-                begin = self.blocks.block((shift if prior.delays_speed else 0) + 1)
-                trial.measure(begin.speed * prior.row.speed, begin.variance * prior.row.speed * prior.row.speed)
+            # Where it is another block, another unit, or that of a row without it, the speed is as measured.
+            is_other = theirs.ignores_speed or theirs.delays_speed or prior.delays_speed
+            if is_other or prior.row.speed != theirs.row.speed:
+                trial.measure(self.blocks.block((shift if prior.delays_speed else 0) + 1))
             self._score(trial, accepted=False)
             started.append(trial)
         self._others = started
