@@ -67,7 +67,7 @@ _WINDOW_S: Final = 2.5  # s in which slip must have begun to be found
 _KEPT: Final = 16  # samples that are kept for it at most
 _SURE_S: Final = 1.5  # s after which a sample had no slip for sure
 _THRESHOLD: Final = 5.5  # standard deviations: 4e-8 for each sample of a normal distribution
-_MIN_SLIP: Final = 0.3  # m/s: a smaller difference of the speeds is no slip that matters ...
+MIN_SLIP: Final = 0.3  # m/s: a smaller difference of the speeds is no slip that matters ...
 _MIN_RATIO: Final = 0.02  # ... nor is a smaller share of the speed: wheels that transmit force creep by 1 %
 _MIN_FORCE: Final = 10.0  # N/kN: wheels that transmit less do not slip
 _STEADY_S: Final = 0.8  # s for which an axle moves as the train may, to be taken for the train again
@@ -285,7 +285,7 @@ class AdhesionEstimator:
         """Return the place of the last sample without slip, and the sense of the slip, 0 if there is none."""
         best, begin, side = _THRESHOLD * _THRESHOLD, 0, 0.0
         timing, force = self._timing + _ALIGNED * dt, _MIN_FORCE / self._known.inertia
-        least = max(_MIN_SLIP, _MIN_RATIO * now.v)
+        least = max(MIN_SLIP, _MIN_RATIO * now.v)
         for k in range(len(self._past)):
             past = self._past[k]
             if past.u < -force or now.u < -force:
@@ -346,7 +346,7 @@ class AdhesionEstimator:
             away = side * (now.speed - past.speed)
             by_rail = side * (now.driven - past.driven + slide.error * seconds(now.stamp_ns - past.stamp_ns))
             rolled = side * (now.rolled - past.rolled)
-            if away - rolled - max(by_rail, 0.0) > max(_MIN_SLIP, noise):
+            if away - rolled - max(by_rail, 0.0) > max(MIN_SLIP, noise):
                 slide.has_returned = False
             elif rolled - away > max(_BACK * largest, noise):
                 slide.has_returned = True

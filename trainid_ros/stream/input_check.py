@@ -17,8 +17,8 @@ Delays, and a wrong size of the force while all was well, are scored by applicat
 within one are the same. What holds back an estimator is not replaced by what holds back fewer, but for rows of the
 line.
 
-Wheels that slip say nothing about forces: for a while, the accepted row follows an odd speed as measured, and learns
-nothing. Other rows are scored on a jump that forces cannot explain only if they explain half of it, or ignore speed or
+Wheels that slip say nothing about forces: for a while, the accepted row follows an odd speed, and learns nothing from
+it. Other rows are scored on a jump that forces cannot explain only if they explain half of it, or ignore speed or
 force.
 
 A row is followed only from the first block on that the accepted row explains badly, from what that knew before it.
@@ -33,6 +33,7 @@ from typing import ClassVar, Final
 from trainid_ros.interface.scalars import is_finite
 from trainid_ros.interface.state import State, declare, several, unknown
 from trainid_ros.interface.vectors import vec
+from trainid_ros.stream.adhesion import MIN_SLIP
 from trainid_ros.stream.fault_filter import (
     LASTING_S,
     MAX_COST,
@@ -245,7 +246,8 @@ class InputCheck:
         trial, prior = self._accepted, PRIORS[self._accepted.row]
         begin = self.blocks.block((trial.shift if prior.delays_speed else 0) + 1)
         off = trial.x[V] - prior.row.speed * begin.speed
-        if not prior.ignores_speed and abs(off) > _LOST * prior.row.speed * math.sqrt(begin.variance):
+        least = max(MIN_SLIP, _LOST * math.sqrt(begin.variance))
+        if not prior.ignores_speed and abs(off) > prior.row.speed * least:
             trial.measure(begin)
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
@@ -357,8 +359,8 @@ class InputCheck:
         if not self._slips:
             return score
         # Wheels that slip say nothing about forces; the speed is followed as it comes.
-        trial.copy_estimate(self._before)
-        trial.measure(at)
+        for i in range(1, STATES):
+            trial.x[i] = self._before.x[i]
         return max(score, -_SLIP)
 
     def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, *, accepted: bool) -> float:
