@@ -31,6 +31,7 @@ _NEAR_ZERO: Final = 1e-4  # m/s^2: a brake is released
 
 # Noise: assumed sizes of healthy trains where no source is named; benchmarks/healthy.py shows that they cover them.
 
+_NOISE_SIGMAS: Final = 4.0  # standard deviations of a speed: the most that noise changes it
 _SPEED_STD: Final = 0.02  # m/s: least noise of a speed ...
 _FIRST_SQUARES: Final = 3.0  # ... which counts for so many samples: half of a noise of 0.1 m/s shows after 20 s
 _POSITION_STD: Final = 0.5  # m: noise of a distance by position, before it is learned
@@ -264,6 +265,14 @@ class InputBlocks:
     def block(self, back: int) -> Block:
         """Return one of the last eight blocks by how far it is back; 0 is the last one."""
         return self._blocks[(self.count - back) % KEPT]
+
+    @property
+    def most_noise(self) -> float:
+        """The most by which noise and rounding change a speed [m/s]."""
+        quantum = self.noise.quantum
+        # Rounding, of speeds that change by half a quantum at each sample, is learned as this noise at most.
+        white = self.noise.learned - quantum * quantum / (6.0 * CAPPED_MEAN)
+        return quantum + _NOISE_SIGMAS * math.sqrt(max(white, _SPEED_STD * _SPEED_STD))
 
     def distance_var(self) -> float:
         """Return the variance of a distance by position without its drift: as learned, and of rounding at both ends."""

@@ -87,11 +87,9 @@ _SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row 
 _SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then it costs in full), and ...
 _SLIP_EFFORT: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
 _ODD: Final = -2.0  # nats: half of the most that a block can cost: its speed is odd
-_JUMP_FORCE: Final = 15.0  # N/kN: the most by which forces are off, but for faults, ...
-_JUMP_SIGMAS: Final = 4.0  # ... and standard deviations of a speed that noise changes it by: more is a jump
+_JUMP_FORCE: Final = 15.0  # N/kN: the most by which forces are off, but for faults: a speed that jumps is off by more
 _JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
 _SLIP_SHARE: Final = 0.5  # s by which the time of an odd speed falls per second without one: slip ends
-_LOST: Final = 3.0  # standard deviations from the measured speed at which the accepted row has lost it
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
 _GRADIENTS: Final = 40.0  # per mille: range of all gradients
@@ -246,8 +244,7 @@ class InputCheck:
         trial, prior = self._accepted, PRIORS[self._accepted.row]
         begin = self.blocks.block((trial.shift if prior.delays_speed else 0) + 1)
         off = trial.x[V] - prior.row.speed * begin.speed
-        least = max(MIN_SLIP, _LOST * math.sqrt(begin.variance))
-        if not prior.ignores_speed and abs(off) > prior.row.speed * least:
+        if not prior.ignores_speed and abs(off) > prior.row.speed * max(MIN_SLIP, self.blocks.most_noise):
             trial.measure(begin)
 
     def _correct(self, prior: Prior, shift: int) -> Block | None:
@@ -334,7 +331,7 @@ class InputCheck:
 
     def _least_jump(self, at: Block) -> float:
         """Return the least miss of a speed after a block that may be slip [m/s]."""
-        return at.seconds * _JUMP_FORCE / self._forces.inertia + _JUMP_SIGMAS * math.sqrt(at.variance)
+        return at.seconds * _JUMP_FORCE / self._forces.inertia + self.blocks.most_noise
 
     def _says_nothing(self, trial: Trial, prior: Prior, at: Block, back: int) -> bool:
         """Return whether a block, which is so far back, says nothing of a row that is not accepted.
@@ -532,10 +529,9 @@ class InputCheck:
         if trial.row > 0 and prior.held < theirs.held and not (prior.is_of_line and theirs.is_of_line):
             return -math.inf  # a fault seldom becomes a lesser one: all has to be well before
         if prior.is_of_odometer:
-            must_ask = self.blocks.still[2] > _STILL_S  # a force that is stuck explains as much
-        else:
-            must_ask = not self._is_stuck(prior, max(trial.age_s - _ONSET_S, _STILL_S))
-        if must_ask:
+            # A force that is stuck explains as much, and a wrong mass or force nearly as much: both are more frequent.
+            score -= prior.row.asks if self.blocks.still[2] > _STILL_S else _LEAD
+        elif not self._is_stuck(prior, max(trial.age_s - _ONSET_S, _STILL_S)):
             score -= prior.row.asks
         is_early = trial.rise_s < _DELAYS * prior.row.late_s
         return min(score, _SUSPECT) if is_early or self._size(trial) < _CREDIBLE else score
