@@ -225,6 +225,7 @@ class InputBlocks:
         block = self._filling
         block.seconds = block.by_speed = block.by_position = 0.0
         block.force = block.brake = block.gradient = block.extra = block.force_step = block.brake_step = 0.0
+        block.miss = math.nan
 
     def _state(self, block: Block, force: float) -> int:
         """Return what can be compared in a full block."""

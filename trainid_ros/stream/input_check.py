@@ -83,13 +83,13 @@ _LINE_M: Final = 100.0  # m: the line counts once in it
 _NO_LINE: Final = 2.0  # nats in that distance: the same if it is not compared with the gradient of the topic
 _FROZEN: Final = 0.5  # nats: the same if its value has not changed at all
 _STILL_S: Final = 5.0  # s: an input that has not changed for so long may be stuck
-_SLIP: Final = 1.0  # nats: what a block of an odd speed costs the accepted row while ...
-_SLIP_S: Final = 2.5  # s: ... it has not lasted longer (then it costs in full), and ...
-_SLIP_EFFORT: Final = 15.0  # N/kN: ... wheels transmit more: slip and slide end soon
+_SLIP_COST: Final = 1.0  # nats: what a block of an odd speed costs the accepted row ...
+_SLIP_S: Final = 2.5  # s: ... for so long at most: slip and slide end soon ...
+_SLIP_EFFORT: Final = 15.0  # N/kN: ... while traction and brake, as they came, are more than this
 _ODD: Final = -2.0  # nats: half of the most that a block can cost: its speed is odd
 _JUMP_FORCE: Final = 15.0  # N/kN: the most by which forces are off, but for faults: a speed that jumps is off by more
 _JUMP_SHARE: Final = 0.5  # share of a jump of the speed that a row must explain, or the jump says nothing of it
-_SLIP_SHARE: Final = 0.5  # s by which the time of an odd speed falls per second without one: slip ends
+_FORGET_SLIP: Final = 0.5  # s by which the time of an odd speed falls per second without one
 _BOTH: Final = 1.0  # nats: what a block of force beside a brake command costs: rare, but it lasts
 _PLACES: Final = 0.2  # share of blocks in which the line is looked up in the wrong place
 _GRADIENTS: Final = 40.0  # per mille: range of all gradients
@@ -240,7 +240,10 @@ class InputCheck:
         self._decide(block.seconds)
 
     def _find_speed(self) -> None:
-        """Take the speed before the last block as measured where the accepted row has lost it, as after slip."""
+        """Take the speed before the last block as measured where the accepted row is off it by more than noise.
+
+        So it is after slip, and where it misses by a fault.
+        """
         trial, prior = self._accepted, PRIORS[self._accepted.row]
         begin = self.blocks.block((trial.shift if prior.delays_speed else 0) + 1)
         off = trial.x[V] - prior.row.speed * begin.speed
@@ -352,13 +355,13 @@ class InputCheck:
         blank = _BLANK if prior.ignores_position else 0.0
         is_odd = score + blank < _ODD and not prior.ignores_speed
         self._slips = is_odd and trial.odd_s < _SLIP_S and self._forces.effort > _SLIP_EFFORT
-        trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _SLIP_SHARE * at.seconds, 0.0)
+        trial.odd_s = trial.odd_s + at.seconds if is_odd else max(trial.odd_s - _FORGET_SLIP * at.seconds, 0.0)
         if not self._slips:
             return score
         # Wheels that slip say nothing about forces; the speed is followed as it comes.
         for i in range(1, STATES):
             trial.x[i] = self._before.x[i]
-        return max(score, -_SLIP)
+        return max(score, -_SLIP_COST)
 
     def _score_motion(self, trial: Trial, prior: Prior, at: Block, was: float, *, accepted: bool) -> float:
         """Correct a row with speed and position; return the log likelihood of both [nats]."""
