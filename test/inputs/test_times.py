@@ -119,6 +119,7 @@ def test_a_form_of_a_time_of_day() -> None:
     ('texts', 'forms'),
     [
         (['03/04/2024 12:00:00'], "{format: '%d/%m/%Y'} or {format: '%m/%d/%Y'}"),
+        (['03/04/2024 08:15:00 AM'], "{format: '%m/%d/%Y'} or {format: '%d/%m/%Y'}"),
         (['14/11/23 12:00:00'], "{format: '%d/%m/%y'} or {format: '%y/%m/%d'}"),
         (['05/05/2024 12:00:00', '06/05/2024 12:00:00'], "{format: '%d/%m/%Y'} or {format: '%m/%d/%Y'}"),
     ],

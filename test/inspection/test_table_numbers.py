@@ -181,7 +181,7 @@ TIMES = [
     ('t [us]', lambda t: f'{1e6 * t:.0f}', 'unit: us', 'stated'),
     ('utc', lambda t: clock(t, '%H%M%S.%f'), 'format: HHMMSS', 'start: 2024'),
     ('Datum', lambda t: f'{45_244 + t / 86_400.0:.9f}', 'format: excel', 'zone: Europe'),
-    ('Date', lambda t: clock(t, '04/03/2023 %I:%M:%S.%f %p'), "format: '%d/%m/%Y'", 'several orders'),
+    ('Date', lambda t: clock(t, '04/03/2023 %I:%M:%S.%f %p'), "format: '%m/%d/%Y'", 'several orders'),
     ('clock', lambda t: clock(t, '%H:%M:%S.%f'), '', 'start: 2024'),
     ('x', lambda t: clock(t, '%Y-%m-%dT%H:%M:%S.%fZ'), '', ''),
     ('when', lambda t: clock(t, '%a %b %d %H:%M:%S.%f %Y'), '', 'zone: Europe'),

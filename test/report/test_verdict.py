@@ -89,6 +89,8 @@ def test_wheels_that_are_not_those_of_the_train_file_are_named(stated: float) ->
     found = verdict(replace(outcome, wheel_ratio=(1.02, 0.0002), stated_ratio=stated))
     wanted = 'wheel ratio 1.0200 ± 0.0002: state the effect wheel_diameter with ratio: 1.0200'
     assert (found.level is Level.CARE) == (wanted in found.text) == (stated == 1.0)
+    wrong = replace(outcome, contradiction=Contradiction('ato/speed is in mph', 12.0, 20.0, ('ato/speed',)))
+    assert 'wheel' not in verdict(replace(wrong, wheel_ratio=(1.02, 0.0002))).text
     unsure = verdict(replace(outcome, wheel_ratio=(1.02, 0.006)))
     assert unsure.level is Level.USABLE
 

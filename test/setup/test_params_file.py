@@ -121,6 +121,12 @@ def test_parameters_of_ros_itself_are_accepted(tmp_path: Path) -> None:
         setups(tmp_path, text)
 
 
+def test_qos_of_the_outputs_of_other_nodes_is_accepted(tmp_path: Path) -> None:
+    """Nodes of one process are given the parameters of all."""
+    text = '/**: {ros__parameters: {qos_overrides: {/trainid/speed_model: {publisher: {deadline: 5000000000}}}}}'
+    assert setups(tmp_path, text)['resistance'].settings == EstimatorSettings()
+
+
 def test_qos_of_topics_of_the_mapping_may_be_in_the_file(tmp_path: Path) -> None:
     path = write(tmp_path, '/**: {ros__parameters: {qos_overrides: {/odo: {subscription: {depth: 7}}}}}')
     assert len(node_setups(TRAIN, 'x', path, foreign=('/odo', 'force'))) == len(KINDS)

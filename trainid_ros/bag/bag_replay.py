@@ -25,6 +25,7 @@ from trainid_ros.interface.records import (
     NS_PER_S,
     OUTPUT_TOPICS,
     SPEED,
+    SPEED_TOPIC,
     OutputTopic,
     Row,
     output_topic,
@@ -108,7 +109,9 @@ class Replay:
     @property
     def findings(self) -> tuple[str, ...]:
         """What is wrong with the wheels, the force, its stamps and the brake of the train file."""
-        of_wheels = wheel_findings(*self.wheel_ratio, self.stated_ratio) if self.wheel_ratio else ()
+        # Distances by a wrong speed say nothing of the wheels.
+        ratio = None if SPEED_TOPIC.name in self.contradiction.inputs else self.wheel_ratio
+        of_wheels = wheel_findings(*ratio, self.stated_ratio) if ratio else ()
         return (*of_wheels, *force_findings(self.resistance.output.estimate), *self.brake_findings)
 
     def why_no_resistance(self) -> str:

@@ -246,6 +246,11 @@ class Mapping:
             return (topic,)
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
 
+    def unread(self, topic: str) -> str:
+        """Return what gives the input of one of our own topics, if no topic does."""
+        signal = getattr(self, _QUANTITY_OF[topic])
+        return f'the constant {signal.value:g}' if isinstance(signal, Constant) else 'the line'
+
     def named(self, text: str) -> str:
         """Return a text for people with the topics that are read in place of our own ones, which it may name."""
         for topic in self.replaced:

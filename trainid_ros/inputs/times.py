@@ -177,6 +177,8 @@ class TextTimes:
         forms = [x.replace(' ', sign) for x in _ORDERS if sign != '.' or x[1] in 'Yd']
         forms = [form for form in forms if _parsed_ns(dates[0], form) is not None]
         all_fit = [form for form in forms if all(_parsed_ns(date, form) is not None for date in dates)]
+        if texts[0].upper().endswith(('AM', 'PM')):  # in America
+            all_fit.sort(key=lambda form: not form.startswith('%m'))
         if len(all_fit) > 1:
             raise UnclearError(
                 f'{where} = {shown(texts[0])}: day, month and year may have several orders; time: '

@@ -371,12 +371,12 @@ def nearest_unit(size: float, units: dict[str, float]) -> str:
 _WORDS: Final = {quantity: frozenset(words.split()) for quantity, words in {
     'speed': 'speed velocity vel twist odo odom tacho kmh kph mph geschwindigkeit vitesse v 速度 车速',
     'position': 'position pos distance dist odometer chainage location where mileage milepost kilometer km weg strecke'
-    ' pk 里程 位置 公里标 距离',
+    ' kilometrierung pk 里程 位置 公里标 距离',
     'force': 'force effort traction tractive wrench thrust kn te zugkraft bremskraft kraft 牵引力 制动力',
     'gradient': 'gradient grade slope incline inclination permille steigung neigung pente déclivité rampe 坡度',
     'brake_command': 'brake braking notch decel deceleration handle bremse bremsstufe bremsvorgabe'
     ' bremsanforderung bremsstellung frein freinage 制动 制动级位',
-    'mass': 'mass load weight payload masse gewicht charge 质量 载重 重量',
+    'mass': 'mass load weight payload masse zugmasse fahrzeugmasse gewicht charge 质量 载重 重量',
     'acceleration': 'acceleration accel acc beschleunigung accélération 加速度',
     'time': 'time timestamp stamp utc t zeit uhrzeit zeitstempel temps heure horodatage date datum 时间 时刻',
 }.items()}  # fmt: skip

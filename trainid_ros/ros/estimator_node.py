@@ -260,7 +260,7 @@ class EstimatorNode(ManagedNode):
         self._inputs = inputs or SharedInputs()
         mapping = NodeMapping(self)
         specs = estimator_parameters(spec.kind.algorithms, requested_algorithm(self.overrides, spec.kind.algorithms))
-        expected = qos_overrides(spec.kind.topics, self.resolve_topic_name, mapping.topics)
+        expected = qos_overrides(self.resolve_topic_name, mapping.topics)
         parameters = NodeParameters(self, specs, arguments, expected)
         self._settings = EstimatorSettings()
         self.shared = NodeContext(self, spec.kind, parameters, mapping, InputMonitors(self._settings.alignment))

@@ -26,7 +26,7 @@ import yaml
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.pipeline import EstimatorPipeline, PipelineConfig
 from trainid_ros.interface.errors import InputError, SettingInfo, setting_info
-from trainid_ros.interface.records import INPUT_TOPICS, OutputTopic
+from trainid_ros.interface.records import INPUT_TOPICS
 from trainid_ros.interface.text import listed
 from trainid_ros.setup.pipelines import KINDS, EstimatorKind, EstimatorSettings, chosen_algorithms
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -232,11 +232,13 @@ def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
     return ', '.join(f'{name} = {own[name]:g} (train file: {value:g})' for name, value in different)
 
 
-def qos_overrides(
-    outputs: Iterable[OutputTopic], resolve: Callable[[str], str], foreign: Iterable[str] = ()
-) -> list[str]:
-    """Return the names of a node's QoS parameters, by its outputs, full names of topics, and a mapping's topics."""
+def qos_overrides(resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
+    """Return the names of QoS parameters, by full names of topics, and a mapping's topics.
+
+    Nodes of one process are given those of all of them.
+    """
     topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
+    outputs = dict.fromkeys(topic for kind in KINDS for topic in kind.topics)
     topics += [(name, 'publisher') for topic in outputs for name in (topic.name, topic.last_valid) if name]
     return [
         f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in QOS_POLICIES[entity]
@@ -474,7 +476,7 @@ def node_setups(
             check_sections(params, node, kind.node_name, warn)
         if kind.name in chosen:
             overrides[ALGORITHM] = chosen[kind.name]
-        topics = qos_overrides(kind.topics, partial(_full, namespace=namespace), foreign)
+        topics = qos_overrides(partial(_full, namespace=namespace), foreign)
         # ROS adds two parameters to every node.
         others = {'use_sim_time', 'start_type_description_service', *topics}
         try:
