@@ -91,6 +91,7 @@ def test_wheels_that_are_not_those_of_the_train_file_are_named(stated: float) ->
     assert (found.level is Level.CARE) == (wanted in found.text) == (stated == 1.0)
     wrong = replace(outcome, contradiction=Contradiction('ato/speed is in mph', 12.0, 20.0, ('ato/speed',)))
     assert 'wheel' not in verdict(replace(wrong, wheel_ratio=(1.02, 0.0002))).text
+    assert verdict(replace(outcome, wheel_ratio=(1.3, 0.0002))).level is Level.USABLE
     unsure = verdict(replace(outcome, wheel_ratio=(1.02, 0.006)))
     assert unsure.level is Level.USABLE
 

@@ -109,8 +109,9 @@ class Replay:
     @property
     def findings(self) -> tuple[str, ...]:
         """What is wrong with the wheels, the force, its stamps and the brake of the train file."""
-        # Distances by a wrong speed say nothing of the wheels.
-        ratio = None if SPEED_TOPIC.name in self.contradiction.inputs else self.wheel_ratio
+        # Distances by a speed that was wrong for a part of the drive say nothing of the wheels.
+        was_wrong = SPEED_TOPIC.name in self.contradiction.inputs and not math.isnan(self.contradiction.end_s)
+        ratio = None if was_wrong else self.wheel_ratio
         of_wheels = wheel_findings(*ratio, self.stated_ratio) if ratio else ()
         return (*of_wheels, *force_findings(self.resistance.output.estimate), *self.brake_findings)
 

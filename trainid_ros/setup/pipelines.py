@@ -182,11 +182,12 @@ def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
 _LEAST_SHARE: Final = 0.01  # error of a force, or of a wheel beside it, that is large enough to matter
 _LEAST_DELAY_S: Final = 0.1  # s: the same of its times: half a sample period
 _SIGMAS: Final = 4.0  # standard deviations by which it must differ from 0
+_WORN: Final = 0.1  # share of the diameter that wheels lose until they are scrapped (920 to 840 mm): more is no wheel
 
 
 def wheel_findings(ratio: float, std: float, stated: float) -> tuple[str, ...]:
     """Return a sentence if measured over true speed, with its standard deviation, is not as the train file states."""
-    if abs(ratio - stated) <= max(_LEAST_SHARE, _SIGMAS * std):
+    if abs(ratio - stated) <= max(_LEAST_SHARE, _SIGMAS * std) or abs(ratio - 1.0) > _WORN:
         return ()
     return (f'wheel ratio {ratio:.4f} ± {std:.2g}: state the effect wheel_diameter with ratio: {ratio:.4f}',)
 
