@@ -246,10 +246,11 @@ class Mapping:
             return (topic,)
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
 
-    def unread(self, topic: str) -> str:
-        """Return what gives the input of one of our own topics, if no topic does."""
+    def origin(self, topic: str) -> str:
+        """Return as text what gives the input of one of our own topics."""
         signal = getattr(self, _QUANTITY_OF[topic])
-        return f'the constant {signal.value:g}' if isinstance(signal, Constant) else 'the line'
+        unread = f'the constant {signal.value:g}' if isinstance(signal, Constant) else 'the line'
+        return ' + '.join(self.needed(topic)) or unread
 
     def named(self, text: str) -> str:
         """Return a text for people with the topics that are read in place of our own ones, which it may name."""

@@ -229,8 +229,7 @@ def _topics(reader: BagReader, columns: dict[str, _Column]) -> Iterator[TopicInf
         yield TopicInfo(topic.name, topic.type, topic.count, *known)
     for name in (topic.name for topic in INPUT_TOPICS if topic.name in mapping.replaced):
         count = columns[name].stamps.size if name in columns else 0
-        origin = f'from {" + ".join(mapping.needed(name)) or mapping.unread(name)}'
-        yield TopicInfo(name, origin, count, *details.get(name, unknown))
+        yield TopicInfo(name, f'from {mapping.origin(name)}', count, *details.get(name, unknown))
 
 
 def _stamp_info(column: _Column) -> StampInfo:

@@ -198,6 +198,11 @@ class Trial:
         self._row = vec[float]([0.0] * STATES)
 
     @property
+    def back(self) -> i64:
+        """By how many blocks the one of its speed is back."""
+        return self.shift if PRIORS[self.row].delays_speed else 0
+
+    @property
     def sum(self) -> float:
         """S of (4) in :mod:`input_check` [nats]."""
         return self.total + min(self.part, _APPLICATION)

@@ -245,7 +245,7 @@ class InputCheck:
         So it is after slip, and where it misses by a fault.
         """
         trial, prior = self._accepted, PRIORS[self._accepted.row]
-        begin = self.blocks.block((trial.shift if prior.delays_speed else 0) + 1)
+        begin = self.blocks.block(trial.back + 1)
         off = trial.x[V] - prior.row.speed * begin.speed
         if not prior.ignores_speed and abs(off) > prior.row.speed * max(MIN_SLIP, self.blocks.most_noise):
             trial.measure(begin)
@@ -301,7 +301,7 @@ class InputCheck:
     def _score(self, trial: Trial, *, accepted: bool) -> float:
         """Predict and correct one row; return the log likelihood of its block [nats], NaN without one."""
         prior, forces = PRIORS[trial.row], self._forces
-        back = trial.shift if prior.delays_speed else 0
+        back = trial.back
         place = (self.blocks.count - back) % KEPT
         trial.scores[place] = math.nan
         at = self._correct(prior, trial.shift)
@@ -416,7 +416,7 @@ class InputCheck:
             # Where it is another block, another unit, or that of a row without it, the speed is as measured.
             is_other = theirs.ignores_speed or theirs.delays_speed or prior.delays_speed
             if is_other or prior.row.speed != theirs.row.speed:
-                trial.measure(self.blocks.block((shift if prior.delays_speed else 0) + 1))
+                trial.measure(self.blocks.block(trial.back + 1))
             self._score(trial, accepted=False)
             started.append(trial)
         self._others = started
@@ -452,14 +452,13 @@ class InputCheck:
         """Add the last block to the sums; rows that are improbable are followed no more."""
         accepted = self._accepted
         theirs = PRIORS[accepted.row]
-        later = accepted.shift if theirs.delays_speed else 0
         is_stuck = self._is_stuck(theirs)
         is_released = block.brake > -MIN_BRAKE and self.blocks.brake > -MIN_BRAKE
         kept, rival = list[Trial](), -math.inf
         moved_s = block.seconds if block.state == MOVING else 0.0
         for other in self._others:
             prior = PRIORS[other.row]
-            place = (self.blocks.count - max(later, other.shift if prior.delays_speed else 0)) % KEPT
+            place = (self.blocks.count - max(accepted.back, other.back)) % KEPT
             gain = other.scores[place] - accepted.scores[place]
             other.age_s += block.seconds
             if is_finite(gain) and not (is_stuck and not theirs.row.ignores <= prior.row.ignores):
