@@ -84,6 +84,13 @@ def test_bursts_with_the_sign_of_the_force_are_slip() -> None:
     assert [find_slip(spoiled(other)) for other in (-1.0, 0.0)] == [None, None]
 
 
+def test_starts_and_stops_that_are_bent_are_no_slip() -> None:
+    first, last = slice(0, BURST), slice(-BURST, None)
+    for edges in ((first, last), (first,), (last,)):
+        bent = [disturbed(run, *((at, 1.5 if at is first else -1.5) for at in edges)) for run in Maker().runs(6, 13)]
+        assert find_slip(assemble(bent, TRAIN)) is None
+
+
 def test_bursts_of_one_run_are_not_confirmed_by_the_others() -> None:
     first, *others = Maker().runs(6, 13)
     slipping = disturbed(first, *((slice(at, at + BURST), 1.5) for at in (20, 35, 50, 65)))

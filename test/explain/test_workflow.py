@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.explain import runs_of
+from benchmarks.hidden_cases_c import make_case
 from test.explain.made_runs import TRAIN, Maker, drag
 from trainid_ros.explain.dataset import Run, numbered
 from trainid_ros.explain.effects import EffectTerm
@@ -23,7 +25,7 @@ from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.report import words
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.forces import davis
-from trainid_ros.train.train_file import Davis, Train, TrainFile
+from trainid_ros.train.train_file import Davis, Train, TrainFile, parse_train_file
 
 # Categories have no edges; without runs to hold out there is no gap.
 UNKNOWN = {'locations[].places[].low', 'locations[].places[].high'}
@@ -66,6 +68,18 @@ def test_no_gap() -> None:
     assert len(reported.traces) == 4
     assert {'noise', 'held-out runs', 'places'} <= set(steps)
     assert set(not_finite(reported)) <= UNKNOWN
+
+
+def test_a_dependence_that_leaves_no_more_than_noise_is_no_gap() -> None:
+    """Brakes of trains that blend are not exactly as the train file says, but that is within the noise."""
+    case = make_case('none', 13000490042)
+    train_file = parse_train_file(case.train_yaml, 'made')
+    reported = explain(runs_of(case.bags, train_file), train_file)
+    assert (reported.verdict, reported.effects, reported.learned) == (Verdict.NO_GAP, (), None)
+    assert reported.remaining.startswith('The gap is no more than a correct train file leaves.')
+    assert 'depends on the time since the brake was applied' in reported.remaining
+    assert reported.gap is not None
+    assert reported.gap.before < 1.2 * reported.gap.noise_floor
 
 
 @pytest.mark.slow

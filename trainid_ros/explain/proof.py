@@ -291,11 +291,11 @@ def _both_held_out(base: Model, final: Model, hyper: Hyperparameters) -> tuple[H
 
 def leaves_more_than_noise(gap: Gap | None) -> bool:
     """Return whether the gap of the train file written is clearly above the noise floor."""
-    return gap is not None and gap.after > _NEAR * gap.noise_floor
+    return gap is not None and gap.after > NEAR * gap.noise_floor
 
 
 _NOISE: Final = 'What is left is noise: gusts, errors of the map and of the sensors.'
-_NEAR: Final = 1.2  # Gap over noise floor of 9 in 10 clean cases at most [1], as benchmarks/explain.py counts
+NEAR: Final = 1.2  # Gap over noise floor of 9 in 10 clean cases at most [1], as benchmarks/explain.py counts
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:

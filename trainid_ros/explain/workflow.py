@@ -23,7 +23,7 @@ from trainid_ros.explain.effects import SHOWN, EffectTerm, merged, without_repla
 from trainid_ros.explain.likelihood import integrated_covariance
 from trainid_ros.explain.model import Model, Slip, find_slip, read_at
 from trainid_ros.explain.nuisances import DAVIS
-from trainid_ros.explain.proof import assess, leaves_more_than_noise, locate, unexplained, weakest, where
+from trainid_ros.explain.proof import NEAR, assess, leaves_more_than_noise, locate, unexplained, weakest, where
 from trainid_ros.explain.result import (
     Explanation,
     FoundEffect,
@@ -100,13 +100,15 @@ def explain(
         outcome = assess(selection, compared, train_file, stated or train_file, slip)
     # 4. Curve: what the missing force depends on where nothing of the library fits it.
     outcome, learned = _with_curve(selection, outcome, provenance, advance, slipping=slip is not None)
+    causes = _causes(selection, slip, learned)
+    if outcome.verdict is Verdict.UNEXPLAINED and not _shows_gap(outcome, learned):
+        outcome, learned = _without_gap(outcome, learned, slipping=slip is not None), None
     # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    causes = _causes(selection, slip, learned)
     davis, davis_std, davis_distance = _davis(outcome.final, outcome.hyper)
     fit = FitSummary(train_file, davis, davis_std, outcome.hyper)
-    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, causes, fit)
+    found = _found(selection, outcome, causes, fit) if outcome.terms else []
     if slip is not None:
         found.append(_effect(slip.term, slip.evidence, causes, (), 'bursts under traction and braking'))
     # 6. Result: the train file with the effects added, and the numbers of the report.
@@ -149,6 +151,26 @@ def _with_curve(
     if learned is not None and _is_better(learned, selection, outcome):
         return unexplained(outcome, learned.sentence), learned
     return outcome, None
+
+
+def _shows_gap(outcome: Outcome, learned: Learned | None) -> bool:
+    """Return whether the train file read leaves more than noise, by the floor of the model or of a confirmed curve.
+
+    A curve over the number of the run cannot be tried on runs held out, so it counts as a gap.
+    """
+    if outcome.gap is None or (learned is not None and learned.gap is None):
+        return True
+    floor = outcome.gap.noise_floor
+    if learned is not None and learned.gap is not None and learned.is_confirmed:
+        floor = min(floor, learned.gap.noise_floor)
+    return outcome.gap.before > NEAR * floor
+
+
+def _without_gap(outcome: Outcome, learned: Learned | None, *, slipping: bool) -> Outcome:
+    """Return the outcome of a train file that leaves no gap, with what may still be missing."""
+    verdict = Verdict.EXPLAINED if slipping else Verdict.NO_GAP
+    found = learned.sentence if learned else outcome.remaining
+    return replace(outcome, verdict=verdict, remaining=f'The gap is no more than a correct train file leaves. {found}')
 
 
 def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool:
