@@ -17,6 +17,7 @@ from test.cli.conftest import Change
 from trainid_ros.brake_rate.brake_fit import DEAD_TIME, LAG, RESPONSE, BrakeFit, Quantity
 from trainid_ros.cli.fit import describe, etcs_brake, fitted_brake, to_json
 from trainid_ros.cli.main import main
+from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.interface.records import BrakeRecord, ForceRecord, GradientRecord
 from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Brake, parse_train_file
@@ -30,6 +31,8 @@ FIT = BrakeFit(
         Quantity(DEAD_TIME, 0.8, 0.03, 's', 0.6, 0.1),
         Quantity(LAG, 1.2, 0.05, 's', 0.4, 0.06),
         Quantity(RESPONSE, 2.0, 0.02, 's', 1.0, 0.12),
+        Quantity('rate at 2.0 m/s', 0.8, 0.02, '1', 1.0, 0.2),
+        Quantity('rate at 16.0 m/s', 1.08, 0.01, '1', 1.0, 0.2),
     ),
     lags=(1.0, 0.66),
     knots=(2.0, 16.0),
@@ -174,7 +177,7 @@ def test_the_section_of_a_table_reads_back() -> None:
     # The scatter of the response counts for single brakings.
     assert brake.timing_std == pytest.approx(math.hypot(0.03, 0.04) / math.hypot(0.8, 0.67), rel=1e-3)
     assert 'two lags of 1 and 0.66 s' in text
-    assert to_json(FIT, brake, None)['std'] == {'rate': [0.02, 0.01], 'delay': 0.03, 'time_constant': 0.05}
+    assert to_json(FIT, brake, TRAIN, None)['std'] == {'rate': [0.02, 0.01], 'delay': 0.03, 'time_constant': 0.05}
 
 
 def test_stated_drops_stay() -> None:
@@ -184,10 +187,13 @@ def test_stated_drops_stay() -> None:
     assert (read.loss_per_hour, read.loss, read.loss_confidence) == (0.5, 0.1, 0.9)
 
 
-def test_times_that_are_not_told_stay() -> None:
+def test_what_is_not_told_stays_with_its_standard_deviation() -> None:
     unsure = replace(FIT, quantities=tuple(replace(one, value=one.stated, std=0.4) for one in FIT.quantities))
     brake = fitted_brake(unsure, TRAIN)
-    assert (brake.delay, brake.time_constant, brake.timing_std) == (0.6, 0.4, STATED.timing_std)
+    assert brake == STATED
+    delay_std, lag_std = STATED.timing_stds
+    stds = {'rate': BrakeRateConfig().prior_std, 'delay': delay_std, 'time_constant': lag_std}
+    assert to_json(unsure, brake, TRAIN, None)['std'] == stds
 
 
 def test_times_that_agree_are_not_replaced_by_less_accurate_ones() -> None:

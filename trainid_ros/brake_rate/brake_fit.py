@@ -77,6 +77,7 @@ _STEADY: Final = 0.1  # A brake is held while it is within this share of its com
 DEAD_TIME: Final = 'dead time'
 LAG: Final = 'time constant'
 RESPONSE: Final = 'response time'
+_RATE: Final = 'rate at'
 RELEASE: Final = 'release later than application'
 CHANGEOVER: Final = 'changeover speed'
 STEP: Final = 'rate above less rate below it'
@@ -160,6 +161,11 @@ class BrakeFit:
     def find(self, name: str) -> Quantity:
         """Return the quantity of a name."""
         return next(one for one in self.quantities if one.name == name)
+
+    @property
+    def tells_rate(self) -> bool:
+        """True if the data tell the rate at some speed."""
+        return any(one.is_told for one in self.quantities if one.name.startswith(_RATE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -482,7 +488,7 @@ def _result(fit: _Fit, best: _State, tried: list[_State]) -> BrakeFit:
         off = one.model.shapes(speeds) @ one.rates - np.interp(speeds, knots, rates)
         covariance += weight * (np.outer(off, off) if knots.size > 1 else np.mean(off * off))
     for v, rate, std in zip(knots.tolist(), rates.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
-        found.append(Quantity(f'rate at {v:.1f} m/s', rate, std, '1', brake.rate_at(v), config.prior_std))
+        found.append(Quantity(f'{_RATE} {v:.1f} m/s', rate, std, '1', brake.rate_at(v), config.prior_std))
     if fit.is_released:
         found.append(Quantity(RELEASE, float(times[1]), math.sqrt(T[1, 1]), 's', 0.0, float(stated[2])))
     if model.steps:

@@ -23,6 +23,7 @@ from trainid_ros.bag.reader import require_topics
 from trainid_ros.brake_rate.brake_fit import DEAD_TIME, LAG, RESPONSE, BrakeFit, fit_brake
 from trainid_ros.brake_rate.braking import BrakingCollector
 from trainid_ros.cli.output import check_output, opened, print_json, progress, show, table, warn
+from trainid_ros.estimators.settings import BrakeRateConfig
 from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import write_text
@@ -102,13 +103,15 @@ def _run_brake(args: argparse.Namespace) -> int:
         if args.json:
             print_json({'brake': None, 'std': None, 'quantities': [], 'brakings': 0})
         raise NoAnswerError(f'{name}: {error}{_most_rejected(rejected)}') from None
+    if args.etcs and not fit.tells_rate:
+        raise NoAnswerError(f'{name}: --etcs: {pluralise(fit.brakings, "braking")} cannot tell the rate of the brake')
     brake, command = fitted_brake(fit, train_file), max(-u for one in brakings for _, u in one.changes)
     etcs = etcs_brake(fit, command) if args.etcs else None
     text = describe(fit, brake, name, etcs)
     if args.out is not None:
         write_text(f'{text}\n', args.out)
     if args.json:
-        print_json(to_json(fit, brake, etcs))
+        print_json(to_json(fit, brake, train_file, etcs))
     else:
         show(text)
     return 0
@@ -176,19 +179,15 @@ def _describe(fit: DavisFit, stds: list[float], motion: Reading) -> str:
 def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
     """Return the brake beside the effects of a train file, which stay.
 
-    The stated times are kept where the data do not tell the response time, or tell the same less accurately; beyond the
-    speeds braked at, the rate changes as stated.
+    The stated times are kept where the data do not tell the response time, or tell the same less accurately, and the
+    stated rate where they tell none; beyond the speeds braked at, the rate changes as stated.
     """
-    stated, extra = train_file.brake, effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
-    delay, lag, response = (fit.find(name) for name in (DEAD_TIME, LAG, RESPONSE))
-    # Stated is the error in single brakings, so their scatter counts.
-    ones = Brake(1.0, lag.value, delay.value, timing_std=1.0).timing_stds
-    shares = math.hypot(delay.std, fit.jitter) / ones[0], lag.std / ones[1]
-    times = max(delay.value - extra, 0.0), lag.value, min(max(*shares, 0.005), 1.0)  # range of ``timing_std`` [1]
-    if not response.is_told or (response.agrees and times[2] > stated.timing_std):
-        times = stated.delay, stated.time_constant, stated.timing_std
-    dead, constant, std = map(_rounded, times)
-    kept = replace(stated, rate=1.0, time_constant=constant, delay=dead, timing_std=std, rate_table=())
+    stated = train_file.brake
+    dead, constant, std = map(_rounded, _fitted_times(fit, train_file) or _stated_times(stated))
+    timed = replace(stated, time_constant=constant, delay=dead, timing_std=std)
+    if not fit.tells_rate:
+        return timed
+    kept = replace(timed, rate=1.0, rate_table=())
     rows = list(zip(fit.knots, fit.rates.tolist(), strict=True))
     if len(rows) == 1 and not stated.rate_table:
         return replace(kept, rate=_rounded(rows[0][1]))
@@ -198,6 +197,23 @@ def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
     below = [(v, first * stated.rate_at(v) / stated.rate_at(slow)) for v, _ in stated.rate_table if v < slow]
     above = [(v, last * stated.rate_at(v) / stated.rate_at(fast)) for v, _ in stated.rate_table if v > fast]
     return replace(kept, rate_table=tuple((_rounded(v), _rounded(r)) for v, r in (*below, *rows, *above)))
+
+
+def _stated_times(brake: Brake) -> tuple[float, float, float]:
+    return brake.delay, brake.time_constant, brake.timing_std
+
+
+def _fitted_times(fit: BrakeFit, train_file: TrainFile) -> tuple[float, float, float] | None:
+    """Return dead time, lag [s] and ``timing_std`` [1] as fitted; None where those of the train file stay."""
+    delay, lag, response = (fit.find(name) for name in (DEAD_TIME, LAG, RESPONSE))
+    # Stated is the error in single brakings, so their scatter counts.
+    ones = Brake(1.0, lag.value, delay.value, timing_std=1.0).timing_stds
+    shares = math.hypot(delay.std, fit.jitter) / ones[0], lag.std / ones[1]
+    timing_std = min(max(*shares, 0.005), 1.0)  # its range
+    if not response.is_told or (response.agrees and timing_std > train_file.brake.timing_std):
+        return None
+    extra = effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
+    return max(delay.value - extra, 0.0), lag.value, timing_std
 
 
 def _rounded(value: float) -> float:
@@ -232,12 +248,15 @@ def etcs_brake(fit: BrakeFit, command: float) -> EtcsBrake:
     return EtcsBrake(command, edges[1:-1].tolist(), (command * least).tolist(), build_up, factors)
 
 
-def to_json(fit: BrakeFit, brake: Brake, etcs: EtcsBrake | None) -> dict[str, Any]:
-    """Return the object of ``--json``."""
-    rate_std = np.sqrt(np.diag(fit.covariance)).tolist()
+def to_json(fit: BrakeFit, brake: Brake, train_file: TrainFile, etcs: EtcsBrake | None) -> dict[str, Any]:
+    """Return the object of ``--json``; what stays as stated has the std of the train file or of the estimator."""
+    rate_std = np.sqrt(np.diag(fit.covariance)).tolist() if fit.tells_rate else [BrakeRateConfig().prior_std]
+    times = [fit.find(name).std for name in (DEAD_TIME, LAG)]
+    if _fitted_times(fit, train_file) is None:
+        times = list(train_file.brake.timing_stds)
     std = {
-        'rate': rate_std if brake.rate_table else rate_std[0],
-        'delay': fit.find(DEAD_TIME).std, 'time_constant': fit.find(LAG).std,
+        'rate': rate_std if brake.rate_table and fit.tells_rate else rate_std[0],
+        'delay': times[0], 'time_constant': times[1],
     }  # fmt: skip
     names = ('name', 'value', 'std', 'unit', 'stated', 'is_told', 'verdict')
     more = {} if etcs is None else {'etcs': etcs._asdict()}
