@@ -19,6 +19,7 @@ from trainid_ros.client.live_estimate import (
     Normal,
     Parameter,
     RateLimitedValue,
+    adhesion_at,
 )
 from trainid_ros.interface.results import AdhesionEstimate, Status
 from trainid_ros.stream.adhesion import RAIL, RAIL_STD
@@ -449,7 +450,7 @@ def test_parameters_of_small_and_large_units_are_judged_alike(correlation: float
 
 DRY = AdhesionEstimate(0.05, 0.09, 0.20, 0.06, 0.0, slipping=False, slip_share=0.0)
 SLIDE = AdhesionEstimate(0.05, 0.0, 0.05, 0.01, -0.12, slipping=True, slip_share=0.1)
-NO_LIMIT = (math.inf, '')
+PASSED = replace(SLIDE, slipping=False, slip=0.0)
 
 
 def adhesion_after(*estimates: AdhesionEstimate, status: Status = Status.VALID) -> LiveAdhesion:
@@ -469,29 +470,61 @@ def test_the_adhesion_is_that_of_usual_rails_unless_a_new_estimate_states_it() -
 
 
 def test_a_slide_limits_the_brake_until_it_is_a_km_away_also_while_nothing_comes() -> None:
-    assert adhesion_after(DRY).limit(0.95) == NO_LIMIT
-    least = 0.05 * math.exp(-1.6449 * 0.2)
-    for one in (adhesion_after(SLIDE), adhesion_after(SLIDE, replace(SLIDE, slipping=False, slip=0.0))):
+    assert adhesion_after(DRY).limit() is None
+    for one in (adhesion_after(SLIDE), adhesion_after(SLIDE, PASSED)):
         one.go_on(60.0)
-        most, why = one.limit(0.95)
-        assert most == pytest.approx(least, rel=1e-4)
-        assert why == 'braking limited to an adhesion of 0.036 by a slide'
-        assert one.limit(0.5)[0] == pytest.approx(0.05)
-    assert adhesion_after(SLIDE, DRY).limit(0.95) == NO_LIMIT
+        limit = one.limit()
+        assert limit is not None
+        assert adhesion_at(limit, 0.95) == pytest.approx(0.05 * math.exp(-1.6449 * 0.2), rel=1e-4)
+        assert adhesion_at(limit, 0.5) == pytest.approx(0.05)
+    assert adhesion_after(SLIDE, DRY).limit() is None
 
 
-def test_slip_under_traction_does_not_limit_the_brake() -> None:
-    assert adhesion_after(replace(SLIDE, slip=0.2)).limit(0.95) == NO_LIMIT
+def test_a_slide_before_the_first_estimate_limits_the_brake_too() -> None:
+    assert adhesion_after(PASSED).limit() is PASSED
+    assert adhesion_after(DRY, PASSED).limit() is None
 
 
-@pytest.mark.parametrize('wrong', [{'adhesion': 0.0}, {'adhesion_std': -1.0}, {'adhesion': math.nan}])
+def test_slip_under_traction_neither_limits_the_brake_nor_lifts_the_limit_of_a_slide() -> None:
+    slip = replace(SLIDE, slip=0.2)
+    assert adhesion_after(DRY, slip, PASSED).limit() is None
+    assert adhesion_after(DRY, SLIDE, slip, PASSED).limit() is PASSED
+
+
+@pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.CONVERGING, Status.STALE, Status.FAULT])
+def test_an_estimate_that_must_not_be_used_does_not_lift_the_limit_of_a_slide(status: Status) -> None:
+    one = adhesion_after(SLIDE)
+    one.take_new(status, DRY, 0.2, 1)
+    assert one.limit() is SLIDE
+    assert one.value()[:3] == (RAIL, RAIL_STD, False)
+
+
+@pytest.mark.parametrize('stamps', [(9, 8), (9, 9)])
+def test_stamps_that_do_not_rise_do_not_lift_the_limit_of_a_slide(stamps: tuple[int, int]) -> None:
+    one = LiveAdhesion(MAX_AGE_S)
+    for estimate, stamp_ns in zip((SLIDE, DRY), stamps, strict=True):
+        one.take_new(Status.VALID, estimate, 0.0, stamp_ns)
+    assert one.limit() is SLIDE
+
+
+@pytest.mark.parametrize(
+    'wrong',
+    [{'adhesion': 0.0}, {'adhesion_std': -1.0}, {'adhesion': math.nan}, {'slip': -5.0}, {'slip_share': -1.0},
+     {'slip_share': 2.0}],
+)  # fmt: skip
 def test_an_adhesion_that_cannot_be_is_not_used(wrong: dict[str, Any]) -> None:
     one = adhesion_after(replace(SLIDE, **wrong))
     assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: its numbers are not possible')
-    assert one.limit(0.95) == NO_LIMIT
+    assert one.limit() is None
+
+
+def test_an_adhesion_of_no_rail_is_not_used() -> None:
+    one = adhesion_after(SLIDE, replace(DRY, adhesion=50.0))
+    assert one.value()[3] == 'dry to wet rail: adhesion = 50 is more than any rail has'
+    assert one.limit() is SLIDE
 
 
 def test_a_status_that_is_not_fit_to_use_gives_usual_rails_but_keeps_the_limit() -> None:
     one = adhesion_after(SLIDE, status=Status.CONVERGING)
     assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: CONVERGING, not fit to use')
-    assert one.limit(0.95)[0] < 0.05
+    assert one.limit() is SLIDE

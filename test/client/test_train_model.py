@@ -613,13 +613,20 @@ def test_time_goes_on_from_where_the_clock_went_back() -> None:
 
 
 def test_a_clock_without_a_number_stands_still_and_one_that_has_stopped_goes_on_with_a_steady_one() -> None:
-    readings = iter([5.0, 6.0, math.nan, math.inf, 6.5])
-    clock = ForwardClock(lambda: next(readings))
+    wrong: Any = None
+    readings = iter([5.0, 6.0, math.nan, wrong, 6.5])
+    clock = ForwardClock(lambda: next(readings), lambda: 0.0)
     assert [clock.now() for _ in range(4)] == [6.0, 6.0, 6.0, 6.5]
     steady = iter([0.0, 1.0, 2.0, 2.1, 2.2, 4.3])
-    clock = ForwardClock(lambda: 100.0, lambda: next(steady))
+    clock = ForwardClock(lambda: 100.0, lambda: next(steady), runs=True)
     found = [clock.now() for _ in range(5)]
     assert found == pytest.approx([100.0, 100.0, 102.1, 102.2, 104.3])
+
+
+def test_a_clock_that_stands_at_a_number_may_wait_but_one_without_a_number_may_not() -> None:
+    readings, steady = iter([5.0, 5.0, math.nan, math.nan, 5.5]), iter([0.0, 60.0, 61.0, 65.0, 66.0])
+    clock = ForwardClock(lambda: next(readings), lambda: next(steady))
+    assert [clock.now() for _ in range(4)] == [5.0, 5.0, 10.0, 10.5]
 
 
 @pytest.mark.parametrize('wrong', [None, 5.0, time, 'now', math.nan])
@@ -645,3 +652,26 @@ def test_a_bound_relies_on_no_more_than_the_adhesion_of_a_slide() -> None:
     assert after.value > 2.0 * before.value
     assert 'limited to an adhesion of 0.036 by a slide' in after.reason
     assert 'adhesion' not in before.reason
+    # The standard deviation has that of the adhesion, a fifth.
+    assert after.std > 0.2 * after.value > before.std
+    speed = drive.model.braking_speed(after.value)
+    assert speed.value == pytest.approx(20.0)
+    assert speed.std > 0.1 * speed.value
+    (first,) = drive.model.braking_curve(after.value, [0.0])
+    assert first == speed
+
+
+def test_predictions_and_commands_say_that_a_slide_limits_the_brake() -> None:
+    drive = Drive()
+    before = drive.on(60.0).predict(10.0, speed=20.0, command=-0.8)
+    slide = AdhesionEstimate(0.05, 0.0, 0.05, 0.01, -0.12, slipping=True, slip_share=0.1)
+    drive.model.take(Output(round(drive.now * 1e9), slide, Status.VALID, 1, 0, None))
+    after = drive.model.predict(10.0, speed=20.0, command=-0.8)
+    assert after.value > before.value + 1.0
+    assert after.std > 2.0 * before.std
+    assert 'limited to an adhesion of 0.050 by a slide' in after.reason
+    gentle = drive.model.predict(10.0, speed=20.0, command=-0.1)
+    assert 'slide' not in gentle.reason
+    for answer in (drive.model.brake_command, drive.model.feed_forward):
+        assert 'after a slide at 0.050' in answer(20.0, 0.0, -0.8).reason
+        assert 'slide' not in answer(20.0, 0.0, -0.2).reason

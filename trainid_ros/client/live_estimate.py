@@ -192,6 +192,29 @@ class Parameter:
         return False
 
 
+class Stamps:
+    """Stamps of the estimates of one topic.
+
+    Those that go back, as when a bag starts again, count as new once they have risen for ``least_s`` [s].
+    """
+
+    def __init__(self, least_s: float) -> None:
+        self._least_s, self._newest_ns = least_s, -1
+        # First and last stamp of those that rise again after they went back [ns]; none if the newest is the last.
+        self._back_ns: tuple[int, int] | None = None
+
+    def are_newer(self, stamp_ns: int) -> bool:
+        """Take in a stamp [ns]; return whether it counts as newer than those before."""
+        if stamp_ns < self._newest_ns:
+            first, last = self._back_ns or (stamp_ns, stamp_ns)
+            self._back_ns = (first if stamp_ns > last else stamp_ns), stamp_ns
+            if seconds(stamp_ns - self._back_ns[0]) < self._least_s:
+                return False
+        is_newer = stamp_ns != self._newest_ns
+        self._newest_ns, self._back_ns = stamp_ns, None
+        return is_newer
+
+
 class LiveEstimate:
     """Parameters of one estimate by name; not used any more after ``max_age_s`` [s] without a new one."""
 
@@ -202,9 +225,7 @@ class LiveEstimate:
         self._values = {name: RateLimitedValue(x.file, x.probes) for name, x in parameters.items()}
         self._max_age_s = max_age_s
         self._heard_s = self._now_s = self._moving_until_s = -math.inf
-        self._newest_ns = -1
-        # First and last stamp of those that rise again after they went back [ns]; none if the newest is the last.
-        self._back_ns: tuple[int, int] | None = None
+        self._stamps = Stamps(max_age_s)
         self._is_refused = self._is_kept = False  # The newest estimate; a copy since the last one that came
         self._lost = ''
         self._status = Status.UNINITIALIZED
@@ -222,24 +243,13 @@ class LiveEstimate:
     def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> bool:
         """Take in an estimate; one of no newer stamp [ns] only if it says that the previous must not be used.
 
-        Stamps that go back, as when a bag starts again, are those of estimates once they have risen for the time
-        without an estimate after which the last is not used any more. Returns whether its stamp counts as newer.
+        Returns whether its stamp counts as newer.
         """
         self._is_kept = self._is_refused = False
-        is_news = self._is_newer(stamp_ns)
+        is_news = self._stamps.are_newer(stamp_ns)
         if is_news or not (status.is_usable or status is self._status is Status.CONVERGING):
             self.take(status, values, time_s)
         return is_news
-
-    def _is_newer(self, stamp_ns: int) -> bool:
-        if stamp_ns < self._newest_ns:
-            first, last = self._back_ns or (stamp_ns, stamp_ns)
-            self._back_ns = (first if stamp_ns > last else stamp_ns), stamp_ns
-            if seconds(stamp_ns - self._back_ns[0]) < self._max_age_s:
-                return False
-        is_newer = stamp_ns != self._newest_ns
-        self._newest_ns, self._back_ns = stamp_ns, None
-        return is_newer
 
     def refuse(self, reason: str, time_s: float) -> None:
         """Use the train file although an estimate has arrived, for a reason."""
@@ -328,26 +338,32 @@ class LiveEstimate:
 
 
 class LiveAdhesion:
-    """The newest adhesion; not used any more after ``max_age_s`` [s] without a new one, but for its limit."""
+    """The newest adhesion; not used any more after ``max_age_s`` [s] without a new one, but for its limit.
+
+    Slip under traction is no limit, since not all axles are driven. Unless it began without slip in the last km, a
+    slide may have been before it. An estimate that must not be used neither lifts a limit nor replaces its adhesion,
+    but if it is a slide itself.
+    """
 
     def __init__(self, max_age_s: float) -> None:
-        self._max_age_s, self._heard_s, self._newest_ns = max_age_s, -math.inf, -1
+        self._max_age_s, self._heard_s, self._stamps = max_age_s, -math.inf, Stamps(max_age_s)
         self._estimate: AdhesionEstimate | None = None
         self._status, self._problem = Status.UNINITIALIZED, 'no estimate yet'
-        self._is_slide = False  # Whether the last slip was one under braking
+        self._may_be_slide = True  # Whether wheels may have slid in the last km
 
     def take_new(self, status: Status, estimate: Any, time_s: float, stamp_ns: int) -> None:
         """Take in an estimate that arrived at a time [s]."""
-        numbers = (estimate.adhesion, estimate.adhesion_std, estimate.slip, estimate.slip_share)
-        if not (all(map(math.isfinite, numbers)) and estimate.adhesion > 0.0 and estimate.adhesion_std >= 0.0):
-            self.refuse('its numbers are not possible', time_s)
+        if problem := _doubt(estimate):
+            self.refuse(problem, time_s)
             return
-        if stamp_ns == self._newest_ns and status.is_usable:
+        if not self._stamps.are_newer(stamp_ns) and status.is_usable:
             return
-        self._estimate, self._status, self._heard_s, self._newest_ns = estimate, status, time_s, stamp_ns
+        self._status, self._heard_s = status, time_s
         self._problem = '' if status.is_usable else WORDS[status]
-        if estimate.slip != 0.0:
-            self._is_slide = estimate.slip < 0.0
+        if status.is_usable or estimate.slip < 0.0:
+            self._estimate = estimate
+            has_slipped = estimate.slipping or estimate.slip_share > 0.0
+            self._may_be_slide = estimate.slip < 0.0 or (has_slipped and self._may_be_slide)
 
     def refuse(self, reason: str, _time_s: float) -> None:
         """Use what rails are like although an estimate has arrived, for a reason."""
@@ -366,14 +382,25 @@ class LiveAdhesion:
             return RAIL, RAIL_STD, False, f'dry to wet rail: {self._problem}'
         return self._estimate.adhesion, self._estimate.adhesion_std, True, self._status.name
 
-    def limit(self, confidence: float) -> tuple[float, str]:
-        """Return the most braking force over weight [1] at a confidence, and why; infinite where no slide was.
+    def limit(self) -> AdhesionEstimate | None:
+        """Return the estimate whose adhesion limits the brake, None where no slide was.
 
-        The adhesion is log-normal. Without new estimates the last limit stays: nothing says that it is over.
+        Without new estimates the last limit stays: nothing says that it is over.
         """
-        found = self._estimate
-        if found is None or not self._is_slide or not (found.slipping or found.slip_share > 0.0):
-            return math.inf, ''
-        share = found.adhesion_std / found.adhesion
-        least = found.adhesion * math.exp(-NormalDist().inv_cdf(confidence) * share)
-        return least, f'braking limited to an adhesion of {least:.3f} by a slide'
+        return self._estimate if self._may_be_slide else None
+
+
+def adhesion_at(rail: AdhesionEstimate, confidence: float) -> float:
+    """Return the adhesion that there is at least at a confidence [1]; it is log-normal."""
+    return rail.adhesion * math.exp(-NormalDist().inv_cdf(confidence) * rail.adhesion_std / rail.adhesion)
+
+
+def _doubt(rail: AdhesionEstimate) -> str:
+    """Return what is not possible or not credible of an adhesion; empty if it is."""
+    numbers = (rail.adhesion, rail.adhesion_std, rail.slip, rail.slip_share)
+    is_possible = all(map(math.isfinite, numbers)) and rail.adhesion > 0.0 and rail.adhesion_std >= 0.0
+    if not is_possible or rail.slip < -1.0 - _ROUNDING or not 0.0 <= rail.slip_share <= 1.0 + _ROUNDING:
+        return 'its numbers are not possible'
+    if rail.adhesion > RAIL + FAR * RAIL_STD:
+        return f'adhesion = {rail.adhesion:g} is more than any rail has'
+    return ''

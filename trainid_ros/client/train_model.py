@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from numbers import Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, get_args, overload
 
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
-from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal
+from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal, adhesion_at
 from trainid_ros.client.prediction import Plan, predicted_speeds
 from trainid_ros.client.stopping import MAX_SPEED, NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
@@ -30,13 +30,14 @@ from trainid_ros.train.forces import G, load_drag
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
     from trainid_ros.client.prediction import Steps
+    from trainid_ros.client.stopping import RateShape
     from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.interface.results import Output, Status
+    from trainid_ros.interface.results import AdhesionEstimate, Output, Status
     from trainid_ros.setup.pipelines import EstimatorSettings
 
 
@@ -103,20 +104,22 @@ STOPPED_S: Final = 2.0
 class ForwardClock:
     """The time of a clock [s] plus all that it has gone back: it goes on from where the clock jumped.
 
-    A clock that returns no finite number stands still. One that has stood still for ``STOPPED_S`` of a ``steady``
-    clock, if there is one, goes on with that, so that silence is noticed. A clock that is not callable, or returns no
-    number at first, raises InputError.
+    A clock that returns no finite number stands still. One that has done so for ``STOPPED_S`` of a ``steady`` clock,
+    goes on with that, so that silence is noticed; with ``runs`` also one that stands at a number, while a simulation
+    may wait. A clock that is not callable, or returns no number at first, raises InputError.
     """
 
-    def __init__(self, clock: Callable[[], float], steady: Callable[[], float] | None = None) -> None:
-        self._steady, self._offset_s, self._stood_s = steady, 0.0, 0.0
+    def __init__(
+        self, clock: Callable[[], float], steady: Callable[[], float] = time.monotonic, *, runs: bool = False
+    ) -> None:
+        self._steady, self._runs, self._offset_s, self._stood_s = steady, runs, 0.0, 0.0
         self._start(clock)
 
     def _start(self, clock: Callable[[], float]) -> None:
         if not callable(clock):
             raise InputError(f'clock = {clock!r} must be a function that returns the time in s')
         self._last_s, self._clock = _TIME.checked(clock()), clock
-        self._moved_s = self._steady() if self._steady else 0.0
+        self._moved_s = self._steady()
 
     def follow(self, clock: Callable[[], float]) -> None:
         """Go on with another clock from the present time; InputError as for the first one."""
@@ -126,13 +129,18 @@ class ForwardClock:
 
     def now(self) -> float:
         """Return the time [s], which is not before that of the last call."""
-        read_s, steady_s = self._clock(), self._steady() if self._steady else 0.0
-        if math.isfinite(read_s) and read_s != self._last_s:
+        read_s, steady_s = _number(self._clock()), self._steady()
+        if math.isfinite(read_s) and (read_s != self._last_s or not self._runs):
             self._offset_s += self._stood_s + max(0.0, self._last_s - read_s)
             self._last_s, self._moved_s, self._stood_s = read_s, steady_s, 0.0
         elif steady_s - self._moved_s > STOPPED_S:
             self._stood_s = steady_s - self._moved_s
         return self._last_s + self._offset_s + self._stood_s
+
+
+def _number(value: object) -> float:
+    """Return a number as a float, NaN if it is none."""
+    return float(value) if isinstance(value, (float, Real)) else math.nan
 
 
 def _resistance_values(estimate: Any) -> dict[str, Normal]:
@@ -199,7 +207,7 @@ class TrainModel:
         check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
         self._file, self._lock = FileValues(known, prior, brake), Lock()
-        self._clock = ForwardClock(clock, None if node is None else time.monotonic)
+        self._clock = ForwardClock(clock, runs=node is not None)
         self._resistance = LiveEstimate(self._file.resistance(), max_age)
         self._brake_rate = LiveEstimate(self._file.brake_rate(), max_age)
         self._adhesion = LiveAdhesion(max_age)
@@ -248,7 +256,7 @@ class TrainModel:
     def push(self, record: Record) -> list[Output[Any]]:
         """Take in a record of an input, in the order of arrival; return the outputs that it completes, now taken in.
 
-        InputError unless the model is one of :meth:`offline`.
+        InputError unless the model is one of :meth:`offline`, and for what is no record of numbers.
         """
         if self._group is None:
             raise InputError('push: only a TrainModel.offline(train_file) learns from records')
@@ -256,8 +264,11 @@ class TrainModel:
         if not isinstance(record, get_args(Record)):
             raise InputError(f'push: {shown(record)} is no record of an input, see interface.records')
         topic, stamp_ns, x, y, flag = record.row()
-        # Simulations give numbers of numpy, which no state can hold.
-        self._group.push_rows(((topic, int(stamp_ns), float(x), float(y), bool(flag)),), outputs.append)
+        try:  # simulations give numbers of numpy, which no state can hold
+            row = topic, int(stamp_ns), float(x), float(y), bool(flag)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f'push: {shown(record)} has a value that is no number') from None
+        self._group.push_rows((row,), outputs.append)
         for output in outputs:
             self.take(output)
         return outputs
@@ -384,7 +395,11 @@ class TrainModel:
         M = train.mass if mass is None else MASS.checked(mass)
         with self._lock:
             self._go_on()
-            w, scale = self._resistance_at(v, direction), self._traction_scale(v, direction)
+            w, scale, rail = (
+                self._resistance_at(v, direction),
+                self._traction_scale(v, direction),
+                self._adhesion.limit(),
+            )
         load = load_drag(self._file.train_file.c_of_load, train.mass, M, v)
         force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + load + i))
         if force > 0.0:
@@ -394,7 +409,7 @@ class TrainModel:
         force, by_w = force / s, M * 0.001 * G / s
         map_std = self._file.train_file.line.gradient_std
         std = math.hypot(by_w * w.std, by_w * map_std, force * share)
-        return Value(force, std, w.live, w.reason)
+        return Value(force, std, w.live, w.reason + _beyond_rail(-force * s / (G * M), rail))
 
     def brake_command(self, speed: float, gradient: float, acceleration: float, *, direction: int = 1) -> Value:
         """Return the brake command [m/s^2, <= 0] that gives an acceleration once the brake is built up.
@@ -406,11 +421,12 @@ class TrainModel:
         direction = checked_direction(direction)
         with self._lock:
             self._go_on()
-            w, rate = self._resistance_at(v, direction), self._brake_rate_at(v)
+            w, rate, rail = self._resistance_at(v, direction), self._brake_rate_at(v), self._adhesion.limit()
         k, r = self._file.k, max(rate.value, NO_BRAKE)
         command = min(0.0, (wanted + k * (w.value + i)) / r)
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
-        return Value(command, std, *_of_brake((w.live, w.reason), (rate.live, rate.reason)))
+        live, reason = _of_brake((w.live, w.reason), (rate.live, rate.reason))
+        return Value(command, std, live, reason + _beyond_rail(-command * r / (1000.0 * k), rail))
 
     @overload
     def predict(
@@ -458,9 +474,17 @@ class TrainModel:
             self._go_on()
             posterior, of_rate = self._posterior(i + load), self._brake_rate.state()
             live, reason = self._resistance.state()
-            scale = self._traction_scale(v, direction)
+            scale, rail = self._traction_scale(v, direction), self._adhesion.limit()
         if u0 or any(u for _, u in plan.command):
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
+        if rail is not None and max(u0, *(u for _, u in plan.command)) > (
+            most := self._command_at(rail.adhesion, posterior, shape)
+        ):
+            plan = Plan(forces, [(t, min(u, most)) for t, u in plan.command], min(u0, most))
+            rate_std = posterior.mean[0] * rail.adhesion_std / rail.adhesion
+            variance = posterior.variances[0] + rate_std * rate_std
+            posterior = replace(posterior, variances=(variance, *posterior.variances[1:]))
+            reason = f'{reason}; {_limited(rail.adhesion)}'
         found = predicted_speeds(v, times, plan, shape, posterior, scale, self._file.config)
         answers = tuple(
             Value(mean, std, live, reason + self._file.beyond_line(run, direction, place)) for mean, std, run in found
@@ -491,12 +515,13 @@ class TrainModel:
             NoAnswerError: The train may not stop at all.
         """
         v = SPEED.checked(speed)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
+        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction, position)
         found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
         reason += self._file.beyond_line(found.distance, direction, position)
-        return Value(found.distance, found.std, live, reason)
+        # The distance is nearly inverse to the force.
+        return Value(found.distance, math.hypot(found.std, of_rail * found.distance), live, reason)
 
     def braking_speed(
         self, distance: float | None = None, gradient: float = 0.0, command: float = FULL_SERVICE,
@@ -521,8 +546,8 @@ class TrainModel:
             distance = distance_to(target, position, checked_direction(direction))
             passed = '' if distance > 0.0 else '; the target is not ahead in this direction'
         away = DISTANCE.checked(distance)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction, position)
-        return Value(*bounds.speed(away), live, reason + passed)
+        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction, position)
+        return _speed_within(away, bounds, of_rail, live, reason + passed)
 
     def braking_curve(
         self, stop: float, positions: Iterable[float], gradient: float = 0.0, command: float = FULL_SERVICE,
@@ -530,14 +555,17 @@ class TrainModel:
     ) -> tuple[Value, ...]:  # fmt: skip
         """Return the :meth:`braking_speed` [m/s] at positions [m] before a stopping point [m]; 0 at it and beyond."""
         end, direction = STOP.checked(stop), checked_direction(direction)
+        if not isinstance(positions, Iterable):
+            raise InputError(f'positions = {shown(positions)} must be numbers in m')
         distances = [distance_to(end, position, direction) for position in positions]
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
-        return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
+        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction)
+        return tuple(_speed_within(distance, bounds, of_rail, live, reason) for distance in distances)
 
     def _bounds(
         self, gradient: float, command: float, confidence: float, applied: float, direction: int,
         position: float | None = None,
-    ) -> tuple[StoppingBounds, bool, str]:  # fmt: skip
+    ) -> tuple[StoppingBounds, bool, str, float]:  # fmt: skip
+        """Return the bounds, whether they are live, the reason, and the relative std of the adhesion that limits."""
         i, u1 = GRADIENT.checked(gradient), -COMMAND.checked(command)
         u0, P = -APPLIED.checked(applied), CONFIDENCE.checked(confidence)
         place = None if position is None else _POSITION.checked(position)
@@ -546,12 +574,19 @@ class TrainModel:
             self._go_on()
             posterior = self._posterior(i, P)
             live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
-            most, why = self._adhesion.limit(P)
-        if why:
-            # As a command of the brake that is known to act: its rate, at the speed where that is largest.
-            force = most * 1000.0 * self._file.k / (posterior.mean[0] * max(shape.rates, default=1.0))
-            u1, u0, reason = min(u1, force), min(u0, force), f'{reason}; {why}'
-        return StoppingBounds(shape, posterior, u1, u0, P), live, reason
+            rail = self._adhesion.limit()
+        share = 0.0
+        if rail is not None:
+            least = adhesion_at(rail, P)
+            most = self._command_at(least, posterior, shape)
+            reason = f'{reason}; {_limited(least)}'
+            share = rail.adhesion_std / rail.adhesion if most < u1 else 0.0
+            u1, u0 = min(u1, most), min(u0, most)
+        return StoppingBounds(shape, posterior, u1, u0, P), live, reason, share
+
+    def _command_at(self, adhesion: float, posterior: StopPosterior, shape: RateShape) -> float:
+        """Return the brake command [m/s^2, > 0] that needs an adhesion [1] at the speed where the rate is largest."""
+        return adhesion * 1000.0 * self._file.k / (posterior.mean[0] * max(shape.rates, default=1.0))
 
     def _posterior(self, gradient: float, confidence: float = 1.0) -> StopPosterior:
         file, davis, rate = self._file, self._resistance.normal(DAVIS), self._brake_rate.normal(BRAKE_RATE)
@@ -597,6 +632,13 @@ class TrainModel:
         self._adhesion.go_on(now)
 
 
+def _speed_within(distance: float, bounds: StoppingBounds, of_rail: float, live: bool, reason: str) -> Value:
+    """Return the speed from which a train stops within a distance [m], with the relative std of the adhesion."""
+    speed, std = bounds.speed(distance)
+    # The speed is nearly the root of the force.
+    return Value(speed, math.hypot(std, 0.5 * of_rail * speed), live, reason)
+
+
 def _steps(values: float | Steps, argument: Argument) -> list[tuple[float, float]]:
     """Return values from their time on; InputError if one is out of range, or the times do not rise."""
     if isinstance(values, (float, Real)):
@@ -618,6 +660,17 @@ def _rows(values: Any, argument: Argument) -> Sequence[Any]:
     if isinstance(values, (str, Mapping)) or not hasattr(values, '__iter__') or not (rows := tuple(values)):
         raise InputError(f'{argument.name} = {shown(values)} must be a number in {argument.unit}, or several')
     return rows
+
+
+def _beyond_rail(needed: float, rail: AdhesionEstimate | None) -> str:
+    """Return what to add to the reason of a braking that needs more adhesion [1] than there was in a slide."""
+    if rail is None or needed <= rail.adhesion:
+        return ''
+    return f'; needs an adhesion of {needed:.3f}, after a slide at {rail.adhesion:.3f}'
+
+
+def _limited(adhesion: float) -> str:
+    return f'braking limited to an adhesion of {adhesion:.3f} by a slide'
 
 
 def _of_brake(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
