@@ -49,11 +49,12 @@ public:
   }
 
 private:
-  // Until an estimate says that a slide is a km ago, no more braking than the rail permitted.
+  // A slide limits the braking until an estimate that is fit says that no axle slipped in the last km.
   void look(const AdhesionEstimate & rail) {
-    if (rail.slip != 0.0) {is_slide_ = rail.slip < 0.0;}
-    const bool limits = is_slide_ && rail.adhesion > 0.0 && (rail.slipping || rail.slip_share > 0.0);
-    slide_ = limits ? std::optional<AdhesionEstimate>(rail) : std::nullopt;
+    const bool fit = rail.status == AdhesionEstimate::VALID || rail.status == AdhesionEstimate::HOLDING;
+    if (!(rail.adhesion > 0.0) || !(fit || rail.slip < 0.0)) {return;}
+    may_be_slide_ = rail.slip < 0.0 || (may_be_slide_ && (rail.slipping || rail.slip_share > 0.0));
+    slide_ = may_be_slide_ ? std::optional<AdhesionEstimate>(rail) : std::nullopt;
   }
 
   void step() {
@@ -73,7 +74,7 @@ private:
   trainid::Train train_{0.08, 22.2, 2.5, {}};
   Newest<ResistanceEstimate> w_;
   Newest<BrakeRateEstimate> rate_;
-  bool is_slide_ = false;
+  bool may_be_slide_ = true;
   std::optional<AdhesionEstimate> slide_;
   rclcpp::Subscription<AdhesionEstimate>::SharedPtr rail_;
   rclcpp::TimerBase::SharedPtr timer_;
