@@ -207,7 +207,7 @@ class Nodes:
 
     def _follow(self) -> None:
         for line in self.process.stdout or ():
-            if line.endswith(' is active\n'):
+            if ' is active: ' in line:
                 self.active.add(line.split()[0])
 
     def close(self) -> None:

@@ -33,7 +33,7 @@ def test_usable_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [line.split() for line in captured.out.splitlines()]
     assert ['ato/speed', 'trainid_msgs/msg/AtoSpeed', '20', '5', '0', '0', '0', '0', '0', '0.000'] in rows
     assert ['ato/force', 'force', '100000', '100000', 'N'] in rows
-    assert captured.out.endswith('\nusable\n')
+    assert captured.out.startswith(f'{tmp_path / "bag"}: usable; ')
     assert len({len(line) for line in captured.out.split('\n\n')[1].splitlines()}) == 1  # columns are aligned
 
 
@@ -47,7 +47,7 @@ def test_bag_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main(['info', str(path)]) == 1
     captured = capsys.readouterr()
     assert captured.err == f'trainid: error: {path}: cannot be used: no messages on ato/force\n'
-    assert 'not usable' in captured.out
+    assert captured.out.startswith(f'{path}: not usable; ')
     path = tmp_path / 'x.mcap'
     path.write_bytes(b'')
     assert main(['info', str(path), '--json']) == 2

@@ -74,6 +74,27 @@ def test_exit_code_and_arguments_are_passed_through(verb: Install) -> None:
 
 
 @pytest.mark.parametrize(
+    ('arguments', 'hint'),
+    [
+        (['replya', 'bag'], "'replya'; did you mean 'replay'?"),
+        (['train', 'shwo'], "'train shwo'; did you mean 'train show'?"),
+        (['train'], "'train'; did you mean 'train show'?"),
+        (['replay', 'bag', '--trian', 'T.yaml'], "--trian is no option; did you mean '--train'?"),
+        (['fleet', 'report', 'T', '--explian=2'], "--explian is no option; did you mean '--explain'?"),
+        (['simulate', 'bag', '--world', 'trams'], "'trams'; did you mean 'tram'?"),
+        (['info', 'bag', '--foo'], '--foo is no option; known: --help, '),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest(
+    arguments: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        entry.main(arguments)
+    assert caught.value.code == 2
+    assert hint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     'arguments', [[], ['nonsense'], ['info'], ['fit', 'a', 'b'], ['info', 'a', '--nope'], ['info', 'a', '--jobs', '-1']]
 )
 def test_usage_errors_are_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:

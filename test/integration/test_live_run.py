@@ -212,7 +212,8 @@ def test_live_estimates_equal_the_replay_to_the_bit(
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
 def test_run_exits_cleanly_after_one_signal_or_many(processes: Processes, signal_number: int) -> None:
     nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
-    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    (line,) = wait_for_lines(nodes, 1)
+    assert line.startswith('resistance_estimator is active: filter-bank on /trainid/resistance; parameters given: ')
     if signal_number == signal.SIGINT:
         # The first ends the executor within 0.2 s; the others meet a process that cleans up or ends.
         for _ in range(20):
@@ -224,7 +225,8 @@ def test_run_exits_cleanly_after_one_signal_or_many(processes: Processes, signal
 
 def test_run_fails_once_others_have_shut_all_nodes_down(processes: Processes, listener: Listener) -> None:
     nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
-    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    (line,) = wait_for_lines(nodes, 1)
+    assert line.startswith('resistance_estimator is active: filter-bank on /trainid/resistance; parameters given: ')
     change = listener.node.create_client(ChangeState, 'resistance_estimator/change_state')
     listener.until(change.service_is_ready)
     change.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN)))

@@ -15,6 +15,7 @@ from trainid_ros.inputs.mapped_inputs import mapped_inputs
 from trainid_ros.inspection.bag_info import BagInfo, TopicInfo, inspect
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, REQUIRED_TOPICS
+from trainid_ros.interface.text import pluralise
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 
@@ -63,9 +64,11 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
 
 
 def describe(info: BagInfo) -> str:
-    """Return the contents of a bag as text."""
+    """Return the contents of a bag as text, whether it can be used first."""
+    care = f'with care, see the {pluralise(len(info.warnings), "warning")} below' if info.warnings else ''
+    verdict = f'usable {care}'.rstrip() if info.usable else 'not usable'
     blocks = [
-        f'{info.path}: {info.messages} messages in {info.duration_s:.1f} s',
+        f'{info.path}: {verdict}; {info.messages} messages in {info.duration_s:.1f} s',
         table([_HEADINGS, *(_topic_row(topic) for topic in info.topics)], numbers=range(2, 10)),
     ]
     if info.ranges:
@@ -76,7 +79,6 @@ def describe(info: BagInfo) -> str:
     if starts := [topic.stamps.first_ns for topic in info.topics if topic.stamps and topic.stamps.first_ns]:
         blocks.append(f'first stamp {datetime.fromtimestamp(min(starts) / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC')
     blocks += [f'warning: {line}' for line in info.warnings]
-    blocks.append('usable' if info.usable else 'not usable')
     return '\n\n'.join(blocks[:3]) + '\n' + '\n'.join(blocks[3:])
 
 

@@ -45,9 +45,11 @@ def run_nodes(args: argparse.Namespace) -> int:
     inputs = SharedInputs()
     nodes = [EstimatorNode(SPECS[name], arguments, inputs, parameter_overrides=overrides) for name in names]
     for node in nodes:
+        node.is_quiet = True
         if not node.bring_up():
             raise _refused(f'{node.get_name()}: {node.failure}', nodes)
-        print(f'{node.get_name()} is active', flush=True)
+        node.is_quiet = False
+        print(f'{node.get_name()} is active: {node.about()}; {node.shared.parameters.given_values}', flush=True)
     ended = set[str]()
 
     def is_over() -> bool:

@@ -13,27 +13,42 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Final, NoReturn
+from itertools import takewhile
+from typing import Any, Final, NoReturn
 
 from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
 from trainid_ros.cli.arguments import VERBS, add_options
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, warn
 from trainid_ros.interface.errors import InputError, NoAnswerError
+from trainid_ros.train.fields import did_you_mean
 
 EXIT_INTERRUPTED: Final = 130
 EXIT_BROKEN_PIPE: Final = 141
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that reports a usage error in one line."""
+    """A parser that reports a usage error in one line, with the word that may be meant."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments; an option of a verb that does not exist is the error, whatever else is missing."""
+        known = [name for name in self._option_string_actions if name.startswith('--')]
+        given = takewhile(lambda text: text not in {'--', '--ros-args'}, args if self._subparsers is None else ())
+        for name in (text.partition('=')[0] for text in given if text.startswith('--')):
+            if not any(option.startswith(name) for option in known):
+                self.error(f'{name} is no option; {did_you_mean(name, known)}')
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Print the message and a pointer to the help, and exit with 2."""
+        if choice := re.fullmatch(r"(.*invalid choice: '(.*)') \(choose from (.*)\)", message):
+            known = [name.strip("'") for name in choice[3].split(', ')]
+            message = f'{choice[1]}; {did_you_mean(choice[2], known)}'
         self.exit(EXIT_BAD_INPUT, f'trainid: error: {message} (see {self.prog} --help)\n')
 
 
@@ -70,7 +85,8 @@ def _end(number: int, _: object) -> NoReturn:
 
 def _dispatch(arguments: list[str]) -> int:
     """Run a verb; InputError if it needs an optional package that is not installed."""
-    if (pair := ' '.join(arguments[:2])) in (verb.name for verb in VERBS):
+    pair, names = ' '.join(arguments[:2]), [verb.name for verb in VERBS]
+    if pair in names or (arguments[:1] == ['train'] and not pair.startswith('train -')):
         arguments = [pair, *arguments[2:]]
     wanted = next((text for text in arguments if not text.startswith('-')), None)
     parser = _Parser(prog='trainid', description='Identify train resistance and brake rate on board.')

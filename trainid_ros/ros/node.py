@@ -87,7 +87,7 @@ def guarded(
             return TransitionCallbackReturn.ERROR
         if result == TransitionCallbackReturn.SUCCESS:
             text = f'{_REACHED[transition.__name__]}: {node.about()}'
-            if transition.__name__ == 'on_configure':  # most nodes are activated at once
+            if node.is_quiet or transition.__name__ == 'on_configure':  # most nodes are activated at once
                 node.get_logger().debug(text)
             else:
                 node.get_logger().info(text)
@@ -112,6 +112,7 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
+        is_quiet: Whether transitions are logged for debugging only.
         usual_name: Its name before remapping.
         steady_clock: The clock of the timers, which never jumps.
     """
@@ -119,7 +120,7 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str, **options: Any) -> None:
         with creation_of(name):
             super().__init__(name, **options)
-        self.failure, self.usual_name = '', name
+        self.failure, self.usual_name, self.is_quiet = '', name, False
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         change_state = self._service_change_state.callback
 
