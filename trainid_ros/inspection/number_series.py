@@ -226,6 +226,7 @@ MIN_NUMBERS: Final = 50
 """Fewest numbers that show anything."""
 # Changes of a position are compared with the distance over so much time, at least [s], and at most.
 _SPAN_S: Final = (8.0, 900.0)
+_BEFORE: Final = 10  # positions that show the direction of travel
 
 
 def common_times(speed: NumberSeries) -> Array:
@@ -274,9 +275,7 @@ class Travel(NamedTuple):
 
 def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
     """Compare changes of a position with the integral of a speed, between its stamps."""
-    steps = np.diff(speed.time)
-    mean = 0.5 * (np.abs(speed.value[1:]) + np.abs(speed.value[:-1]))
-    distance = np.concatenate(([0.0], np.cumsum(np.where(steps < _SPAN_S[0], mean * steps, 0.0))))
+    distance = _travelled(speed)
     inside = (position.time >= speed.time[0]) & (position.time <= speed.time[-1]) & np.isfinite(position.value)
     time, value = position.time[inside], position.value[inside]
     none = Travel(0.0, math.nan)
@@ -298,6 +297,31 @@ def compare_travel(speed: NumberSeries, position: NumberSeries) -> Travel:
     share = float(np.mean(usable[gone > 0.0]))
     ratio = float(change[usable] @ gone[usable]) / float(gone[usable] @ gone[usable])
     return Travel(float(np.corrcoef(gone[usable], change[usable])[0, 1]) * share, ratio)
+
+
+def _travelled(speed: NumberSeries) -> Array:
+    """Return the integral of a speed at its stamps, in its unit times s, shape (n,)."""
+    steps = np.diff(speed.time)
+    mean = 0.5 * (np.abs(speed.value[1:]) + np.abs(speed.value[:-1]))
+    return np.concatenate(([0.0], np.cumsum(np.where(steps < _SPAN_S[0], mean * steps, 0.0))))
+
+
+def jumps(speed: NumberSeries, position: NumberSeries, ratio: float, least: float) -> list[tuple[float, float]]:
+    """Return where a position jumps by ``least`` or more while the train runs, and by how much, as kilometre posts do.
+
+    All are in its unit, ``ratio`` of it for each unit of the speed and second. As in a mapping, they are those of a
+    train on which positions rise; what is passed several times counts once.
+    """
+    run, elapsed = np.diff(np.interp(position.time, speed.time, _travelled(speed))), np.diff(position.time)
+    change, found = np.diff(position.value), list[tuple[float, float]]()
+    is_far = np.abs(np.abs(change) - ratio * run) >= least
+    for k in np.flatnonzero(is_far & (run > 0.0) & (elapsed < _SPAN_S[0])).tolist():
+        is_rising = float(np.sum(np.sign(change[max(0, k - _BEFORE) : k]))) >= 0.0
+        at = float(position.value[k] if is_rising else position.value[k + 1])
+        by = float(change[k] if is_rising else -change[k]) - ratio * float(run[k])
+        if abs(by) >= least and not any(abs(at - known) < abs(by) for known, _ in found):
+            found.append((at, by))
+    return sorted(found)
 
 
 class Fit(NamedTuple):

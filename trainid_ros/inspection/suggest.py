@@ -37,6 +37,7 @@ from trainid_ros.inspection.number_series import (
     family,
     is_nameless,
     is_near,
+    jumps,
     nearest_unit,
     partial_slope,
     regress,
@@ -296,7 +297,7 @@ def _choose_speed(
 ) -> tuple[Choice, list[Choice], _Motion]:
     """Return the choice among speeds, that of the position, if there is one, and the motion."""
     ranked = sorted((_rank(item, series) for item in speeds), key=lambda item: -item.points)
-    best = ranked[0]
+    best = ranked[0] if ranked[0].position is not None else _with_position(ranked[0], series)
     unit, length, reason, decisions = _speed_unit(best)
     times = common_times(best.speed)
     speed_si = find_unit(unit, 'speed').factor * np.abs(at_times(best.speed, times))
@@ -319,6 +320,12 @@ def _choose_speed(
     if best.position is None:
         return choice, [], motion
     position = Choice('position', (Part(best.position, length or 'm'),))
+    if is_nameless(best.position):
+        position.decisions.append('whether this is the position: no name says so')
+    metres = find_unit(length or 'm', 'length').factor
+    if found := jumps(best.speed, best.position, best.travel.ratio, _LEAST_JUMP_M / metres):
+        rows = ', '.join(f'[{metres * at:.1f}, {metres * by:.1f}]' for at, by in found[:_MOST_JUMPS])
+        position.decisions.append(f'it jumps while the train runs; if kilometre posts do, add chainage: [{rows}]')
     position.reasons.append(f'correlation {best.travel.correlation:.2f} of its changes with the integral of the speed')
     if not length:
         position.decisions.append(f'no units fit {best.travel.ratio:.4g} for each {unit} and second: gain or unit')
@@ -349,6 +356,22 @@ def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
     if position is not None:
         points -= 10.0 * min((off for _, _, off in _units_off(travel.ratio)), default=_MAX_OFF)
     return _Ranked(points + 0.1 * speed.has_stamps + 0.001 * min(speed.rate, 50.0), speed, position, travel, push)
+
+
+# Smallest step of a position that is no correction of the odometer [m], and how many of them are named.
+_LEAST_JUMP_M: Final = 20.0
+_MOST_JUMPS: Final = 6
+
+
+def _with_position(best: _Ranked, series: Iterable[NumberSeries]) -> _Ranked:
+    """Return a speed with the position that is its integral though no name says so, if there is one."""
+    unnamed = [item for item in series if item is not best.speed and is_nameless(item) and np.ptp(item.value) > 0.0]
+    compared = [(compare_travel(best.speed, item), item) for item in unnamed]
+    fitting = [pair for pair in compared if pair[0].correlation > _MIN_ALIKE and _units_off(pair[0].ratio)]
+    if not fitting:
+        return best
+    travel, position = max(fitting, key=lambda pair: pair[0].correlation)
+    return best._replace(position=position, travel=travel)
 
 
 _MAX_OFF: Final = 0.04  # share by which a worn wheel or a coarse position may be off [1]
