@@ -164,7 +164,7 @@ def test_simulated_time_that_never_starts_or_has_stopped_is_reported(
     diagnosed.until(OWN, '/clock has stopped')
     assert diagnosed.level(OWN) == DiagnosticStatus.WARN
     Simulated(graph, node)
-    diagnosed.until(OWN, '2 publishers of /clock: /time: stop all but one')
+    diagnosed.until(OWN, '2 publishers of /clock: /time (2 of this name): stop all but one')
 
 
 def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(
@@ -306,4 +306,4 @@ def test_two_publishers_of_one_name_are_named(
     start()
     start()
     # Those of other tests may still be in the graph.
-    diagnosed.until(SPEED, 'publishers, whose messages mix: /odometer')
+    diagnosed.until(SPEED, 'publishers, whose messages mix: /odometer (')

@@ -8,7 +8,7 @@ with the node's clock, so they are correct under simulated time too.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from statistics import median
@@ -293,7 +293,7 @@ def _shown(last: Rejection) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    return ', '.join(dict.fromkeys(names))
+    return ', '.join(name if n == 1 else f'{name} ({n} of this name)' for name, n in Counter(names).items())
 
 
 @dataclass(eq=False)
@@ -433,7 +433,6 @@ class DiagnosticsPublisher:
         self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
         self._problems: dict[str, Finding] = {}
-        self._logged: dict[AnyTopic, Publishers] = {}
         # Hash of the definition with which a topic is subscribed, by topic and type
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
@@ -602,10 +601,10 @@ class DiagnosticsPublisher:
         monitor.publishers = self._publishers(inputs, monitor.topic, name)
         if not inputs.subscriptions[monitor.topic].may_mix:
             monitor.publishers = monitor.publishers.at_a_time()
-        logged = self._logged.get(monitor.topic, Publishers())
+        logged = inputs.logged.get(monitor.topic, Publishers())
         if before != monitor.publishers or before == logged:  # the graph knows names later than publishers
             return
-        self._logged[monitor.topic] = before
+        inputs.logged[monitor.topic] = before
         if before.unheard and before.unheard != logged.unheard:
             logger.error(f'{name}: {"; ".join(before.unheard)}')
         if len(before.heard) > max(1, len(logged.heard)):

@@ -283,6 +283,7 @@ class InputGroup:
         subscriber: Name of the first node.
         subscriptions: The subscriptions by topic; a foreign one is made as soon as its type is known.
         recorder: Keeps the last inputs for recordings, None without any.
+        logged: Publishers of each topic that the log has named, once for all nodes.
         mapped: What makes records of the messages of foreign topics, None without a mapping.
     """
 
@@ -296,6 +297,7 @@ class InputGroup:
             for topic in subscribed_topics(mapping.mapping)
         }
         self.recorder: EventRecorder | None = None
+        self.logged: dict[AnyTopic, Publishers] = {}
         self._said: set[tuple[str, str]] = set()
         self._discovery: Any = None
         if any(isinstance(topic, ForeignTopic) for topic in self.subscriptions):
