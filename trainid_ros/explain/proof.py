@@ -66,6 +66,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
     gap, deviation, shown, fitted = np.zeros((4, model.residual.size))
     likelihood, fitted_likelihood, hidden = 0.0, 0.0, model.grid.hiding
+    of_runs = list[tuple[Flags, Array, _Fitted]]()
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
@@ -77,16 +78,23 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
             at = model.dataset.point_run == run
             columns, noise, factors = model.nuisance_columns[at], _noise(model, hyper, at), model.factor_columns[at]
             left, known = residual[at] - columns @ np.where(stated, mean, 0.0), columns @ unstated
-            of_run = factors @ np.diag(np.square(hyper.spread.of_run)) @ factors.T
+            by_factors = factors @ np.diag(np.square(hyper.spread.of_run))
+            of_run = by_factors @ factors.T
             apart = columns @ unknown @ columns.T + of_run
             rounded, hiding = (noise + np.diag(x[at]) for x in (np.minimum(hidden, model.grid.rounding), hidden))
             gap[at], deviation[at] = _started(model, at, left, rounded + apart + np.outer(known, known))
-            _, shown[at] = _started(model, at, left, rounded + _fitted(model, at, known, left - known, apart, hiding))
+            by_map = columns[:, len(model.common_std) :] @ unstated[len(model.common_std) :]
+            of_runs.append((at, rounded, _fitted(model, at, by_map, left - known, apart, hiding, by_factors)))
             hiding += of_run
             likelihood += _log_likelihood(model, at, left, hiding + columns @ beforehand @ columns.T)
             left -= known
             fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
             fitted_likelihood += _log_likelihood(model, at, left, hiding + columns @ covariance @ columns.T)
+    # What all runs have in common a train file can state, but for errors of the map.
+    common = np.mean([found.factors for _, _, found in of_runs], axis=0)
+    for at, rounded, found in of_runs:
+        mean = found.mean - model.factor_columns[at] @ common
+        _, shown[at] = _started(model, at, gap[at], rounded + np.outer(mean, mean) + found.covariance)
     return HeldOut(gap, deviation, shown, fitted, likelihood, fitted_likelihood)
 
 
@@ -123,16 +131,28 @@ def _started(model: Model, at: Flags, left: Array, expected: Array) -> tuple[Arr
     return left - left[k], np.sqrt(np.maximum(variance, 0.0))
 
 
-def _fitted(model: Model, at: Flags, known: Array, left: Array, unknown: Array, noise: Array) -> Array:
-    """Return the second moment of what no train file states of one run, as fitted to this run too [(m/s)^2], (m, m).
+class _Fitted(NamedTuple):
+    """What no train file states of one run, as fitted to it: its effect on the speeds, and the factors of the run."""
 
-    By the other runs it has the mean ``known`` and the covariance ``unknown``; ``left`` is the residual without it.
+    mean: Array  # [m/s], shape (m,)
+    covariance: Array  # [(m/s)^2], shape (m, m)
+    factors: Array  # Shape (3,)
+
+
+def _fitted(
+    model: Model, at: Flags, known: Array, left: Array, unknown: Array, noise: Array, by_factors: Array
+) -> _Fitted:
+    """Return what no train file states of one run, as fitted to this run too.
+
+    By the other runs it has the mean ``known`` and the covariance ``unknown``; ``left`` is the residual without what
+    these runs show, and ``by_factors`` the covariance of the speeds with the factors of the run.
     """
     measured = model.dataset.point_count[at] > 0.0
     expected = (unknown + noise + 100.0)[np.ix_(measured, measured)]  # 10 m/s: the initial speed is not known
-    gain = np.linalg.solve(expected, unknown[measured]).T
-    mean = known + gain @ left[measured]
-    return np.asarray(np.outer(mean, mean) + unknown - gain @ unknown[measured])
+    gain = np.linalg.solve(expected, np.concatenate((unknown, by_factors), axis=1)[measured]).T
+    found, size = gain @ left[measured], known.size
+    covariance = unknown - gain[:size] @ unknown[measured]
+    return _Fitted(known + found[:size], np.asarray(covariance), found[size:])
 
 
 def _log_likelihood(model: Model, at: Flags, left: Array, expected: Array) -> float:
