@@ -115,6 +115,8 @@ def test_effects_are_shown_with_values_and_runs(folder: Path, capsys: pytest.Cap
     assert run(folder, 'show T.yaml') == 0
     said = capsys.readouterr().out
     assert ', 1 car, ' in said
+    unstated = 'train.length, train.max_speed, train.rotary_mass, brake.rate, brake.delay, brake.time_constant'
+    assert f'Assumed: {unstated}: not in the file\n' in said
     assert 'Effect: mass_error: ratio = 1.150 ± 0.020, on runs 2 and 3 only\n' in said
     assert 'Effect: headwind: speed = 3 m/s\n' in said
 

@@ -12,7 +12,7 @@ from trainid_ros.train.draft import Draft, doubts, read_osrd
 from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
 from trainid_ros.train.railml import read_railml
-from trainid_ros.train.train_file import load_train_file, parse_train_file
+from trainid_ros.train.train_file import assumed_fields, parse_train_file
 
 _HEAD = '# trainid train import'
 
@@ -64,14 +64,15 @@ def show_file(args: argparse.Namespace) -> int:
     """Print a summary of a train file and write its page."""
     from trainid_ros.report.train_page import facts, train_page  # noqa: PLC0415 (help needs no plots)
 
-    train_file = load_train_file(args.train)
+    text, name = read_text(args.train), str(args.train)
+    train_file, assumed = parse_train_file(text, name), assumed_fields(text, name)
     check_effects(train_file.effects)
     if args.out is not None:
-        prepare_page(args.out).write_text(train_page(train_file, args.train.name), encoding='utf-8')
+        prepare_page(args.out).write_text(train_page(train_file, assumed, args.train.name), encoding='utf-8')
     if args.json:
         print_json({'out': args.out, 'train_file': train_file})
         return 0
-    show('\n'.join(f'{name}: {text}' for name, text in facts(train_file)))
+    show('\n'.join(f'{name}: {text}' for name, text in facts(train_file, assumed)))
     if args.out is not None:
         show(f'{args.out}: written')
     return 0

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from markupsafe import Markup
 
@@ -16,8 +18,8 @@ from trainid_ros.train.line import profile_of
 from trainid_ros.train.train_file import Effect, Pairs, TrainFile
 
 
-def facts(train_file: TrainFile) -> list[tuple[str, str]]:
-    """Return the content of a train file, a line of text for each part."""
+def facts(train_file: TrainFile, assumed: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the content of a train file, a line of text for each part; it does not state the ``assumed`` fields."""
     train, brake, line, w = train_file.train, train_file.brake, train_file.line, train_file.resistance
     speeds = [share * train.max_speed for share in (0.25, 0.5, 1.0)]
     at = ', '.join(f'{davis(w, v):.2f} at {KM_H * v:.0f} km/h' for v in speeds)
@@ -38,6 +40,7 @@ def facts(train_file: TrainFile) -> list[tuple[str, str]]:
         pluralise(len(line.tunnel), 'tunnel') if line.tunnel else '',
         f'limits {_range([KM_H * v for _, v in line.speed_limit])} km/h' if line.speed_limit else '',
     )
+    rows += [('Assumed', f'{", ".join(assumed)}: not in the file')] if assumed else []
     rows += [('Line', '; '.join(filter(None, parts)) or 'none')]
     rows += [('Effect', _effect(effect)) for effect in train_file.effects]
     return [*rows, *(('Check', doubt) for doubt in doubts(train_file))]
@@ -53,13 +56,13 @@ def _range(values: list[float]) -> str:
     return f'{low:.4g}' if low == high else f'{low:.4g} to {high:.4g}'
 
 
-def train_page(train_file: TrainFile, name: str) -> str:
-    """Return the page of a train file as HTML text."""
+def train_page(train_file: TrainFile, assumed: Sequence[str], name: str) -> str:
+    """Return the page of a train file as HTML text; it does not state the ``assumed`` fields."""
     figures = [('Running resistance and brake rate', 'Over speed.', _over_speed(train_file))]
     if train_file.line.gradient or train_file.line.curve or train_file.line.speed_limit:
         caption = 'Grey: tunnels; ticks: stops. Black: mean gradient under the train, by the position of its front.'
         figures.append(('Line', caption, _line(train_file)))
-    body = f'{page.facts(facts(train_file))}{page.captioned(figures)}'
+    body = f'{page.facts(facts(train_file, assumed))}{page.captioned(figures)}'
     return page.page(name, body, 'Made by trainid train show.')
 
 

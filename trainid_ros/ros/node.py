@@ -77,7 +77,8 @@ def guarded(
             result = transition(node, state)
         except TrainIdError as error:
             node.failure = str(error)
-            node.get_logger().error(node.failure)
+            if not node.is_quiet:
+                node.get_logger().error(node.failure)
             return TransitionCallbackReturn.FAILURE
         except (KeyboardInterrupt, ROSInterruptException):
             raise
@@ -112,7 +113,7 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
-        is_quiet: Whether transitions are logged for debugging only.
+        is_quiet: Whether the caller reports transitions and their failures, so that the log does not.
         usual_name: Its name before remapping.
         steady_clock: The clock of the timers, which never jumps.
     """

@@ -13,7 +13,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from trainid_ros.interface.errors import setting, setting_info
 from trainid_ros.train.fields import Section, as_section, parse_yaml, read_text, shown
@@ -159,6 +159,18 @@ def parse_train_file(text: str, source: str) -> TrainFile:
         line=_line(top.section('line')),
         effects=tuple(_effect(as_section(source, f'effects[{i}]', x)) for i, x in enumerate(top.items('effects'))),
     )
+
+
+_SHOWN: Final = {'train': ('length', 'cars', 'max_speed', 'rotary_mass'), 'brake': ('rate', 'delay', 'time_constant')}
+
+
+def assumed_fields(text: str, source: str) -> list[str]:
+    """Return the names of fields of train and brake that a train file does not state; InputError as above."""
+    top = parse_yaml(text, source)
+    known = {name: set(top.section(name).data) for name in _SHOWN}
+    if isinstance(top.section('train').data.get('cars'), list):  # which have lengths
+        known['train'].add('length')
+    return [f'{name}.{key}' for name, keys in _SHOWN.items() for key in keys if key not in known[name]]
 
 
 def dump_train_file(train_file: TrainFile) -> str:
