@@ -25,8 +25,8 @@ from ato.knowledge import TrainValues, client_values
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel
+from trainid_ros.client.arguments import MAX_STAMP_AGE
 from trainid_ros.client.live_estimate import MAX_AGE_S
-from trainid_ros.client.train_model import MAX_STAMP_AGE
 from trainid_ros.interface.errors import NoAnswerError
 from trainid_ros.interface.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos

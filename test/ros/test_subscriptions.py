@@ -19,7 +19,7 @@ from test.ros import published_estimates
 from test.ros.graph import NARROW, Graph, coasting, feed
 from test.ros.published_estimates import Estimates
 from trainid_ros.client import TrainModel
-from trainid_ros.client.train_model import MAX_STAMP_AGE
+from trainid_ros.client.arguments import MAX_STAMP_AGE
 from trainid_ros.interface.records import BRAKE_RATE_TOPIC
 from trainid_ros.interface.results import Status
 from trainid_ros.ros.topics import message_class
