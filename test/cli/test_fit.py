@@ -152,6 +152,18 @@ def test_without_a_braking_there_is_no_answer(
     assert 'no braking' in err.splitlines()[-1]
 
 
+def test_without_a_rate_there_are_no_brake_parameters(
+    driven_bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unsure = replace(FIT, quantities=tuple(replace(one, value=one.stated, std=0.4) for one in FIT.quantities))
+    monkeypatch.setattr('trainid_ros.cli.fit.fit_brake', lambda *_: unsure)
+    assert call(driven_bag, '--brake', '--etcs', '--json') == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)['brake'] is None
+    assert '--etcs: 20 brakings cannot tell the rate of the brake' in err
+    assert call(driven_bag, '--brake') == 0
+
+
 def test_the_reason_is_named_where_no_command_can_be_used(
     driven_bag: Path, changed: Change, capsys: pytest.CaptureFixture[str]
 ) -> None:

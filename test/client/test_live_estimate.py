@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -480,15 +481,41 @@ def test_a_slide_limits_the_brake_until_it_is_a_km_away_also_while_nothing_comes
     assert adhesion_after(SLIDE, DRY).limit() is None
 
 
-def test_a_slide_before_the_first_estimate_limits_the_brake_too() -> None:
+def test_slip_that_has_begun_unheard_may_be_a_slide() -> None:
     assert adhesion_after(PASSED).limit() is PASSED
+    assert adhesion_after(PASSED, status=Status.CONVERGING).limit() is PASSED
     assert adhesion_after(DRY, PASSED).limit() is None
+    silent, refused = adhesion_after(DRY), adhesion_after(DRY)
+    refused.refuse('two publishers', 0.2)
+    silent.take_new(Status.VALID, PASSED, 60.0, 300)
+    refused.take_new(Status.VALID, PASSED, 0.4, 2)
+    assert [one.limit() for one in (silent, refused)] == [PASSED, PASSED]
+
+
+def test_a_slide_is_one_while_the_axle_has_come_back() -> None:
+    back = replace(SLIDE, slip=-0.0)
+    assert adhesion_after(DRY, back, PASSED).limit() is PASSED
+    assert adhesion_after(DRY, replace(SLIDE, slip=0.0), PASSED).limit() is None
 
 
 def test_slip_under_traction_neither_limits_the_brake_nor_lifts_the_limit_of_a_slide() -> None:
-    slip = replace(SLIDE, slip=0.2)
+    slip = replace(SLIDE, slip=0.2, adhesion=0.2)
     assert adhesion_after(DRY, slip, PASSED).limit() is None
-    assert adhesion_after(DRY, SLIDE, slip, PASSED).limit() is PASSED
+    assert adhesion_after(DRY, SLIDE, slip).limit() is SLIDE
+    assert adhesion_after(DRY, SLIDE, PASSED, slip).limit() is PASSED
+    assert adhesion_after(DRY, SLIDE, slip, DRY, slip).limit() is None
+
+
+def test_the_limit_is_the_lowest_of_several_slides_and_of_one_the_newest() -> None:
+    milder = replace(SLIDE, adhesion=0.15)
+    assert adhesion_after(SLIDE, milder).limit() is milder
+    assert adhesion_after(SLIDE, PASSED, milder).limit() is PASSED
+    failed = adhesion_after(milder)
+    for adhesion, expected in ((0.3, 0.15), (0.08, 0.08)):
+        failed.take_new(Status.FAULT, replace(SLIDE, adhesion=adhesion), 0.2, 1)
+        limit = failed.limit()
+        assert limit is not None
+        assert limit.adhesion == expected
 
 
 @pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.CONVERGING, Status.STALE, Status.FAULT])
@@ -507,15 +534,22 @@ def test_stamps_that_do_not_rise_do_not_lift_the_limit_of_a_slide(stamps: tuple[
     assert one.limit() is SLIDE
 
 
-@pytest.mark.parametrize(
-    'wrong',
-    [{'adhesion': 0.0}, {'adhesion_std': -1.0}, {'adhesion': math.nan}, {'slip': -5.0}, {'slip_share': -1.0},
-     {'slip_share': 2.0}],
-)  # fmt: skip
+WRONG: list[dict[str, Any]] = [
+    *({'adhesion': x} for x in (0.0, 1e-310, math.nan, None, 'x', 10**400, Decimal('0.05'))),
+    *({'adhesion_std': x} for x in (-1.0, 0.5, 1e308)),
+    *({'slip': -5.0}, {'slip_share': -1.0}, {'slip_share': 2.0}),
+]
+
+
+@pytest.mark.parametrize('wrong', WRONG, ids=lambda wrong: f'{wrong}'[:40])
 def test_an_adhesion_that_cannot_be_is_not_used(wrong: dict[str, Any]) -> None:
     one = adhesion_after(replace(SLIDE, **wrong))
-    assert one.value() == (RAIL, RAIL_STD, False, 'dry to wet rail: its numbers are not possible')
+    assert one.value()[:3] == (RAIL, RAIL_STD, False)
+    assert one.value()[3].endswith(' not possible')
     assert one.limit() is None
+    # What was refused may have been a slide.
+    one.take_new(Status.VALID, PASSED, 0.2, 1)
+    assert one.limit() is PASSED
 
 
 def test_an_adhesion_of_no_rail_is_not_used() -> None:

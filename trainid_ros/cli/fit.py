@@ -14,7 +14,7 @@ import argparse
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -36,6 +36,11 @@ from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, TrainFile, load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.brake_rate.braking import Braking
 
 _START: Final = '# Brake, fitted'
 _MOST_STEPS: Final = 7  # of a deceleration over speed, SUBSET-026-3, 3.13.2.2.3.1.2
@@ -97,14 +102,11 @@ def _run_brake(args: argparse.Namespace) -> int:
         brakings += collector.brakings
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     try:
-        with progress(f'fit {pluralise(len(brakings), "braking")}'):
-            fit = fit_brake(brakings, train_file)
+        fit = _fitted(brakings, train_file, etcs=args.etcs)
     except NoAnswerError as error:
         if args.json:
             print_json({'brake': None, 'std': None, 'quantities': [], 'brakings': 0})
         raise NoAnswerError(f'{name}: {error}{_most_rejected(rejected)}') from None
-    if args.etcs and not fit.tells_rate:
-        raise NoAnswerError(f'{name}: --etcs: {pluralise(fit.brakings, "braking")} cannot tell the rate of the brake')
     brake, command = fitted_brake(fit, train_file), max(-u for one in brakings for _, u in one.changes)
     etcs = etcs_brake(fit, command) if args.etcs else None
     text = describe(fit, brake, name, etcs)
@@ -115,6 +117,15 @@ def _run_brake(args: argparse.Namespace) -> int:
     else:
         show(text)
     return 0
+
+
+def _fitted(brakings: Sequence[Braking], train_file: TrainFile, *, etcs: bool) -> BrakeFit:
+    """Return the fit of a brake; NoAnswerError without a braking, or for ``etcs`` without a rate."""
+    with progress(f'fit {pluralise(len(brakings), "braking")}'):
+        fit = fit_brake(brakings, train_file)
+    if etcs and not fit.tells_rate:
+        raise NoAnswerError(f'--etcs: {pluralise(fit.brakings, "braking")} cannot tell the rate of the brake')
+    return fit
 
 
 def _most_rejected(rejected: Counter[Reason]) -> str:

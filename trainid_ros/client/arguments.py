@@ -62,8 +62,8 @@ TARGET: Final = Argument('target_position', 'm', -1e9, 1e9)
 
 def checked_direction(direction: int) -> int:
     """Return a direction; InputError unless it is 1 or -1."""
-    if direction not in (1, -1):
-        raise InputError(f'direction = {direction!r} must be 1 or -1')
+    if not isinstance(direction, (float, Real)) or direction not in (1, -1):
+        raise InputError(f'direction = {shown(direction)} must be 1 or -1')
     return int(direction)
 
 
@@ -139,6 +139,10 @@ def rows_of(values: Any, argument: Argument) -> Sequence[Any]:
     """Return one value or several as a sequence; InputError if they are neither, or there is none."""
     if isinstance(values, (float, Real)):
         return (values,)
-    if isinstance(values, (str, Mapping)) or not hasattr(values, '__iter__') or not (rows := tuple(values)):
+    try:
+        rows = () if isinstance(values, (str, bytes, Mapping)) else tuple(values)
+    except TypeError:
+        rows = ()
+    if not rows:
         raise InputError(f'{argument.name} = {shown(values)} must be a number in {argument.unit}, or several')
     return rows

@@ -412,12 +412,16 @@ NORMAL: Final = NormalDist()
 
 
 class StoppingBounds:
-    """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1)."""
+    """Bounds of the stopping distance for one brake command, see :class:`Braking`, at a confidence in [0.5, 1).
+
+    ``limit`` says why the command is less than asked for, empty if it is not.
+    """
 
     def __init__(
-        self, shape: RateShape, posterior: StopPosterior, command: float, applied: float, confidence: float
-    ) -> None:
-        self._shape, self._posterior = shape, posterior
+        self, shape: RateShape, posterior: StopPosterior, command: float, applied: float, confidence: float,
+        limit: str = '',
+    ) -> None:  # fmt: skip
+        self._shape, self._posterior, self._limit = shape, posterior, limit
         self._command, self._applied = command, applied
         self._confidence = confidence
         # That of the brake as known, with a lower one the last z0; its least and largest value.
@@ -572,4 +576,5 @@ class StoppingBounds:
 
     def no_answer(self) -> str:
         """Return the message of NoAnswerError."""
-        return f'at this confidence the train may not stop: command = {-self._command:g} m/s^2 is too weak here'
+        weak = self._limit or f'command = {-self._command:g} m/s^2'
+        return f'at this confidence the train may not stop: {weak} is too weak here'

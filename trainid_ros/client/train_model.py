@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from threading import Lock
@@ -39,9 +39,9 @@ from trainid_ros.client.arguments import (
     steps_of,
 )
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
-from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal, adhesion_at
+from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal, adhesion_at, share_of
 from trainid_ros.client.prediction import Plan, predicted_speeds
-from trainid_ros.client.stopping import NO_BRAKE, StoppingBounds, StopPosterior
+from trainid_ros.client.stopping import NO_BRAKE, NORMAL, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, check_settings
@@ -52,7 +52,7 @@ from trainid_ros.train.forces import G, load_drag
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
@@ -84,6 +84,7 @@ FULL_SERVICE: Final = -1.0
 """Brake command of a stop unless another is given [m/s^2]."""
 _UNSEEN_S: Final = 3600.0
 """Time since the brake was last observed where that is not known [s]."""
+_TINY: Final = 1e-9  # keeps divisors above zero
 # What the nodes start with unless they are set otherwise.
 _PRIOR: Final = FilterBankConfig()
 _BRAKE: Final = GsmaConfig()
@@ -97,6 +98,22 @@ class Value:
     std: float  # its standard deviation, in the same unit
     live: bool  # whether it is from live estimates; False: from the train file
     reason: str  # status of the estimates, or why they are not used
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Bounds of stops with where they come from."""
+
+    stopping: StoppingBounds
+    live: bool
+    reason: str
+    of_rail: float  # Standard deviation of the braking force by that of an adhesion, relative [1]
+
+    def speed(self, distance: float, more: str = '') -> Value:
+        """Return the speed from which the train stops within a distance [m]; ``more`` is added to the reason."""
+        speed, std = self.stopping.speed(distance)
+        # The speed is nearly the root of the force.
+        return Value(speed, math.hypot(std, 0.5 * self.of_rail * speed), self.live, self.reason + more)
 
 
 class TrainModel:
@@ -287,7 +304,7 @@ class TrainModel:
     def adhesion(self) -> Value:
         """Return the adhesion between wheel and rail, over the weight of the train [1]; if not live, of a usual rail.
 
-        While the axle slides and over the next kilometre, bounds do not rely on more, and ``reason`` says so.
+        From a slide on, bounds rely on no more until a usable estimate without slip in the last km, and say so.
         """
         with self._lock:
             self._go_on()
@@ -397,14 +414,9 @@ class TrainModel:
             scale, rail = self._traction_scale(v, direction), self._adhesion.limit()
         if u0 or any(u for _, u in plan.command):
             live, reason = live and of_rate[0], _of_brake((live, reason), of_rate)[1]
-        if rail is not None and max(u0, *(u for _, u in plan.command)) > (
-            most := self._command_at(rail.adhesion, posterior, shape)
-        ):
-            plan = Plan(forces, [(t, min(u, most)) for t, u in plan.command], min(u0, most))
-            rate_std = posterior.mean[0] * rail.adhesion_std / rail.adhesion
-            variance = posterior.variances[0] + rate_std * rate_std
-            posterior = replace(posterior, variances=(variance, *posterior.variances[1:]))
-            reason = f'{reason}; {_limited(rail.adhesion)}'
+        if rail is not None:
+            plan, posterior, why = self._limited_plan(plan, posterior, shape, rail)
+            reason += why
         found = predicted_speeds(v, times, plan, shape, posterior, scale, self._file.config)
         answers = tuple(
             Value(mean, std, live, reason + self._file.beyond_line(run, direction, place)) for mean, std, run in found
@@ -435,13 +447,13 @@ class TrainModel:
             NoAnswerError: The train may not stop at all.
         """
         v = SPEED.checked(speed)
-        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction, position)
-        found = bounds.at(v)
+        bounds = self._bounds(gradient, command, confidence, applied, direction, position)
+        found = bounds.stopping.at(v)
         if math.isinf(found.distance):
-            raise NoAnswerError(bounds.no_answer())
-        reason += self._file.beyond_line(found.distance, direction, position)
+            raise NoAnswerError(bounds.stopping.no_answer())
+        reason = bounds.reason + self._file.beyond_line(found.distance, direction, position)
         # The distance is nearly inverse to the force.
-        return Value(found.distance, math.hypot(found.std, of_rail * found.distance), live, reason)
+        return Value(found.distance, math.hypot(found.std, bounds.of_rail * found.distance), bounds.live, reason)
 
     def braking_speed(
         self, distance: float | None = None, gradient: float = 0.0, command: float = FULL_SERVICE,
@@ -466,8 +478,7 @@ class TrainModel:
             distance = distance_to(target, position, checked_direction(direction))
             passed = '' if distance > 0.0 else '; the target is not ahead in this direction'
         away = DISTANCE.checked(distance)
-        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction, position)
-        return _speed_within(away, bounds, of_rail, live, reason + passed)
+        return self._bounds(gradient, command, confidence, applied, direction, position).speed(away, passed)
 
     def braking_curve(
         self, stop: float, positions: Iterable[float], gradient: float = 0.0, command: float = FULL_SERVICE,
@@ -475,17 +486,18 @@ class TrainModel:
     ) -> tuple[Value, ...]:  # fmt: skip
         """Return the :meth:`braking_speed` [m/s] at positions [m] before a stopping point [m]; 0 at it and beyond."""
         end, direction = STOP.checked(stop), checked_direction(direction)
-        if not isinstance(positions, Iterable):
-            raise InputError(f'positions = {shown(positions)} must be numbers in m')
-        distances = [distance_to(end, position, direction) for position in positions]
-        bounds, live, reason, of_rail = self._bounds(gradient, command, confidence, applied, direction)
-        return tuple(_speed_within(distance, bounds, of_rail, live, reason) for distance in distances)
+        try:
+            places = tuple(positions)
+        except TypeError:
+            raise InputError(f'positions = {shown(positions)} must be numbers in m') from None
+        distances = [distance_to(end, place, direction) for place in places]
+        bounds = self._bounds(gradient, command, confidence, applied, direction)
+        return tuple(bounds.speed(distance) for distance in distances)
 
     def _bounds(
         self, gradient: float, command: float, confidence: float, applied: float, direction: int,
         position: float | None = None,
-    ) -> tuple[StoppingBounds, bool, str, float]:  # fmt: skip
-        """Return the bounds, whether they are live, the reason, and the relative std of the adhesion that limits."""
+    ) -> _Bounds:  # fmt: skip
         i, u1 = GRADIENT.checked(gradient), -COMMAND.checked(command)
         u0, P = -APPLIED.checked(applied), CONFIDENCE.checked(confidence)
         place = None if position is None else POSITION.checked(position)
@@ -495,14 +507,29 @@ class TrainModel:
             posterior = self._posterior(i, P)
             live, reason = _of_brake(self._resistance.state(), self._brake_rate.state())
             rail = self._adhesion.limit()
-        share = 0.0
+        limit, of_rail = '', 0.0
         if rail is not None:
-            least = adhesion_at(rail, P)
-            most = self._command_at(least, posterior, shape)
-            reason = f'{reason}; {_limited(least)}'
-            share = rail.adhesion_std / rail.adhesion if most < u1 else 0.0
+            least, share = adhesion_at(rail, P), max(share_of(rail), _TINY)
+            most, median = (self._command_at(x, posterior, shape) for x in (least, rail.adhesion))
+            limit = _limited(least) if most < max(u1, u0) else ''
+            # At the median, and only as far as the rail limits the command there.
+            of_rail = share * least / rail.adhesion * NORMAL.cdf(math.log(u1 / median) / share)
             u1, u0 = min(u1, most), min(u0, most)
-        return StoppingBounds(shape, posterior, u1, u0, P), live, reason, share
+        reason += f'; {limit}' if limit else ''
+        return _Bounds(StoppingBounds(shape, posterior, u1, u0, P, limit), live, reason, of_rail)
+
+    def _limited_plan(
+        self, plan: Plan, posterior: StopPosterior, shape: RateShape, rail: AdhesionEstimate
+    ) -> tuple[Plan, StopPosterior, str]:
+        """Return a plan without braking beyond the adhesion of a slide, what is known then, and more of the reason."""
+        most = self._command_at(rail.adhesion, posterior, shape)
+        if max(plan.applied, *(u for _, u in plan.command)) <= most:
+            return plan, posterior, ''
+        limited = Plan(plan.force, [(t, min(u, most)) for t, u in plan.command], min(plan.applied, most))
+        rate_std = posterior.mean[0] * share_of(rail)
+        variance = posterior.variances[0] + rate_std * rate_std
+        known = replace(posterior, variances=(variance, *posterior.variances[1:]))
+        return limited, known, f'; {_limited(rail.adhesion)}'
 
     def _command_at(self, adhesion: float, posterior: StopPosterior, shape: RateShape) -> float:
         """Return the brake command [m/s^2, > 0] that needs an adhesion [1] at the speed where the rate is largest."""
@@ -550,13 +577,6 @@ class TrainModel:
         self._resistance.go_on(now)
         self._brake_rate.go_on(now)
         self._adhesion.go_on(now)
-
-
-def _speed_within(distance: float, bounds: StoppingBounds, of_rail: float, live: bool, reason: str) -> Value:
-    """Return the speed from which a train stops within a distance [m], with the relative std of the adhesion."""
-    speed, std = bounds.speed(distance)
-    # The speed is nearly the root of the force.
-    return Value(speed, math.hypot(std, 0.5 * of_rail * speed), live, reason)
 
 
 def _beyond_rail(needed: float, rail: AdhesionEstimate | None) -> str:
