@@ -303,8 +303,8 @@ def _by_evidence(scores: Iterable[EffectScore]) -> list[EffectScore]:
     return sorted(scores, key=lambda score: -score.evidence)
 
 
-CERTAIN: Final = 0.7
-"""Probability above which an effect is named. The largest is 0.86, since one in seven only looks like an effect."""
+CERTAIN: Final = 0.75
+"""Probability above which an effect is named. The largest is 0.93, since one in fourteen only looks like an effect."""
 # Limits of evidence are in 2 ln of the Bayes factor.
 _MAX_EFFECTS: Final = 3  # Maximum number of effects in a model
 _MIN_SCORE: Final = 2.5  # Minimum evidence of effects and dependences that are fitted in full
