@@ -138,15 +138,15 @@ def find_slip(dataset: Dataset) -> Slip | None:
 def _bursts(dataset: Dataset) -> tuple[Indices, Indices]:
     """Return first sample and end of all bursts: successive outliers of one sign in one run, shapes (k,).
 
-    What lasts from the start or to the end of a run is none: the speed does not come back; starts and stops bend it.
+    What lasts from the start or to the end of a run is none, since the speed does not come back: a start may bend it.
     """
     sign = np.where(dataset.outlier, np.sign(dataset.deviation), 0.0)
-    departs = np.diff(dataset.run_of, prepend=-1, append=-1) != 0
-    fresh = departs[:-1].copy()
+    borders = np.diff(dataset.run_of, prepend=-1, append=-1) != 0
+    fresh = borders[:-1].copy()
     fresh[1:] |= sign[1:] != sign[:-1]
     starts = np.flatnonzero(fresh)
     ends = np.append(starts[1:], sign.size)
-    lasting = (sign[starts] != 0.0) & (ends - starts >= _MIN_SAMPLES) & ~departs[starts] & ~departs[ends]
+    lasting = (sign[starts] != 0.0) & (ends - starts >= _MIN_SAMPLES) & ~borders[starts] & ~borders[ends]
     return starts[lasting], ends[lasting]
 
 

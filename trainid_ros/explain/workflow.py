@@ -101,7 +101,7 @@ def explain(
     # 4. Curve: what the missing force depends on where nothing of the library fits it.
     outcome, learned = _with_curve(selection, outcome, provenance, advance, slipping=slip is not None)
     causes = _causes(selection, slip, learned)
-    if outcome.verdict is Verdict.UNEXPLAINED and not _shows_gap(outcome, learned):
+    if outcome.verdict is Verdict.UNEXPLAINED and not _shows_gap(selection, outcome, learned):
         outcome, learned = _without_gap(outcome, learned, slipping=slip is not None), None
     # 5. Location: where along position, speed, mode and time the gap lies.
     advance('places')
@@ -153,24 +153,28 @@ def _with_curve(
     return outcome, None
 
 
-def _shows_gap(outcome: Outcome, learned: Learned | None) -> bool:
+def _shows_gap(selection: Selection, outcome: Outcome, learned: Learned | None) -> bool:
     """Return whether the train file read leaves more than noise, by the floor of the model or of a confirmed curve.
 
-    A curve over the number of the run cannot be tried on runs held out, so it counts as a gap.
+    Noise beyond the usual may be what is missing, so its floor shows nothing. A curve over the number of the run cannot
+    be tried on runs held out, so it counts as a gap.
     """
-    if outcome.gap is None or (learned is not None and learned.gap is None):
+    gap, of_curve = outcome.gap, None if learned is None else learned.gap
+    if gap is None or (learned is not None and of_curve is None) or selection.base.excess > SHOWN:
         return True
-    floor = outcome.gap.noise_floor
-    if learned is not None and learned.gap is not None and learned.is_confirmed:
-        floor = min(floor, learned.gap.noise_floor)
-    return outcome.gap.before > NEAR * floor
+    floor = gap.noise_floor
+    if of_curve is not None and learned is not None and learned.is_confirmed:
+        floor = min(floor, of_curve.noise_floor)
+    return gap.before > NEAR * floor
 
 
 def _without_gap(outcome: Outcome, learned: Learned | None, *, slipping: bool) -> Outcome:
     """Return the outcome of a train file that leaves no gap, with what may still be missing."""
     verdict = Verdict.EXPLAINED if slipping else Verdict.NO_GAP
     found = learned.sentence if learned else outcome.remaining
-    return replace(outcome, verdict=verdict, remaining=f'The gap is no more than a correct train file leaves. {found}')
+    return replace(
+        outcome, verdict=verdict, remaining=f'The gap is near what a correct train file leaves. Within it: {found}'
+    )
 
 
 def _is_better(learned: Learned, selection: Selection, outcome: Outcome) -> bool:

@@ -127,12 +127,15 @@ def gap_sentence(explanation: Explanation) -> str:
     is_same = math.isclose(gap.after, gap.before, rel_tol=1e-6)  # nothing was written
     written = '' if is_same else f' and {gap.after:.3f} m/s with the one written'
     proof = f' The evidence of these runs for the effects is {gap.evidence:.0f}.' if explanation.effects else ''
-    if explanation.verdict is Verdict.UNEXPLAINED and gap.noise_floor > gap.before:
+    floor, learned = gap.noise_floor, explanation.learned
+    if learned is not None and learned.gap is not None and learned.is_confirmed:
+        floor = min(floor, learned.gap.noise_floor)  # which has no part of what is missing
+    if explanation.verdict is Verdict.UNEXPLAINED and floor > gap.before:
         proof = ' That is more than the gap, so these data cannot tell what is missing.'
     return (
         f'On {pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it, simulated and measured '
         f'speed differ by {gap.before:.3f} m/s (rms) with the train file read{written}; a correct one would leave '
-        f'{gap.noise_floor:.3f} m/s.{proof}'
+        f'{floor:.3f} m/s.{proof}'
     )
 
 
