@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from decimal import Decimal
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -543,7 +544,9 @@ WRONG: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize('wrong', WRONG, ids=lambda wrong: f'{wrong}'[:40])
 def test_an_adhesion_that_cannot_be_is_not_used(wrong: dict[str, Any]) -> None:
-    one = adhesion_after(replace(SLIDE, **wrong))
+    names = (field.name for field in fields(SLIDE))
+    estimate: Any = SimpleNamespace(**({name: getattr(SLIDE, name) for name in names} | wrong))
+    one = adhesion_after(estimate)
     assert one.value()[:3] == (RAIL, RAIL_STD, False)
     assert one.value()[3].endswith(' not possible')
     assert one.limit() is None
