@@ -194,7 +194,8 @@ def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
     stated rate where they tell none; beyond the speeds braked at, the rate changes as stated.
     """
     stated = train_file.brake
-    dead, constant, std = map(_rounded, _fitted_times(fit, train_file) or _stated_times(stated))
+    times = _fitted_times(fit, train_file) or (stated.delay, stated.time_constant, stated.timing_std)
+    dead, constant, std = map(_rounded, times)
     timed = replace(stated, time_constant=constant, delay=dead, timing_std=std)
     if not fit.tells_rate:
         return timed
@@ -208,10 +209,6 @@ def fitted_brake(fit: BrakeFit, train_file: TrainFile) -> Brake:
     below = [(v, first * stated.rate_at(v) / stated.rate_at(slow)) for v, _ in stated.rate_table if v < slow]
     above = [(v, last * stated.rate_at(v) / stated.rate_at(fast)) for v, _ in stated.rate_table if v > fast]
     return replace(kept, rate_table=tuple((_rounded(v), _rounded(r)) for v, r in (*below, *rows, *above)))
-
-
-def _stated_times(brake: Brake) -> tuple[float, float, float]:
-    return brake.delay, brake.time_constant, brake.timing_std
 
 
 def _fitted_times(fit: BrakeFit, train_file: TrainFile) -> tuple[float, float, float] | None:

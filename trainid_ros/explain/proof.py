@@ -144,8 +144,8 @@ def _fitted(
 ) -> _Fitted:
     """Return what no train file states of one run, as fitted to this run too.
 
-    By the other runs it has the mean ``known`` and the covariance ``unknown``; ``left`` is the residual without what
-    these runs show, and ``by_factors`` the covariance of the speeds with the factors of the run.
+    ``known`` are the speeds by errors of the map, and ``unknown`` the covariance, that the other runs leave to it;
+    ``left`` is the residual without all that they show, ``by_factors`` its covariance with the factors of the run.
     """
     measured = model.dataset.point_count[at] > 0.0
     expected = (unknown + noise + 100.0)[np.ix_(measured, measured)]  # 10 m/s: the initial speed is not known

@@ -40,8 +40,7 @@ NONE: Final = 'none'
 """Name of the hypothesis that no effect is missing."""
 OTHER: Final = 'other'
 """Name of all causes outside the library."""
-# Fitted by maximum likelihood to 180 cases of two generators (benchmarks/explain.py; seeds 31001 and 32001). Another
-# fit, to 427 cases of three and the evidence as it is now, makes the Brier score 2 % smaller.
+# Fitted by maximum likelihood to 180 cases of two generators (benchmarks/explain.py; seeds 31001 and 32001).
 _TEMPERATURE: Final = 1.2
 # Logarithms of the prior odds against a set of one effect: of none, of each further effect, of a dependence without a
 # name, and of noise beyond the usual.
@@ -240,6 +239,13 @@ class Learned:
         function = f': {self.function}{share}, x in {self.unit}' if self.function else ''
         either = ' or '.join((self.text, *self.twins))
         return f'The missing resistance depends on {either}, and no effect of the library fits it{function}.'
+
+
+def noise_floor(gap: Gap, learned: Learned | None) -> float:
+    """Return the noise floor [m/s]; that of a confirmed curve, if lower, has no part of what is missing."""
+    if learned is None or learned.gap is None or not learned.is_confirmed:
+        return gap.noise_floor
+    return min(gap.noise_floor, learned.gap.noise_floor)
 
 
 @dataclass(frozen=True, slots=True)

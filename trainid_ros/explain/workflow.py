@@ -33,6 +33,7 @@ from trainid_ros.explain.result import (
     RunTrace,
     Verdict,
     dependence,
+    noise_floor,
     probabilities,
 )
 from trainid_ros.explain.search import Search, Selection
@@ -159,13 +160,10 @@ def _shows_gap(selection: Selection, outcome: Outcome, learned: Learned | None) 
     Noise beyond the usual may be what is missing, so its floor shows nothing. A curve over the number of the run cannot
     be tried on runs held out, so it counts as a gap.
     """
-    gap, of_curve = outcome.gap, None if learned is None else learned.gap
-    if gap is None or (learned is not None and of_curve is None) or selection.base.excess > SHOWN:
+    gap, is_of_run = outcome.gap, learned is not None and learned.gap is None
+    if gap is None or is_of_run or selection.base.excess > SHOWN:
         return True
-    floor = gap.noise_floor
-    if of_curve is not None and learned is not None and learned.is_confirmed:
-        floor = min(floor, of_curve.noise_floor)
-    return gap.before > NEAR * floor
+    return gap.before > NEAR * noise_floor(gap, learned)
 
 
 def _without_gap(outcome: Outcome, learned: Learned | None, *, slipping: bool) -> Outcome:

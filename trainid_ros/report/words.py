@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Verdict, place_text
+from trainid_ros.explain.result import Explanation, FoundEffect, Learned, Verdict, noise_floor, place_text
 from trainid_ros.interface.results import ResistanceEstimate, quantities
 from trainid_ros.interface.text import pluralise, plus_minus
 from trainid_ros.train.effects import EFFECTS
@@ -127,9 +127,7 @@ def gap_sentence(explanation: Explanation) -> str:
     is_same = math.isclose(gap.after, gap.before, rel_tol=1e-6)  # nothing was written
     written = '' if is_same else f' and {gap.after:.3f} m/s with the one written'
     proof = f' The evidence of these runs for the effects is {gap.evidence:.0f}.' if explanation.effects else ''
-    floor, learned = gap.noise_floor, explanation.learned
-    if learned is not None and learned.gap is not None and learned.is_confirmed:
-        floor = min(floor, learned.gap.noise_floor)  # which has no part of what is missing
+    floor = noise_floor(gap, explanation.learned)
     if explanation.verdict is Verdict.UNEXPLAINED and floor > gap.before:
         proof = ' That is more than the gap, so these data cannot tell what is missing.'
     return (
