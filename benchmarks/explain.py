@@ -24,6 +24,7 @@ from benchmarks.hidden_case import Answer, Case
 from benchmarks.seeds import over_seeds
 from benchmarks.tables import Plot, Table, columns
 from trainid_ros.explain.dataset import Run, RunCollector, numbered
+from trainid_ros.explain.proof import NEAR
 from trainid_ros.explain.result import NONE, OTHER, Learned
 from trainid_ros.explain.workflow import explain
 from trainid_ros.interface.records import Record
@@ -59,7 +60,6 @@ _IN_LIBRARY: Final[Mapping[str, str]] = dict.fromkeys(
     ('brake_falls_with_speed', 'brake_speed_rate', 'iron_blocks'), 'brake_slope'
 )
 """Effects outside the library when the generators were written, which has the same equation by now."""
-_NEAR_FLOOR: Final = 1.2
 _WITHOUT_NAME: Final = frozenset({'no_gap', 'unexplained', CRASHED})
 _SLIP: Final = 'wheel_slip'
 _SEED: Final = 7001
@@ -278,9 +278,9 @@ def confirmed(outcome: Outcome) -> bool:
 def near_floor(outcome: Outcome) -> bool:
     """True if the gap of runs held out is within 20 % of the floor, unexplained ones with a curve that they confirm."""
     if outcome.verdict != 'unexplained':
-        return over_floor(outcome) <= _NEAR_FLOOR
+        return over_floor(outcome) <= NEAR
     gap = outcome.learned.gap if outcome.learned is not None and confirmed(outcome) else None
-    return gap is not None and gap.after <= _NEAR_FLOOR * gap.noise_floor
+    return gap is not None and gap.after <= NEAR * gap.noise_floor
 
 
 def parameter_errors(outcome: Outcome) -> tuple[tuple[str, float], ...]:

@@ -62,40 +62,70 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
-    residual, prior, stated = model.columns @ neutral[:, 0], root @ root.T, ~model.without_terms
-    stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
-    gap, deviation, shown, fitted = np.zeros((4, model.residual.size))
-    likelihood, fitted_likelihood, hidden = 0.0, 0.0, model.grid.hiding
-    of_runs = list[tuple[Flags, Array, _Fitted]]()
+    residual = model.columns @ neutral[:, 0]
+    found = list[_RunHeldOut]()
     for fold in np.array_split(np.arange(runs), min(runs, 12)):  # at most 12 fits
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
-        both_unstated, unstated = np.outer(~stated, ~stated), np.where(stated, 0.0, mean)
-        unknown = np.where(both_unstated, covariance, 0.0)
-        beforehand = np.where(np.outer(stated, stated), covariance, np.where(both_unstated, prior, 0.0))
         for run in fold.tolist():
             at = model.dataset.point_run == run
-            columns, noise, factors = model.nuisance_columns[at], _noise(model, hyper, at), model.factor_columns[at]
-            left, known = residual[at] - columns @ np.where(stated, mean, 0.0), columns @ unstated
-            by_factors = factors @ np.diag(np.square(hyper.spread.of_run))
-            of_run = by_factors @ factors.T
-            apart = columns @ unknown @ columns.T + of_run
-            rounded, hiding = (noise + np.diag(x[at]) for x in (np.minimum(hidden, model.grid.rounding), hidden))
-            gap[at], deviation[at] = _started(model, at, left, rounded + apart + np.outer(known, known))
-            by_map = columns[:, len(model.common_std) :] @ unstated[len(model.common_std) :]
-            of_runs.append((at, rounded, _fitted(model, at, by_map, left - known, apart, hiding, by_factors)))
-            hiding += of_run
-            likelihood += _log_likelihood(model, at, left, hiding + columns @ beforehand @ columns.T)
-            left -= known
-            fitted[at] = left - left[model.dataset.point_count[at] > 0.0].mean()
-            fitted_likelihood += _log_likelihood(model, at, left, hiding + columns @ covariance @ columns.T)
+            found.append(_held_out(model, hyper, at, residual[at], mean, covariance, root @ root.T))
     # What all runs have in common a train file can state, but for errors of the map.
-    common = np.mean([found.factors for _, _, found in of_runs], axis=0)
-    for at, rounded, found in of_runs:
-        mean = found.mean - model.factor_columns[at] @ common
-        _, shown[at] = _started(model, at, gap[at], rounded + np.outer(mean, mean) + found.covariance)
+    common = np.mean([one.unstated.factors for one in found], axis=0)
+    gap, deviation, shown, fitted = np.zeros((4, model.residual.size))
+    for one in found:
+        at = one.at
+        gap[at], deviation[at], fitted[at] = one.gap, one.std, one.fitted
+        own = one.unstated.mean - model.factor_columns[at] @ common
+        _, shown[at] = _started(model, at, one.gap, one.noise + np.outer(own, own) + one.unstated.covariance)
+    likelihood, fitted_likelihood = (sum(pair) for pair in zip(*(one.likelihoods for one in found), strict=True))
     return HeldOut(gap, deviation, shown, fitted, likelihood, fitted_likelihood)
+
+
+class _RunHeldOut(NamedTuple):
+    """One run by a fit to other runs: fields of :class:`HeldOut`, shapes (m,), and what its noise floor consists of."""
+
+    at: Flags  # Its grid points
+    gap: Array
+    std: Array
+    fitted: Array
+    likelihoods: tuple[float, float]  # Given what a train file states, and given all as fitted
+    noise: Array  # Covariance of noise and rounding [(m/s)^2], shape (m, m)
+    unstated: _Unstated
+
+
+def _held_out(
+    model: Model, hyper: Hyperparameters, at: Flags, residual: Array, mean: Array, covariance: Array, prior: Array
+) -> _RunHeldOut:
+    """Return the gap of one run by the mean and covariance of a fit to other runs, whose prior covariance is given."""
+    stated = ~model.without_terms
+    stated[DAVIS] = stated[model.dependence] = True  # in a train file, unlike the nuisances
+    both_stated, both_unstated = np.outer(stated, stated), np.outer(~stated, ~stated)
+    beforehand = np.where(both_stated, covariance, np.where(both_unstated, prior, 0.0))
+    columns, noise, factors = model.nuisance_columns[at], _noise(model, hyper, at), model.factor_columns[at]
+    rounded, hiding = (
+        noise + np.diag(one[at]) for one in (np.minimum(model.grid.hiding, model.grid.rounding), model.grid.hiding)
+    )
+    by_factors = factors @ np.diag(np.square(hyper.spread.of_run))
+    of_run = by_factors @ factors.T
+    apart = columns @ np.where(both_unstated, covariance, 0.0) @ columns.T + of_run
+    found = np.where(stated, 0.0, mean)  # nuisances by the other runs
+    by_found = columns @ found
+    left = residual - columns @ np.where(stated, mean, 0.0)
+    gap, std = _started(model, at, left, rounded + apart + np.outer(by_found, by_found))
+    by_map = columns[:, len(model.common_std) :] @ found[len(model.common_std) :]
+    rest = left - by_found
+    return _RunHeldOut(
+        at, gap, std,
+        fitted=rest - rest[model.dataset.point_count[at] > 0.0].mean(),
+        likelihoods=(
+            _log_likelihood(model, at, left, hiding + of_run + columns @ beforehand @ columns.T),
+            _log_likelihood(model, at, rest, hiding + of_run + columns @ covariance @ columns.T),
+        ),
+        noise=rounded,
+        unstated=_unstated(model, at, by_map, rest, apart, hiding, by_factors),
+    )  # fmt: skip
 
 
 def read_gap(model: Model) -> Array:
@@ -131,7 +161,7 @@ def _started(model: Model, at: Flags, left: Array, expected: Array) -> tuple[Arr
     return left - left[k], np.sqrt(np.maximum(variance, 0.0))
 
 
-class _Fitted(NamedTuple):
+class _Unstated(NamedTuple):
     """What no train file states of one run, as fitted to it: its effect on the speeds, and the factors of the run."""
 
     mean: Array  # [m/s], shape (m,)
@@ -139,9 +169,9 @@ class _Fitted(NamedTuple):
     factors: Array  # Shape (3,)
 
 
-def _fitted(
+def _unstated(
     model: Model, at: Flags, known: Array, left: Array, unknown: Array, noise: Array, by_factors: Array
-) -> _Fitted:
+) -> _Unstated:
     """Return what no train file states of one run, as fitted to this run too.
 
     ``known`` are the speeds by errors of the map, and ``unknown`` the covariance, that the other runs leave to it;
@@ -152,7 +182,7 @@ def _fitted(
     gain = np.linalg.solve(expected, np.concatenate((unknown, by_factors), axis=1)[measured]).T
     found, size = gain @ left[measured], known.size
     covariance = unknown - gain[:size] @ unknown[measured]
-    return _Fitted(known + found[:size], np.asarray(covariance), found[size:])
+    return _Unstated(known + found[:size], np.asarray(covariance), found[size:])
 
 
 def _log_likelihood(model: Model, at: Flags, left: Array, expected: Array) -> float:
@@ -342,7 +372,9 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     if verdict is not Verdict.UNEXPLAINED:
         if _is_other(selection) and strongest.evidence > selection.final.excess:
             return f'The rest of the gap depends slightly on {strongest.text}, and no effect of the library fits it.'
-        return _NOISE
+        if (name := _possible(selection)) is None:
+            return _NOISE
+        return f'What is left may be {name}, which is not certain enough to be named, or noise.'
     if not _is_other(selection):
         return 'Something is missing, but no effect of the library is certain enough to be named.'
     noise, spread = selection.final.hyper.noise, selection.final.hyper.spread
@@ -351,6 +383,14 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
         f'errors of {spread.payload:.1%} of the mass, {spread.brake:.1%} of the brake force from run to run and '
         f'{spread.map:.2f} per mille of the map gradient.'
     )
+
+
+def _possible(selection: Selection) -> str | None:
+    """Return the most probable effect that is neither selected nor a twin, None if its absence is certain."""
+    named = {*selection.final.names, *(name for twins in selection.twins for name in twins)}
+    others = [(p, name) for name, p in probabilities(selection.hypotheses).present if name not in named]
+    p, name = max(others, default=(0.0, ''))
+    return name if p > 1.0 - CERTAIN else None
 
 
 class _Axis(NamedTuple):
