@@ -20,8 +20,9 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import QUANTITIES, Mapping, Signal, Source, parse_mapping
+from trainid_ros.inspection.choice import Suggestion, comment
 from trainid_ros.inspection.number_series import NumberSeries, family, read_numbers, score, unit_in, words_of
-from trainid_ros.inspection.suggest import Suggestion, comment, suggest
+from trainid_ros.inspection.suggest import suggest
 from trainid_ros.interface.records import (
     BrakeRecord,
     ForceRecord,

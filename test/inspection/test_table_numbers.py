@@ -15,7 +15,8 @@ from pyarrow import parquet
 from trainid_ros.inputs.mapped_inputs import MappedInputs
 from trainid_ros.inputs.mapping import load_table_mapping
 from trainid_ros.inputs.tables import TableRecords
-from trainid_ros.inspection.suggest import Suggestion, suggest
+from trainid_ros.inspection.choice import Suggestion
+from trainid_ros.inspection.suggest import suggest
 from trainid_ros.inspection.table_numbers import read_table
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, SpeedRecord

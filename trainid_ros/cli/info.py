@@ -36,7 +36,8 @@ def _train_file(args: argparse.Namespace) -> TrainFile | None:
 def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
     """Return a mapping for one bag; InputError if it cannot be read, or holds several trains."""
     from trainid_ros.inspection.number_series import read_numbers  # noqa: PLC0415
-    from trainid_ros.inspection.suggest import suggest, trains_in  # noqa: PLC0415
+    from trainid_ros.inspection.suggest import suggest  # noqa: PLC0415 - loads much that only this needs
+    from trainid_ros.inspection.suggest_speed import trains_in  # noqa: PLC0415
 
     numbers = read_numbers(bag, args.namespace, args.max_chunk, advance)
     if trains := trains_in(numbers.series):

@@ -17,8 +17,8 @@ from trainid_ros.inputs.table_files import VBOX_SUFFIX, Column, CsvTable, joined
 from trainid_ros.inputs.tables import Clock
 from trainid_ros.inputs.times import CLOCK, EXCEL, UnclearError
 from trainid_ros.inputs.units import find_unit
+from trainid_ros.inspection.choice import Choice, quoted
 from trainid_ros.inspection.number_series import BagNumbers, NumberSeries, score, unit_in
-from trainid_ros.inspection.suggest import Choice, quoted
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.text import listed
