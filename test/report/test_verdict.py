@@ -66,6 +66,13 @@ def test_a_contradiction_that_lasts_comes_first() -> None:
     )
 
 
+def test_what_is_not_certain_yet_needs_a_longer_drive_and_what_failed_a_look_at_the_bag() -> None:
+    texts = [verdict(drive(Status.VALID, status, Status.VALID)).text for status in (Status.CONVERGING, Status.FAULT)]
+    assert [text.partition('Next: ')[2] for text in texts] == [
+        'a longer drive tells the rest.', 'trainid info day shows what the bag holds.'
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(('status', 'level'), [(Status.HOLDING, Level.CARE), (Status.CONVERGING, Level.PART)])
 def test_one_that_is_over_is_named(status: Status, level: Level) -> None:
     last = Contradiction(WRONG_SIGN, 12.0, 20.0, ('ato/force',))

@@ -93,6 +93,8 @@ def import_table(args: argparse.Namespace) -> int:
     if all(counts[topic.name] for topic in REQUIRED_TOPICS):
         train, out = _quoted(args.train or Path('T.yaml')), _quoted(args.out)
         show(f'next: trainid replay {out} --train {train} --report {out}.html')
+        if args.train is None:
+            show('      with the train file T.yaml, of which mass and resistance are enough')
     return 0
 
 

@@ -153,6 +153,9 @@ def judge(
         level = Level.CARE
     if not reasons:
         reasons, steps = _compared(outcome, bag, train)
+    is_begun = all(r.output.used and r.output.status is Status.CONVERGING for r in unusable.values())
+    if not steps and level is Level.PART and is_begun:
+        steps = ['a longer drive tells the rest']
     step = next(iter(steps), info)
     head = f'{level.value}, not {" and ".join(unusable)}' if level is Level.PART else level.value
     return Verdict(level, named(f'{head[0].upper()}{head[1:]}: {"; ".join(reasons)}. Next: {step}.'))
