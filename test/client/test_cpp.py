@@ -16,7 +16,7 @@ from statistics import NormalDist
 
 import pytest
 
-from test.client.test_live_estimate import SLIDE
+from test.client.test_live_adhesion import SLIDE
 from test.client.test_stopping import EMU, LEARNED, TRAIN, UNKNOWN, shape
 from test.client.test_train_model import Drive
 from trainid_ros.client import TrainModel

@@ -594,6 +594,10 @@ def test_predictions_and_commands_say_that_a_slide_limits_the_brake() -> None:
     assert 'limited to an adhesion of 0.050 by a slide' in after.reason
     gentle = drive.model.predict(10.0, speed=20.0, command=-0.1)
     assert 'slide' not in gentle.reason
+    # A force that brakes is limited too: at most mu g / (1 + gamma) beside the resistance.
+    full, coasting = (drive.model.predict(10.0, speed=20.0, force=force) for force in (-1e9, 0.0))
+    assert 'limited to an adhesion of 0.050 by a slide' in full.reason
+    assert coasting.value - 0.05 * 9.81 * 10.0 < full.value < coasting.value - 0.04 * 9.81 * 10.0
     for answer in (drive.model.brake_command, drive.model.feed_forward):
         assert 'after a slide at 0.050' in answer(20.0, 0.0, -0.8).reason
         assert 'slide' not in answer(20.0, 0.0, -0.2).reason

@@ -186,3 +186,56 @@ def test_unknown_motion_is_rejected_with_its_reason(metro: TrainFile) -> None:
     assert rejection.reason is Reason.GAP
     assert not estimator.is_slipping
     assert estimator.estimate().adhesion < 0.1  # the slide was not forgotten
+
+
+def held(train_file: TrainFile, share: float, traction_slip: bool) -> list[Point]:
+    """Return a drive whose wheel slide protection holds the axle at a share of the speed, after slip or without."""
+    inertia, rails, v, axle, points = specific_inertia(1.0, train_file.train.rotary_mass), 0.4, 0.0, 0.0, list[Point]()
+    actuator, dt = BrakeActuator(train_file.brake), 0.2
+    changes = [BrakeCommandChange(round(34.0 * NS_PER_S), -1.0)]
+    for k in range(1, 275):
+        time_s, stamp_ns = k * dt, round(k * dt * NS_PER_S)
+        due = changes if k == round(34.0 / dt) else []
+        actuator.commands.follow(tuple(due))
+        brake = actuator.advance(stamp_ns - round(dt * NS_PER_S), stamp_ns) / dt
+        pulls = 0.8 if time_s < 22.0 or (traction_slip and 30.0 <= time_s < 34.0) else 0.0
+        slips = traction_slip and 30.0 <= time_s < 34.0
+        by_rail = min(pulls, 0.3) if slips else pulls + max(brake, -rails)
+        v = max(0.0, v + dt * (by_rail - davis(train_file.resistance, v) / inertia))
+        axle = min(axle + 2.0 * dt, 1.4 * v) if slips else max(axle - 2.5 * dt, share * v) if brake < -rails else v
+        sample, force = coasting_sample(stamp_ns, dt, axle), train_file.train.mass * G / 1000.0 * pulls * inertia
+        sample.force, sample.force_mean, sample.brake_command = force, force, -1.0 if time_s >= 34.0 else 0.0
+        sample.brake_changes = tuple(due)
+        points.append(Point(sample, v, abs(by_rail) * inertia / 1000.0, abs(axle - v) > 0.3))
+    return points
+
+
+@pytest.mark.parametrize('traction_slip', [False, True])
+@pytest.mark.parametrize('share', [0.5, 0.8])
+def test_an_axle_that_is_held_slides_also_after_slip(metro: TrainFile, share: float, traction_slip: bool) -> None:
+    points = held(metro, share, traction_slip)
+    rows = [(e, p) for e, p in zip(follow(metro, points), points, strict=True) if p.slips and p.sample.brake_command]
+    late = [estimate for estimate, point in rows if point.sample.stamp_ns > 36.5 * NS_PER_S and point.speed > 3.0]
+    assert len(late) > 40
+    assert all(e.slipping and math.copysign(1.0, e.slip) < 0.0 for e in late)
+    true = 0.4 * specific_inertia(1.0, metro.train.rotary_mass) / 1000.0
+    assert all(true - 2.0 * e.adhesion_std < e.adhesion < 2.0 * true for e in late)
+
+
+@pytest.mark.parametrize('period', [0.2, 1.0])
+def test_a_slide_counts_until_it_is_a_km_away(metro: TrainFile, period: float) -> None:
+    estimator, noise, away_m = AdhesionEstimator(KnownForce(metro)), SpeedNoise.declared(0.02), 0.0
+    for point in drive(metro, Rail(adhesion=0.04), 9371):
+        estimator.step(point.sample, noise)
+        away_m = 0.0 if estimator.is_slipping else away_m + point.sample.dt * point.speed
+    lowest = estimator.estimate().adhesion
+    stamp_ns, speed = round(1000.0 * NS_PER_S), 20.0
+    estimator.step(coasting_sample(stamp_ns, math.nan, speed), noise)
+    while estimator.estimate().slip_share > 0.0:
+        assert estimator.estimate().adhesion == lowest
+        stamp_ns, away_m = stamp_ns + round(period * NS_PER_S), away_m + period * speed
+        sample = coasting_sample(stamp_ns, period, speed)
+        sample.force = sample.force_mean = metro.train.mass * G / 1000.0 * davis(metro.resistance, speed)
+        estimator.step(sample, noise)
+    assert 1000.0 <= away_m < 1150.0
+    assert estimator.estimate().adhesion > lowest

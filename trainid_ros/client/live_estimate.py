@@ -16,9 +16,6 @@ and then falls gradually. The positive part is taken in units of the train file'
 
 A move that must end within a stated time is one to the train file, which is less certain: the covariance goes straight
 from P0 to P then, so that no bound is beyond both.
-
-A slide says that the rail transmits no more, here and probably ahead. While one is less than a kilometre away, no
-bound relies on more than the adhesion then estimated, at its lower quantile.
 """
 
 from __future__ import annotations
@@ -27,17 +24,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import mul, sub
-from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.interface.results import Status
 from trainid_ros.interface.scalars import seconds
-from trainid_ros.stream.adhesion import RAIL, RAIL_STD
 
 if TYPE_CHECKING:
-    from trainid_ros.interface.results import AdhesionEstimate
+    pass
 
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
@@ -45,7 +40,7 @@ MAX_RATE: Final = 0.25
 ABSURD: Final = 1e6
 """Larger magnitudes are treated as invalid."""
 _TINY: Final = 1e-9  # keeps divisors above zero
-_ROUNDING: Final = 1e-6  # error that a correlation may have [1]
+ROUNDING: Final = 1e-6  # error that a correlation may have [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +67,10 @@ class Normal:
             return False
         stds = np.sqrt(np.diag(P))
         most = np.outer(stds, stds)
-        if np.any(np.abs(P) > (1.0 + _ROUNDING) * most) or np.any(np.abs(P - P.T) > _ROUNDING * most):
+        if np.any(np.abs(P) > (1.0 + ROUNDING) * most) or np.any(np.abs(P - P.T) > ROUNDING * most):
             return False
         units = np.where(most > 0.0, most, 1.0)
-        return bool(np.linalg.eigvalsh(P / units)[0] >= -_ROUNDING)
+        return bool(np.linalg.eigvalsh(P / units)[0] >= -ROUNDING)
 
 
 class RateLimitedValue:
@@ -335,101 +330,3 @@ class LiveEstimate:
             return True, 'CONVERGING, the last valid value as uncertain as that of the train file'
         moving = self._now_s < self._moving_until_s
         return True, f'{self._status.name}, moving to the live value' if moving else self._status.name
-
-
-class LiveAdhesion:
-    """The newest adhesion; not used any more after ``max_age_s`` [s] without a new one, but for its limit.
-
-    Slip under traction is no limit, since not all axles are driven. If it is not known how the slip of the last km
-    began, it may have been a slide. The limit is the lowest adhesion since the slide began, and only an estimate that
-    may be used raises or ends it.
-    """
-
-    def __init__(self, max_age_s: float) -> None:
-        self._max_age_s, self._heard_s, self._stamps = max_age_s, -math.inf, Stamps(max_age_s)
-        self._estimate: AdhesionEstimate | None = None
-        self._worst: AdhesionEstimate | None = None  # Before the slip that goes on
-        self._status, self._problem = Status.UNINITIALIZED, 'no estimate yet'
-        self._may_be_slide = True  # Whether wheels may have slid in the last km
-
-    def take_new(self, status: Status, estimate: Any, time_s: float, stamp_ns: int) -> None:
-        """Take in an estimate that arrived at a time [s]."""
-        self.go_on(time_s)
-        if problem := _doubt(estimate):
-            self.refuse(problem, time_s)
-            return
-        is_newer, is_slide = self._stamps.are_newer(stamp_ns), _is_slide(estimate)
-        if not (is_newer or (is_slide and self.limit() is None)) and status.is_usable:
-            return
-        has_slipped = estimate.slipping or estimate.slip_share > 0.0
-        # What slipped while nothing was heard is not known.
-        may_be_slide = is_slide or (has_slipped and (self._may_be_slide or bool(self._problem)))
-        self._status, self._heard_s = status, time_s
-        self._problem = '' if status.is_usable else WORDS[status]
-        limit = self.limit()
-        if status.is_usable:
-            if not estimate.slipping:
-                self._worst = None
-            elif self._worst is None and limit is not None and not (limit.slipping and is_slide):
-                self._worst = limit
-            self._estimate, self._may_be_slide = estimate, may_be_slide
-        elif may_be_slide and (limit is None or estimate.adhesion < limit.adhesion):
-            self._estimate, self._may_be_slide = estimate, True
-
-    def refuse(self, reason: str, _time_s: float) -> None:
-        """Use what rails are like although an estimate has arrived, for a reason."""
-        self._problem = reason
-
-    mark_lost = refuse
-
-    def go_on(self, time_s: float) -> None:
-        """Advance to a time [s]."""
-        if not self._problem and time_s > self._heard_s + self._max_age_s:
-            self._problem = f'no new estimate for more than {self._max_age_s:g} s'
-
-    def value(self) -> tuple[float, float, bool, str]:
-        """Return the adhesion, its standard deviation [1], whether it is live, and the reason."""
-        if self._problem or self._estimate is None:
-            return RAIL, RAIL_STD, False, f'dry to wet rail: {self._problem}'
-        return float(self._estimate.adhesion), float(self._estimate.adhesion_std), True, self._status.name
-
-    def limit(self) -> AdhesionEstimate | None:
-        """Return the estimate whose adhesion limits the brake, None where no slide was.
-
-        Without new estimates the last limit stays: nothing says that it is over.
-        """
-        if self._estimate is None or not self._may_be_slide:
-            return None
-        return min(self._estimate, self._worst or self._estimate, key=lambda one: one.adhesion)
-
-
-def _is_slide(rail: AdhesionEstimate) -> bool:
-    """Return whether wheels slide; while the axle has come back, only the sign of a slip of zero says so."""
-    return rail.slip < 0.0 or (rail.slipping and math.copysign(1.0, rail.slip) < 0.0)
-
-
-def share_of(rail: AdhesionEstimate) -> float:
-    """Return the standard deviation of the logarithm of an adhesion [1], at most 1."""
-    return min(rail.adhesion_std / rail.adhesion, 1.0)
-
-
-def adhesion_at(rail: AdhesionEstimate, confidence: float) -> float:
-    """Return the adhesion that there is at least at a confidence [1]; it is log-normal, with the estimate as median."""
-    return rail.adhesion * math.exp(-NormalDist().inv_cdf(confidence) * share_of(rail))
-
-
-_LEAST_ADHESION: Final = 1e-3
-"""Less is not possible [1]: leaves and oil leave .02."""
-
-
-def _doubt(rail: AdhesionEstimate) -> str:
-    """Return what is not possible or not credible of an adhesion; empty if it is."""
-    numbers: tuple[object, ...] = (rail.adhesion, rail.adhesion_std, rail.slip, rail.slip_share)
-    are_possible = all(isinstance(x, (float, int, np.floating)) and -ABSURD < x < ABSURD for x in numbers)
-    if not are_possible or not (rail.adhesion >= _LEAST_ADHESION and 0.0 <= rail.adhesion_std <= FAR * RAIL_STD):
-        return 'its numbers are not possible'
-    if rail.slip < -1.0 - _ROUNDING or not 0.0 <= rail.slip_share <= 1.0 + _ROUNDING:
-        return 'its slip is not possible'
-    if rail.adhesion > RAIL + FAR * RAIL_STD:
-        return f'adhesion = {rail.adhesion:g} is more than any rail has'
-    return ''

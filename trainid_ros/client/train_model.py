@@ -39,7 +39,8 @@ from trainid_ros.client.arguments import (
     steps_of,
 )
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, MIN_SCALE, FileValues
-from trainid_ros.client.live_estimate import MAX_AGE_S, LiveAdhesion, LiveEstimate, Normal, adhesion_at, share_of
+from trainid_ros.client.live_adhesion import LiveAdhesion, Rail
+from trainid_ros.client.live_estimate import MAX_AGE_S, LiveEstimate, Normal
 from trainid_ros.client.prediction import Plan, predicted_speeds
 from trainid_ros.client.stopping import NO_BRAKE, NORMAL, StoppingBounds, StopPosterior
 from trainid_ros.estimators.pipeline import PipelineGroup
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     from trainid_ros.client.prediction import Steps
     from trainid_ros.client.stopping import RateShape
     from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.interface.results import AdhesionEstimate, Output, Status
+    from trainid_ros.interface.results import Output, Status
     from trainid_ros.setup.pipelines import EstimatorSettings
 
 
@@ -304,7 +305,7 @@ class TrainModel:
     def adhesion(self) -> Value:
         """Return the adhesion between wheel and rail, over the weight of the train [1]; if not live, of a usual rail.
 
-        From a slide on, bounds rely on no more until a usable estimate without slip in the last km, and say so.
+        After a slide, bounds rely on no more and say so, until a usable estimate has no slip in the last km.
         """
         with self._lock:
             self._go_on()
@@ -509,26 +510,28 @@ class TrainModel:
             rail = self._adhesion.limit()
         limit, of_rail = '', 0.0
         if rail is not None:
-            least, share = adhesion_at(rail, P), max(share_of(rail), _TINY)
+            least = rail.least(P)
             most, median = (self._command_at(x, posterior, shape) for x in (least, rail.adhesion))
             limit = _limited(least) if most < max(u1, u0) else ''
             # At the median, and only as far as the rail limits the command there.
-            of_rail = share * least / rail.adhesion * NORMAL.cdf(math.log(u1 / median) / share)
+            of_rail = rail.share * least / rail.adhesion * _probability_of_limit(u1, median, rail)
             u1, u0 = min(u1, most), min(u0, most)
         reason += f'; {limit}' if limit else ''
         return _Bounds(StoppingBounds(shape, posterior, u1, u0, P, limit), live, reason, of_rail)
 
     def _limited_plan(
-        self, plan: Plan, posterior: StopPosterior, shape: RateShape, rail: AdhesionEstimate
+        self, plan: Plan, posterior: StopPosterior, shape: RateShape, rail: Rail
     ) -> tuple[Plan, StopPosterior, str]:
-        """Return a plan without braking beyond the adhesion of a slide, what is known then, and more of the reason."""
-        most = self._command_at(rail.adhesion, posterior, shape)
-        if max(plan.applied, *(u for _, u in plan.command)) <= most:
-            return plan, posterior, ''
-        limited = Plan(plan.force, [(t, min(u, most)) for t, u in plan.command], min(plan.applied, most))
-        rate_std = posterior.mean[0] * share_of(rail)
-        variance = posterior.variances[0] + rate_std * rate_std
+        """Return a plan with no more braking than a slide permits, what is known with it, and more of the reason."""
+        most, least = self._command_at(rail.adhesion, posterior, shape), -rail.adhesion * 1000.0 * self._file.k
+        u = max(plan.applied, *(u for _, u in plan.command))
+        p, rate_std = _probability_of_limit(u, most, rail), posterior.mean[0] * rail.share
+        variance = (1.0 - p) * posterior.variances[0] + p * rate_std * rate_std
         known = replace(posterior, variances=(variance, *posterior.variances[1:]))
+        if u <= most and min(a for _, a in plan.force) >= least:
+            return plan, known, ''
+        forces = [(t, max(a, least)) for t, a in plan.force]
+        limited = Plan(forces, [(t, min(u, most)) for t, u in plan.command], min(plan.applied, most))
         return limited, known, f'; {_limited(rail.adhesion)}'
 
     def _command_at(self, adhesion: float, posterior: StopPosterior, shape: RateShape) -> float:
@@ -579,11 +582,16 @@ class TrainModel:
         self._adhesion.go_on(now)
 
 
-def _beyond_rail(needed: float, rail: AdhesionEstimate | None) -> str:
+def _beyond_rail(needed: float, rail: Rail | None) -> str:
     """Return what to add to the reason of a braking that needs more adhesion [1] than there was in a slide."""
     if rail is None or needed <= rail.adhesion:
         return ''
     return f'; needs an adhesion of {needed:.3f}, after a slide at {rail.adhesion:.3f}'
+
+
+def _probability_of_limit(command: float, median: float, rail: Rail) -> float:
+    """Return the probability that a rail limits a brake command [m/s^2, >= 0], the median of its limit given."""
+    return NORMAL.cdf(math.log(max(command, _TINY) / median) / max(rail.share, _TINY))
 
 
 def _limited(adhesion: float) -> str:

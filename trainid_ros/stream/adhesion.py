@@ -75,7 +75,7 @@ _BACK: Final = 0.25  # share of the largest slip by which it must have come back
 _CREEP: Final = 0.04  # slip that wheel slide protection leaves when it lets the axle come back [1]; 0 to 8 %
 _FREE_S: Final = 1.0  # s without force after which no wheel slips any more
 _LONGEST_S: Final = 60.0  # s: no slide is longer
-_SETTLED_S: Final = 4.0  # s of such motion after which it is the train in any case: sliding wheels do not keep still
+_SETTLED_S: Final = 4.0  # s of such motion, as the force demands, after which it is the train in any case
 _NOISE: Final = 4.0  # standard deviations of a difference of two speeds: the most that noise changes it
 _HOLD: Final = 4.0  # standard deviations of an odd speed that is not used, and may be the first of a slide
 
@@ -308,14 +308,19 @@ class AdhesionEstimator:
     def _begin_slide(self, now: Past, begin: int, side: float) -> None:
         """Predict the train from the last sample without slip."""
         start = self._past[begin]
-        self.slide = Slide(side, start.b)
-        self._parts = [replace(part, used=0.0) for part in self._parts]
-        least = _MIN_FORCE / self._known.inertia
-        c = side * max(side * (now.u + start.b), side * (start.u + start.b), least)
-        self._train = train = replace(start, b=_MEAN_SHARE * c, bb=(_STD_SHARE * c) * (_STD_SHARE * c), vb=0.0)
-        t = seconds(now.stamp_ns - start.stamp_ns)
+        c = self._start(now, start, side, start.b)
+        train, t = self._train, seconds(now.stamp_ns - start.stamp_ns)
         train.predict(t, now.rolled - start.rolled, 1.0, _WHITE * _WHITE * t, (_WALK * c) * (_WALK * c) * t)
         self._copy(now)
+
+    def _start(self, now: Past, start: Past, side: float, error: float) -> float:
+        """Start with the train as it was and an unknown acceleration; return the demanded one [m/s^2]."""
+        self.slide = Slide(side, error)
+        self._parts = [replace(part, used=0.0) for part in self._parts]
+        least = _MIN_FORCE / self._known.inertia
+        c = side * max(side * (now.u + error), side * (start.u + error), least)
+        self._train = replace(start, b=_MEAN_SHARE * c, bb=(_STD_SHARE * c) * (_STD_SHARE * c), vb=0.0)
+        return c
 
     def _copy(self, now: Past) -> None:
         train = self._train
@@ -324,13 +329,16 @@ class AdhesionEstimator:
     # With slip
 
     def _slip(self, now: Past, dt: float, r: float) -> None:
-        """Predict the train by an unknown force, until the axle turns as it runs again."""
+        """Predict the train by an unknown force, until the axle turns as it runs again, or slips in the other sense."""
         slide, train, last, side = self.slide, self._train, self._past[-1], self.slide.side
         walk = _WALK * abs(train.b)
         # Wheels transmit no more than is asked for.
         excess = max(side * (train.b - slide.error) - max(side * now.u, 0.0), 0.0)
         gain = now.rolled - last.rolled - side * excess * dt
         train.predict(dt, gain, 1.0, _WHITE * _WHITE * dt, walk * walk * dt)
+        if -side * now.u * self._known.inertia > _MIN_FORCE:
+            self._turn(now, r)
+            return
         slide.lasted_s += dt
         is_free = side * now.u * self._known.inertia < _MIN_FORCE
         slide.free_s = slide.free_s + dt if is_free else 0.0
@@ -359,24 +367,46 @@ class AdhesionEstimator:
             if seconds(now.stamp_ns - past.stamp_ns) >= _STEADY_S:
                 since = past
         is_steady = slide.steady_s >= _STEADY_S and self._may_be_train(since, now, noise)
-        if (is_steady and (slide.has_returned or slide.steady_s > _SETTLED_S or slide.free_s > _FREE_S)) or (
+        is_settled = slide.steady_s > _SETTLED_S and self._is_as_demanded(self._past[0], now, noise)
+        if (is_steady and (slide.has_returned or is_settled or slide.free_s > _FREE_S)) or (
             slide.lasted_s > _LONGEST_S
         ):
             # It was the train's since the axle moves so.
-            self._end_slide(train.v + slide.lead, r)
-            self._past.clear()
-            now.b, now.bb = slide.error, self._error_variance(now.u)
-            now.v, now.vv, now.vb = now.speed, r, 0.0
+            self._resume(now, train.v + slide.lead, r)
         else:
             self._copy(now)
 
+    def _turn(self, now: Past, r: float) -> None:
+        """End a slip whose force has changed its sense; an axle that has not come back slips in the other sense."""
+        if self.slide.has_returned:
+            self._resume(now, now.speed, r)
+        else:
+            self._start(now, self._train, -self.slide.side, self.slide.error)
+            self._copy(now)
+
+    def _resume(self, now: Past, speed: float, r: float) -> None:
+        """End the slide with a speed of the train [m/s] of variance r, and go on with that of the axle."""
+        error = self.slide.error
+        self._end_slide(speed, r)
+        self._past.clear()
+        now.b, now.bb = error, self._error_variance(now.u)
+        now.v, now.vv, now.vb = now.speed, r, 0.0
+
     def _may_be_train(self, past: Past, now: Past, noise: float) -> bool:
         """Return whether the axle has changed its speed since then as the train may, but for noise [m/s]."""
-        t = seconds(now.stamp_ns - past.stamp_ns)
-        rolled, side = now.rolled - past.rolled, self.slide.side
+        t, change, by_rail = self._change(past, now)
+        return -noise - _ERROR * t < change < (1.0 + _SHARE) * by_rail + noise + _ERROR * t
+
+    def _is_as_demanded(self, past: Past, now: Past, noise: float) -> bool:
+        """Return whether that is not less than by the force demanded: wheel slide protection may hold a slip."""
+        t, change, by_rail = self._change(past, now)
+        return change > (1.0 - _SHARE) * by_rail - noise - _ERROR * t
+
+    def _change(self, past: Past, now: Past) -> tuple[float, float, float]:
+        """Return the time since then [s], and the change of speed by the rail, as measured and as demanded [m/s]."""
+        t, side = seconds(now.stamp_ns - past.stamp_ns), self.slide.side
         by_rail = side * (now.driven - past.driven + self.slide.error * t)
-        change = side * (now.speed - past.speed - rolled)
-        return -noise - _ERROR * t < change < (1.0 + _SHARE) * max(by_rail, 0.0) + noise + _ERROR * t
+        return t, side * (now.speed - past.speed - now.rolled + past.rolled), max(by_rail, 0.0)
 
     def _end_slide(self, speed: float, r: float) -> None:
         """Correct the train by a speed of variance r; this gives the mean force since the slide began."""
@@ -398,7 +428,8 @@ class AdhesionEstimator:
         self._found.away_m += distance
         if self._parts[-1].run >= STRETCH_M / _BINS:
             self._parts.append(Part())
-            del self._parts[:-_BINS]
+            while math.fsum(part.run for part in self._parts[1:]) >= STRETCH_M:
+                del self._parts[0]
         part = self._parts[-1]
         part.run += distance
         part.slipped += distance if slips else 0.0
@@ -434,8 +465,8 @@ class AdhesionEstimator:
         if self.is_slipping:
             mean, variance = self._adhesion_of(self._train)
             std = math.sqrt(variance)
-        elif self._found.away_m < STRETCH_M:
-            mean, along = self._found.mean, self._found.away_m / STRETCH_M
+        elif slipped > 0.0:
+            mean, along = self._found.mean, min(self._found.away_m / STRETCH_M, 1.0)
             std = math.sqrt(self._found.variance + (_SPREADS * mean) * (_SPREADS * mean) * along)
         else:
             mean, std = _above(mean, std, at_least)
