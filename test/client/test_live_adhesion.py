@@ -97,6 +97,18 @@ def test_after_silence_a_refusal_or_an_unusable_status_it_is_another_slide() -> 
         assert one.limit() == OF_SLIDE
 
 
+def test_a_status_that_is_not_fit_to_use_does_not_make_a_slide_two() -> None:
+    one = adhesion_after(SLIDE)
+    one.take_new(Status.CONVERGING, replace(SLIDE, adhesion=0.02), 0.2, 1)
+    assert one.limit() == Rail(0.02, 0.01)
+    one.take_new(Status.VALID, PASSED, 0.4, 2)
+    assert one.limit() == OF_SLIDE
+    one.take_new(Status.CONVERGING, SLIDE, 0.6, 3)
+    one.go_on(60.0)
+    one.take_new(Status.VALID, replace(SLIDE, adhesion=0.15), 60.0, 4)
+    assert one.limit() == OF_SLIDE
+
+
 def test_slip_under_traction_does_not_lower_the_limit_of_a_slide_nor_is_one_that_was_heard_from_its_start() -> None:
     slip = replace(SLIDE, slip=0.2, adhesion=0.02)
     over = replace(slip, slip=0.0, slipping=False)

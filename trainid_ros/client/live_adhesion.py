@@ -67,30 +67,26 @@ class LiveAdhesion:
             return
         rail = Rail(float(estimate.adhesion), max(float(estimate.adhesion_std), LEAST_STD * RAIL_STD))
         slipping, has_slipped = estimate.slipping, estimate.slipping or estimate.slip_share > 0.0
-        may_be_slide = slides or (has_slipped and self._is_unheard)
+        self._follow(rail, status, slides=slides, slipping=slipping, has_slipped=has_slipped)
         if status.is_usable:
             self._rail = rail
-            is_of_past = has_slipped and not slipping and self._past is not None and not self._is_traction
-            self._follow(rail, slides=slides, slipping=slipping, is_of_past=may_be_slide or is_of_past)
-            if not has_slipped:
-                self._past = None
-        elif may_be_slide:
-            self._past = _worst(self._past, rail)
+            self._past = self._past if has_slipped else None
         self._status, self._heard_s, self._problem = status, time_s, '' if status.is_usable else WORDS[status]
         self._is_traction = has_slipped and not slides and (slipping or self._is_traction)
         self._is_unheard = False
 
-    def _follow(self, rail: Rail, *, slides: bool, slipping: bool, is_of_past: bool) -> None:
-        """Follow the slide that goes on, and those before it; ``is_of_past`` says whether a rail is one of these."""
-        is_same = not self._problem  # After silence or a refusal a slide is another one
+    def _follow(self, rail: Rail, status: Status, *, slides: bool, slipping: bool, has_slipped: bool) -> None:
+        """Follow the slide that goes on, and those before it."""
         if slides:
-            self._past = self._past if is_same else _worst(self._past, self._slide)
-            self._slide = rail
+            if self._is_unheard:  # After silence or a refusal it is another one
+                self._past, self._slide = self.limit(), None
+            self._slide = rail if status.is_usable else _worst(self._slide, rail)
         elif self._slide is not None:  # It is over, and its adhesion known best now
-            self._past = _worst(self._past, rail if is_same and not slipping else self._slide)
-            self._slide = None
-        elif is_of_past:
-            self._past = _worst(self._past, rail)
+            is_known = status.is_usable and not self._is_unheard and not slipping
+            self._past, self._slide = _worst(self._past, rail if is_known else self._slide), None
+        elif has_slipped:
+            is_that = status.is_usable and self._past is not None and not (slipping or self._is_traction)
+            self._past = _worst(self._past, rail) if is_that or self._is_unheard else self._past
 
     def refuse(self, reason: str, _time_s: float) -> None:
         """Use what rails are like although an estimate has arrived, for a reason."""
@@ -100,7 +96,7 @@ class LiveAdhesion:
 
     def go_on(self, time_s: float) -> None:
         """Advance to a time [s]."""
-        if not self._problem and time_s > self._heard_s + self._max_age_s:
+        if not self._is_unheard and time_s > self._heard_s + self._max_age_s:
             self.refuse(f'no new estimate for more than {self._max_age_s:g} s', time_s)
 
     def value(self) -> tuple[float, float, bool, str]:
