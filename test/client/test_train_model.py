@@ -594,6 +594,8 @@ def test_predictions_and_commands_say_that_a_slide_limits_the_brake() -> None:
     assert 'limited to an adhesion of 0.050 by a slide' in after.reason
     gentle = drive.model.predict(10.0, speed=20.0, command=-0.1)
     assert 'slide' not in gentle.reason
+    over = drive.model.predict(10.0, speed=20.0, command=((-40.0, -1.0), (-20.0, -0.1)))
+    assert 'slide' not in over.reason
     # A force that brakes is limited too: at most mu g / (1 + gamma) beside the resistance.
     full, coasting = (drive.model.predict(10.0, speed=20.0, force=force) for force in (-1e9, 0.0))
     assert 'limited to an adhesion of 0.050 by a slide' in full.reason

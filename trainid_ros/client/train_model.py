@@ -524,7 +524,9 @@ class TrainModel:
     ) -> tuple[Plan, StopPosterior, str]:
         """Return a plan with no more braking than a slide permits, what is known with it, and more of the reason."""
         most, least = self._command_at(rail.adhesion, posterior, shape), -rail.adhesion * 1000.0 * self._file.k
-        u = max(plan.applied, *(u for _, u in plan.command))
+        ends = *(t for t, _ in plan.command[1:]), math.inf
+        over_s = -self._file.brake.delay  # Commands that ended before do not act any more
+        u = max(plan.applied, *(u for (_, u), end in zip(plan.command, ends, strict=True) if end > over_s))
         p, rate_std = _probability_of_limit(u, most, rail), posterior.mean[0] * rail.share
         variance = (1.0 - p) * posterior.variances[0] + p * rate_std * rate_std
         known = replace(posterior, variances=(variance, *posterior.variances[1:]))
