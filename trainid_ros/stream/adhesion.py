@@ -19,7 +19,8 @@ exceeds a threshold, in the sense of the force: faster than the drive, or slower
 on the measured speed says nothing. The train is predicted from the last sample without slip, by an acceleration c that
 is constant but unknown. c is between zero and u + b.
 
-Axle and train agree again when the axle has come back, or the force is gone, and it moves for a while as a train can.
+Axle and train agree again when the axle moves for a while as a train can, and has come back, is without force, or moves
+as the force demands. A force of the other sense ends slip too; an axle that has not come back slips in that sense then.
 That speed updates v and, as the mean over the slide, c. J |c| / 1000 is the adhesion.
 """
 
@@ -351,12 +352,10 @@ class AdhesionEstimator:
             if side * past.speed < side * peak.speed:
                 peak = past
             largest = max(largest, side * (past.speed - past.v))
-            away = side * (now.speed - past.speed)
-            by_rail = side * (now.driven - past.driven + slide.error * seconds(now.stamp_ns - past.stamp_ns))
-            rolled = side * (now.rolled - past.rolled)
-            if away - rolled - max(by_rail, 0.0) > max(MIN_SLIP, noise):
+            _, change, by_rail = self._change(past, now)
+            if change - by_rail > max(MIN_SLIP, noise):
                 slide.has_returned = False
-            elif rolled - away > max(_BACK * largest, noise):
+            elif -change > max(_BACK * largest, noise):
                 slide.has_returned = True
         if was_back and not slide.has_returned:
             # Between two slides the axle has run nearly as fast as the train.
