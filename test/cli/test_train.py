@@ -60,6 +60,28 @@ def test_what_a_train_file_needs_is_listed(folder: Path, capsys: pytest.CaptureF
     assert '# next: enter what is missing, then trainid train show T.yaml' in out
 
 
+def test_what_comes_from_a_train_file_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = 'train: {mass: 2e5, mass_std: 0.002, cars: 6}\nresistance: {a: 1.0, b: 0.0, c: 0.01}\nbrake: {delay: 0.9}\n'
+    (folder / 'old.yaml').write_text(text, encoding='utf-8')
+    assert run(folder, 'import old.yaml stock.json') == 0
+    out = capsys.readouterr().out
+    assert 'train.cars, brake of old.yaml' in ' '.join(out.replace('#', '').split())
+    assert 'mass_std' not in out
+
+
+def test_an_imported_file_that_was_edited_is_kept(
+    folder: Path, capsys: pytest.CaptureFixture[str], one_error: Callable[[], str]
+) -> None:
+    for _ in range(2):
+        assert run(folder, 'import track.railml --out T.yaml') == 1
+    capsys.readouterr()
+    edited = (folder / 'T.yaml').read_text(encoding='utf-8') + 'train: {mass: 2e5}\n'
+    (folder / 'T.yaml').write_text(edited, encoding='utf-8')
+    assert run(folder, 'import track.railml --out T.yaml') == 2
+    assert 'T.yaml: edited since it was imported' in one_error()
+    assert (folder / 'T.yaml').read_text(encoding='utf-8') == edited
+
+
 def test_json_holds_all_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(folder, 'import stock.json --json') == 0
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+import zlib
 from pathlib import Path
 from textwrap import fill
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
+from trainid_ros.interface.errors import InputError
 from trainid_ros.train.draft import Draft, doubts, read_osrd
 from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
@@ -15,6 +17,7 @@ from trainid_ros.train.railml import read_railml
 from trainid_ros.train.train_file import assumed_fields, parse_train_file
 
 _HEAD = '# trainid train import'
+_FLAT = 'train', 'resistance'  # sections whose fields files of other systems replace one by one
 
 
 def import_files(args: argparse.Namespace) -> int:
@@ -24,6 +27,7 @@ def import_files(args: argparse.Namespace) -> int:
     draft, out = Draft(), args.out
     for path in args.files:
         _read(path, args, draft)
+    draft.notes += draft.kept()
     sections, (needed, defaults) = draft.sections(), draft.missing()
     text = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
     check = []
@@ -33,9 +37,11 @@ def import_files(args: argparse.Namespace) -> int:
         check = doubts(train_file)
     lists = {'check': check, 'read': draft.notes, 'left out': draft.left_out, 'not stated': defaults, 'missing': needed}
     lines = [fill(f'{name}: {"; ".join(found)}', 100, subsequent_indent='  ') for name, found in lists.items() if found]
-    page = '\n# '.join((_HEAD, *'\n'.join(lines).splitlines())) + f'\n{text}'
+    body = ''.join(f'# {line}\n' for line in '\n'.join(lines).splitlines()) + text
+    page = f'{_HEAD} {_digest(body)}\n{body}'
     if out is not None:
         check_output(out, args.files, _HEAD)
+        _check_unedited(out)
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(page, encoding='utf-8')
     if args.json:
@@ -47,13 +53,22 @@ def import_files(args: argparse.Namespace) -> int:
     return EXIT_NO_ANSWER if needed else 0
 
 
+def _digest(text: str) -> str:
+    return f'{zlib.crc32(text.encode()):08x}'
+
+
+def _check_unedited(out: Path) -> None:
+    """Raise InputError if a file that was imported has been edited since."""
+    head, _, body = (out.read_text(encoding='utf-8') if out.exists() else '').partition('\n')
+    if head and head != f'{_HEAD} {_digest(body)}':
+        raise InputError(f'{out}: edited since it was imported; choose another name, or delete it first')
+
+
 def _read(path: Path, args: argparse.Namespace, draft: Draft) -> None:
     text = read_text(path)
     if path.suffix in {'.yaml', '.yml'}:
         top = parse_yaml(text, str(path))
-        draft.train |= top.section('train').data
-        draft.resistance |= top.section('resistance').data
-        draft.other |= {name: top.data[name] for name in top.data if name not in {'train', 'resistance'}}
+        draft.merge(path.name, {name: top.section(name).data if name in _FLAT else top.data[name] for name in top.data})
     elif path.suffix == '.json':
         read_osrd(text, str(path), args.track, draft)
     else:

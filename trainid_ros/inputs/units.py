@@ -13,11 +13,11 @@ from trainid_ros.train.fields import did_you_mean
 _FACTORS: Final[dict[str, dict[str, float]]] = {
     'speed': {'m/s': 1.0, 'km/h': 1.0 / 3.6, 'mph': 0.44704},
     'length': {'m': 1.0, 'km': 1e3, 'ft': 0.3048, 'mi': 1609.344},
-    'force': {'N': 1.0, 'kN': 1e3, 'klbf': 4448.2216152605, 'lbf': 4.4482216152605},
+    'force': {'N': 1.0, 'kN': 1e3, 'daN': 10.0, 'kgf': 9.80665, 'klbf': 4448.2216152605, 'lbf': 4.4482216152605},
     'gradient': {'per_mille': 1.0, 'percent': 10.0},
     'angle': {'rad': 1.0, 'deg': math.pi / 180.0},
     'acceleration': {'m/s^2': 1.0},
-    'mass': {'kg': 1.0, 't': 1e3, 'lb': 0.45359237},
+    'mass': {'kg': 1.0, 't': 1e3, 'short_ton': 907.18474, 'lb': 0.45359237},
     'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'min': 60.0, 'h': 3600.0},
 }
 _PERCENT_OF: Final = 'percent_of'
@@ -71,7 +71,8 @@ _SPELLINGS: Final = {
     'km/hr': 'km/h', 'kmh': 'km/h', 'kph': 'km/h', '公里/小时': 'km/h', '千米/小时': 'km/h',
     'mps': 'm/s', 'ms': 'm/s', 'meters/second': 'm/s', '米/秒': 'm/s', '公里': 'km', '千米': 'km', '米': 'm',
     '千牛': 'kN', 'newton': 'N', '牛': 'N', 'ton': 't', 'tons': 't', 'tonnes': 't', '吨': 't', 'sec': 's', '秒': 's',
-    'µs': 'us', '毫秒': 'ms', 'kip': 'klbf', 'kips': 'klbf', 'miles': 'mi', 'milepost': 'mi',
+    'µs': 'us', '毫秒': 'ms', 'kp': 'kgf', 'short ton': 'short_ton', 'short tons': 'short_ton',
+    'kip': 'klbf', 'kips': 'klbf', 'miles': 'mi', 'milepost': 'mi',
 }  # fmt: skip
 SUFFIXES: Final = frozenset({*_SPELLINGS, *(name.lower() for known in _FACTORS.values() for name in known)})
 """What may follow an underscore in a name as its unit, in lower case."""

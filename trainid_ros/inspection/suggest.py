@@ -201,9 +201,9 @@ def _force_unit(choice: Choice, series: NumberSeries, slope: float, top: float, 
         choice.decisions.append('the unit; with --train the mass shows it')
         return named or _unit_by_range('force', top)
     newtons = slope * train_file.train.mass * (1.0 + train_file.train.rotary_mass)
-    # A thousand pounds are like a per cent of the force of many trains.
-    units = {name: size for name, size in unit_factors('force').items() if name != 'klbf' or named == name}
-    fitting = nearest_unit(newtons, units)
+    # Other units are like a per cent of the force of many trains, so only a name says them.
+    units = {name: size for name, size in unit_factors('force').items() if name in {named, 'N', 'kN', 'lbf'}}
+    fitting = named if named and is_near(newtons, units[named]) else nearest_unit(newtons, units)
     unit = fitting or named or f'percent_of {newtons / 10.0:.3g} kN'
     choice.reasons.append(f'mass x acceleration is {newtons:.4g} N for each unit, so {unit}')
     if named not in {'', unit}:
@@ -300,6 +300,9 @@ def _slowing(x: Array, motion: Motion, total: Array | None) -> tuple[float, floa
     return -slope.value * 1000.0 * (1.0 + rotary) / G, gain
 
 
+_MASS_OFF: Final = 0.08  # share by which loads seldom differ from the train file [1]; short tons do by 0.09
+
+
 def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -> list[Choice]:
     """Return a mass that fits the train file, or whose name and range say so; empty if there is none."""
     units = unit_factors('mass')
@@ -314,10 +317,12 @@ def _choose_mass(series: Iterable[NumberSeries], train_file: TrainFile | None) -
             choice.decisions.append('is it the mass of the whole train, or of its load (then with an offset)?')
         else:
             mass = train_file.train.mass
-            unit = named or nearest_unit(mass / value, units)
+            unit = named or nearest_unit(mass / value, {name: units[name] for name in ('kg', 't', 'lb')})
             if not unit or not is_near(units[unit] * value, mass):
                 continue
-            choice.reasons.append(f'unit {unit}: the train file says {mass:.4g} kg')
+            choice.reasons.append(f'unit {unit}: the train file says {mass / 1000.0:.4g} t')
+            if abs(off := units[unit] * value / mass - 1.0) > _MASS_OFF:
+                choice.decisions.append(f'whether it is {off:+.0%} off the train file, or short tons or another unit')
         choice.parts = (Part(item, unit),)
         return [choice]
     return []
@@ -353,7 +358,8 @@ def _choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array 
     choice = Choice('brake_command', on_change=on_change)
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
-    if item.is_whole and np.unique(item.value).size <= 16:
+    is_percent = unit_in(item, 'gradient') == 'percent'
+    if item.is_whole and not is_percent and np.unique(item.value).size <= 16:
         choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
         choice.reasons.append(f'value of each notch: {by_force} while it holds')
         choice.decisions.append('the nominal deceleration of each notch')

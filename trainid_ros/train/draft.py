@@ -44,8 +44,29 @@ class Draft:
     extent: tuple[float, float] = (0.0, 0.0)  # Positions at the ends of the line [m]
     # By name of the field of the line
     stretches: dict[str, list[Stretch]] = field(default_factory=dict)
+    given: dict[str, dict[str, Any]] = field(default_factory=dict)  # Sections of train files, by name of the file
     notes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+
+    def merge(self, name: str, sections: dict[str, Any]) -> None:
+        """Take in the sections of a train file with a name."""
+        self.given[name] = sections
+        self.train |= sections.get('train', {})
+        self.resistance |= sections.get('resistance', {})
+        self.other |= {key: section for key, section in sections.items() if key not in {'train', 'resistance'}}
+
+    def kept(self) -> list[str]:
+        """Return what comes from train files as text; the std of a mass that another file states goes."""
+        texts = []
+        for name, sections in self.given.items():
+            train, resistance = sections.get('train', {}), sections.get('resistance', {})
+            if 'mass_std' in train and self.train.get('mass') != train.get('mass'):
+                self.train.pop('mass_std', None)
+            fields = [f'train.{key}' for key, value in train.items() if self.train.get(key) == value]
+            fields += [f'resistance.{key}' for key, value in resistance.items() if self.resistance.get(key) == value]
+            fields += [key for key in sections if key in self.other]
+            texts += [f'{", ".join(fields)} of {name}'] if fields else []
+        return texts
 
     def set_resistance(self, total: Iterable[float], mass: float) -> None:
         """Set a, b, c from A [N], B [N/(m/s)] and C [N/(m/s)^2] of a mass [kg]."""
