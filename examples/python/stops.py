@@ -62,7 +62,7 @@ def play_stops(report: Path, seed: int, count: int, say: Callable[[str], None]) 
     prepare_page(report)
     planned = changing_days(seed, count)
     seeds = ', '.join(str(number) for number, _ in planned)
-    say(f'{_RUNS} stops a day of a {_WORLD} train on the Yizhuang line, days {seeds}, by different values')
+    say(f'{_RUNS} stops a day of a {_WORLD} train on the Yizhuang line, days of seeds {seeds}, by different values')
     days = []
     with progress('stops', count * len(CONTROLLERS)) as advance:
         for number, plan in planned:

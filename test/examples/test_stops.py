@@ -53,10 +53,10 @@ def test_stops_with_a_change_during_the_braking_are_named_and_circled() -> None:
     lines = brake_changes([day(**drives), day(150.0, **drives), day(190.0, **drives)])
     assert lines[0] == 'day 1: no sudden change'
     assert lines[1].endswith('at 2.5 min, but never in a braking to a stop')
-    assert lines[2].endswith('braked with: train file at stop 2 (-0.20 m); live estimates at stop 2 (-0.51 m)')
+    assert lines[2].endswith('braked to stop 2 with train file (-0.20 m); stop 2 with live estimates (-0.51 m)')
     elsewhere = replace(drives['nominal'], brakings_s=(70.0, 195.0))
     (other,) = brake_changes([day(190.0, **{**drives, 'nominal': elsewhere})])
-    assert other.endswith('at 3.2 min, while the train braked with: live estimates at stop 2 (-0.51 m)')
+    assert other.endswith('at 3.2 min, while the train braked to stop 2 with live estimates (-0.51 m)')
     page = stop_page([day(190.0, **drives)])
     assert lines[2].replace('day 3', 'day 1') in page
     assert len(page) > len(stop_page([day(150.0, **drives)]))

@@ -95,7 +95,7 @@ def test_what_to_do_next_follows_from_verdict_and_probabilities(make_explanation
     certain = replace(unexplained, probabilities=(('none', 1.0),))
     assert next_steps(certain) == [lacks]
     fitted = replace(certain, train_file=replace(kept, resistance=certain.davis))
-    assert next_steps(fitted) == ['Use the train file written, with a, b and c as fitted.', lacks]
+    assert next_steps(fitted) == ['Use the train file of --out, with a, b and c as fitted.', lacks]
 
 
 def test_data_lack_what_would_make_an_answer_certain(make_explanation: Make, stated: TrainFile) -> None:

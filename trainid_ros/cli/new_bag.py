@@ -94,7 +94,8 @@ def import_table(args: argparse.Namespace) -> int:
         train, out = _quoted(args.train or Path('T.yaml')), _quoted(args.out)
         show(f'next: trainid replay {out} --train {train} --report {out}.html')
         if args.train is None:
-            show('      with the train file T.yaml, of which mass and resistance are enough')
+            show('      where T.yaml has mass [kg] and resistance [N/kN], at least:')
+            show('      train: {mass: 200e3}\n      resistance: {a: 1.0, b: 0.01, c: 0.0005}')
     return 0
 
 
@@ -118,7 +119,7 @@ def _suggest(args: argparse.Namespace) -> int:
             for decision in choice.decisions:
                 warn(f'{choice.quantity}: {decision}', 'decide')
         train = '' if args.train is None else f' --train {_quoted(args.train)}'
-        if 'speed' not in missing:  # without which there is no bag
+        if not missing:
             out = args.file.with_suffix('')
             warn(f'trainid import {_quoted(args.file)} {_quoted(out)} --map map.yaml{train}', 'next')
     if missing:

@@ -282,9 +282,7 @@ def assess(
     gap = gap_of(read, written.before, written.after, final, bursts)
     remaining = _remaining(selection, verdict)
     if remaining is _NOISE and leaves_more_than_noise(gap):
-        remaining = (
-            'More is left than noise and errors of the map and of the sensors; it fits no effect of the library.'
-        )
+        remaining = _USUAL if verdict is Verdict.NO_GAP else _MORE
     outcome = Outcome(verdict, remaining, hyper, base, final, written.terms, written.davis, read, written.after, gap)
     if gap is None and verdict is Verdict.EXPLAINED:
         return replace(outcome, verdict=Verdict.AMBIGUOUS, remaining='No other run confirms it.')
@@ -344,6 +342,8 @@ def leaves_more_than_noise(gap: Gap | None) -> bool:
     return gap is not None and gap.after > NEAR * gap.noise_floor
 
 
+_MORE: Final = 'More is left than noise and errors of the map and of the sensors; it fits no effect of the library.'
+_USUAL: Final = 'The gap is above its noise floor, as small errors of load, map and brake can leave it too.'
 _NOISE: Final = 'What is left is noise: gusts, errors of the map and of the sensors.'
 NEAR: Final = 1.2  # Gap over noise floor of 9 in 10 clean cases at most [1], as benchmarks/explain.py counts
 

@@ -103,7 +103,7 @@ def _since_1970(when: datetime) -> int:
 
 
 # Before a clock, or alone; 1.2.3 alone is a version.
-_DATE: Final = re.compile(r'\d{1,4}(?:([./-])\w{1,3}\1\d{1,4} |([/-])\w{1,3}\2\d{1,4}$)')
+_DATE: Final = re.compile(r'\d{1,4}(?:([./-])\w{1,3}\1\d{1,4} |([/-])\w{1,3}\2\d{1,4}$)|\d\d(\.)\d\d\.\d\d$')
 # Orders of dates; with dots the day comes first everywhere.
 _ORDERS: Final = ('%d %m %Y', '%d %m %y', '%Y %m %d', '%d %b %Y', '%m %d %Y', '%m %d %y', '%y %m %d')
 _OF_DAY: Final = 'time of day'
@@ -173,7 +173,7 @@ class TextTimes:
         if (found := _DATE.match(texts[0])) is None:
             return ''
         dates = tuple(dict.fromkeys(text.partition(' ')[0] for text in texts))
-        sign = found[1] or found[2]
+        sign = next(filter(None, found.groups()))
         forms = [x.replace(' ', sign) for x in _ORDERS if sign != '.' or x[1] in 'Yd']
         forms = [form for form in forms if _parsed_ns(dates[0], form) is not None]
         all_fit = [form for form in forms if all(_parsed_ns(date, form) is not None for date in dates)]

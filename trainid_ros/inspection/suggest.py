@@ -59,7 +59,7 @@ def suggest(
     """
     head = (
         f'Suggested by trainid {"import" if table else "info"} --suggest-map for {name}: '
-        f'{numbers.duration_s / 60.0:.0f} min were read.',
+        f'{_lasting(numbers.duration_s)} were read.',
         f'Check each line before it is used; what is left out {"is missing" if table else "comes from our own topic"}.',
     )
     own = frozenset(topic.lstrip('/') for topic in numbers.own)
@@ -75,6 +75,10 @@ def suggest(
     if numbers.left_out:
         notes.append(f'not read: {listed([f"{topic} ({why})" for topic, why in numbers.left_out], 6)}')
     return Suggestion(head, (*table, *choices), missing, tuple(notes))
+
+
+def _lasting(seconds: float) -> str:
+    return f'{seconds / 60.0:.0f} min' if seconds >= 90.0 else f'{seconds:.0f} s'
 
 
 _ADVICE: Final = {
@@ -358,7 +362,7 @@ def _choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array 
     choice = Choice('brake_command', on_change=on_change)
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
-    is_percent = unit_in(item, 'gradient') == 'percent'
+    is_percent = '%' in item.field or unit_in(item, 'gradient') == 'percent'
     if item.is_whole and not is_percent and np.unique(item.value).size <= 16:
         choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
         choice.reasons.append(f'value of each notch: {by_force} while it holds')

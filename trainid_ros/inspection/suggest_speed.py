@@ -159,7 +159,9 @@ def choose_speed(
     metres = find_unit(length or 'm', 'length').factor
     if found := jumps(best.speed, best.position, best.travel.ratio, _LEAST_JUMP_M / metres):
         rows = ', '.join(f'[{metres * at:.1f}, {metres * by:.1f}]' for at, by in found[:_MOST_JUMPS])
-        position.decisions.append(f'it jumps while the train runs; if kilometre posts do, add chainage: [{rows}]')
+        position.decisions.append(
+            f'it jumps while the train runs; if kilometre posts do, add a line beside position: chainage: [{rows}]'
+        )
     position.reasons.append(f'correlation {best.travel.correlation:.2f} of its changes with the integral of the speed')
     if not length:
         position.decisions.append(f'no units fit {best.travel.ratio:.4g} for each {unit} and second: gain or unit')

@@ -152,11 +152,11 @@ def next_steps(explanation: Explanation) -> list[str]:
     """Return as sentences what to do next: the drive that would tell, and what the data lack."""
     if explanation.verdict is Verdict.EXPLAINED:
         slip = ' but that of slip' if any(effect.name == 'wheel_slip' for effect in explanation.effects) else ''
-        use = f'Use the train file written, and explain further drives with it: they should show no gap{slip}.'
+        use = f'Use the train file of --out, and explain further drives with it: they should show no gap{slip}.'
         return [*alternatives(explanation), use]
     steps, found = alternatives(explanation), {effect.name for effect in explanation.effects}
     if not found and explanation.train_file.resistance == explanation.davis:
-        steps.append('Use the train file written, with a, b and c as fitted.')
+        steps.append('Use the train file of --out, with a, b and c as fitted.')
     if (learned := explanation.learned) and learned.effect:
         steps.append(f'Find the cause. Until then use folder learned, with {learned.effect} as an effect of your own.')
     if explanation.verdict is not Verdict.AMBIGUOUS:

@@ -358,7 +358,7 @@ _STATUSES: Final = {
     Status.UNINITIALIZED: (DiagnosticStatus.WARN, 'no sample yet', 'wait for the inputs'),
     Status.CONVERGING: (
         DiagnosticStatus.WARN,
-        'converging, not yet fit to use',
+        'not certain enough to be used yet',
         'drive on, it learns at changing speeds',
     ),
     Status.VALID: (DiagnosticStatus.OK, 'fit to use, updating', ''),

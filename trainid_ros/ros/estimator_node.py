@@ -114,7 +114,8 @@ class StatusChanges:
         name, logger = self._status.name, self._logger
         if self._status is Status.STALE:
             why = self._context.missing_inputs() or 'stamps of an input are behind those of the others'
-            logger.warning(f'STALE, the last estimate stands: {why}', throttle_duration_sec=1.0)
+            kept = '' if before is Status.UNINITIALIZED else ', the last estimate stands'
+            logger.warning(f'STALE{kept}: {why}', throttle_duration_sec=1.0)
         elif before is Status.STALE:
             text = 'inputs are back' if self._had_inputs else 'inputs have come'
             if self._had_inputs and 0 < self._context.since_ns <= now_ns:

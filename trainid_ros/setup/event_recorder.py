@@ -165,7 +165,7 @@ class EventRecorder:
             raise InputError('nothing is recorded: no message has come')
         self._due[f'{name}: requested'] = f'{name}_request'
         self._due_ns = 0
-        return f'the last {self._span_ns / NS_PER_S / 60.0:g} min are written to {self._folder}'
+        return f'up to the last {self._span_ns / NS_PER_S / 60.0:g} min are written to {self._folder}'
 
     def _begin(self, now_ns: int) -> None:
         due, self._due, self._free_ns = self._due, {}, now_ns + MIN_PAUSE_NS

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.interface.text import pluralise
 from trainid_ros.report.page import (
     BAD,
     BRAKE,
@@ -70,7 +71,7 @@ class Day:
 def stop_page(days: Sequence[Day]) -> str:
     """Return the report of some days as HTML text."""
     sizes = ('mean, m', '95 % within, m', 'largest, m', f'within {WINDOW:.2f} m')
-    table = html_table(f'Stops of {len(days)} days', ('values', *sizes), [*_rows(days)])
+    table = html_table(f'Stops of {pluralise(len(days), "day")}', ('values', *sizes), [*_rows(days)])
     figures = (
         ('Errors of the stops', _ERRORS_CAPTION, _errors_figure(days)),
         ('Brake rate of each day', _RATE_CAPTION, _rate_figure(days)),
@@ -116,13 +117,13 @@ def brake_changes(days: Sequence[Day]) -> list[str]:
     lines = []
     for number, (plan, drives) in enumerate(((day.plan, day.drives) for day in days), 1):
         found = [
-            f'{LABELS[name]} at stop {stop} ({drive.errors[stop - 1]:+.2f} m)'
+            f'stop {stop} with {LABELS[name]} ({drive.errors[stop - 1]:+.2f} m)'
             for name, drive in drives.items()
             for stop in changed_stops(plan, drive)
         ]
         times = ' and '.join(f'{event_s / 60.0:.1f} min' for event_s in plan.events_s)
         # With other values, the train may stand or be elsewhere on its way at the same time.
-        during = f'while the train braked with: {"; ".join(found)}' if found else 'but never in a braking to a stop'
+        during = f'while the train braked to {"; ".join(found)}' if found else 'but never in a braking to a stop'
         changed = f'rain began or a brake unit was isolated at {times}, {during}' if times else 'no sudden change'
         lines.append(f'day {number}: {changed}')
     return lines
