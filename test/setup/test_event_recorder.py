@@ -88,7 +88,7 @@ def recorded(tmp_path: Path) -> Recorded:
     [
         ('fault', {'status': Status.FAULT}, 'node: the estimator cannot continue\n'),
         ('contradiction', {'stream': Stream('ato/force')}, 'node: inputs contradict each other: ato/force\n'),
-        ('step', {'resistance': 2.3}, 'node: resistance [N/kN] from 1.5 ± 0.1 to 2.3 ± 0.1\n'),
+        ('step', {'resistance': 2.3}, 'node: resistance [N/kN] from 1.50 ± 0.10 to 2.30 ± 0.10\n'),
     ],
 )
 def test_an_event_is_recorded_once(recorded: Recorded, kind: str, changes: dict[str, object], text: str) -> None:

@@ -29,7 +29,7 @@ from trainid_ros.interface.errors import InputError, NoAnswerError
 from trainid_ros.interface.files import write_text
 from trainid_ros.interface.records import NS_PER_S
 from trainid_ros.interface.results import Reason, ResistanceEstimate, deviations, quantities
-from trainid_ros.interface.text import in_step, pluralise
+from trainid_ros.interface.text import in_step, pluralise, plus_minus
 from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, PieceCollector, check_plausible, fit_davis
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
@@ -173,9 +173,8 @@ def _describe(fit: DavisFit, stds: list[float], motion: Reading) -> str:
     for name, value, std in zip('abc', fit.theta.tolist(), stds, strict=True):
         rows.append((name, *in_step(value, std), quantities(ResistanceEstimate)[name].unit))
     slow, fast = fit.speed_range
-    for v in (slow, 0.5 * (slow + fast), fast):
-        w, std = fit.resistance(v)
-        rows.append((f'w at {v:.1f} m/s', f'{w:.4g}', f'{std:.2g}', 'N/kN'))
+    speeds = slow, 0.5 * (slow + fast), fast
+    rows += [(f'w at {v:.1f} m/s', *in_step(*fit.resistance(v)), 'N/kN') for v in speeds]
     head = (
         f'{fit.nodes} of {motion.samples} samples in {fit.pieces} pieces without braking, {slow:.1f} to {fast:.1f} m/s'
     )
@@ -290,7 +289,7 @@ def describe(fit: BrakeFit, brake: Brake, name: str, etcs: EtcsBrake | None) -> 
     lines = [f'{_START} to {pluralise(fit.brakings, "braking")} of {name} from {fast:.1f} to {slow:.1f} m/s']
     for one in fit.quantities:
         unit = '' if one.unit == '1' else f' {one.unit}'
-        lines.append(f'# {one.name}: {one.value:.3g} ± {one.std:.2g}{unit}; {one.verdict}')
+        lines.append(f'# {one.name}: {plus_minus(one.value, one.std)}{unit}; {one.verdict}')
     others = ', '.join(f'{model} {evidence:+.1f}' for model, evidence in fit.models if evidence < 0.0)
     lines += [
         f'# from braking to braking: rate ± {fit.scatter:.2g}, response time ± {fit.jitter:.2g} s',

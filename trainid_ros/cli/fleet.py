@@ -107,7 +107,7 @@ def _report(args: argparse.Namespace, table: list[files.Row], known: int) -> int
         more = ((known, 'replayed before'), (len(errors), 'without an estimate'))
         show('; '.join((f'{args.out}: {counts}', *(f'{count} {what}' for count, what in more if count))))
         if summary['days'] > 1:
-            page = args.out.with_suffix('.html')
+            page = args.out.with_name('report.html')
             show(f'next: {shlex.join(("trainid", "fleet", "report", str(args.out), "--out", str(page)))}')
     if len(errors) < len(table):
         return 0

@@ -53,8 +53,8 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
             for train in view.found
         ],
         hidden=view.hidden,
-        names=names,
-        spread=[(v.channel.title, *_spread(v.fit, names)) for v in view.channels],
+        names=[f'std by {name}' for name in names],
+        spread=[(f'{v.channel.title} {v.channel.unit}'.rstrip(), *_spread(v.fit, names)) for v in view.channels],
         all_trains=fleet_over_days(view),
         common=common_over_days(view),
         trains=[
@@ -122,7 +122,7 @@ def _departure_text(view: FleetView, departure: Departure) -> str:
 
 def _spread(fit: MixedFit, names: Sequence[str]) -> tuple[str, ...]:
     stds = (f'{fit.stds[name]:.2g}' if name in fit.stds else DASH for name in names)
-    return f'{fit.mean:.4g}', *stds, f'{fit.stds["stated"]:.0%}', f'{fit.degrees:g}'
+    return in_step(fit.mean, fit.stds.get('train', math.nan))[0], *stds, f'{fit.stds["stated"]:.0%}', f'{fit.degrees:g}'
 
 
 def fleet_over_days(view: FleetView) -> str:

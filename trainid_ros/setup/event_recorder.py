@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 from trainid_ros.interface.errors import InputError
 from trainid_ros.interface.records import NS_PER_S, Row
 from trainid_ros.interface.results import BrakeRateEstimate, ResistanceEstimate, Status
+from trainid_ros.interface.text import plus_minus
 from trainid_ros.resistance.davis_posterior import resistance_std
 from trainid_ros.train.forces import davis
 from trainid_ros.train.train_file import Davis
@@ -66,7 +67,7 @@ def step_of(before: Any, now: Any) -> str:
         return ''
     # Their errors are correlated, which makes the difference smaller than assumed here.
     is_step = abs(new - old) > _STEP_STD * math.hypot(new_std, old_std)
-    return f'{name} from {old:.3g} ± {old_std:.2g} to {new:.3g} ± {new_std:.2g}' if is_step else ''
+    return f'{name} from {plus_minus(old, old_std)} to {plus_minus(new, new_std)}' if is_step else ''
 
 
 class Segment(NamedTuple):
