@@ -119,6 +119,7 @@ def test_what_is_stated_is_not_found_out(tmp_path: Path) -> None:
         ("t;v\n0.5;1'234.5\n1.0;12\n", [1234.5, 12.0]),
         ('t;v\n0,5;1\u202f234,5\n1,0;12\n', [1234.5, 12.0]),
         ('t;v\n0,500;1,234\n1,000;12\n', [1.234, 12.0]),
+        ('t;v\n0,5;102+300\n1,0;102+312,5\n', [102300.0, 102312.5]),
     ],
 )
 def test_thousands_marks_are_no_decimal_signs(tmp_path: Path, content: str, values: list[float]) -> None:

@@ -163,6 +163,9 @@ def _is_blank(cell: str) -> bool:
     return text in _BLANK or _EXCEL_ERROR.fullmatch(text) is not None
 
 
+_POST: Final = re.compile(r'(\d{1,4})\+(\d{3,4}(?:[.,]\d+)?)')  # km+m, as on kilometre posts
+
+
 def _number(cell: str, decimal: str) -> float | None:
     """Return the number in a cell, NaN if it is blank, None if it holds something else."""
     text = cell.strip().replace('\u2212', '-')  # the minus sign of Unicode
@@ -173,6 +176,8 @@ def _number(cell: str, decimal: str) -> float | None:
     # float() would take a point for the decimal sign, and underscores.
     if (decimal == ',' and '.' in text) or '_' in text:
         return None
+    if post := _POST.fullmatch(text):
+        return 1000.0 * int(post[1]) + float(post[2].replace(decimal, '.'))
     try:
         return float(text.replace(decimal, '.'))
     except ValueError:
