@@ -72,7 +72,7 @@ def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: floa
 
 def test_a_force_scale_of_5_percent_error_is_reported() -> None:
     assert force_findings(estimate(0.953, 0.004)) == (
-        'force scale 0.953 ± 0.004: mass or force of the train file is off',
+        'force scale 0.953 ± 0.004: ato/force or the mass (ato/mass or train.mass) is off',
     )
 
 

@@ -198,7 +198,7 @@ def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
     found = []
     if abs(scale) > max(_LEAST_SHARE, _SIGMAS * estimate.force_scale_std):
         value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
-        found.append(f'force scale {value}: mass or force of the train file is off')
+        found.append(f'force scale {value}: ato/force or the mass (ato/mass or train.mass) is off')
     if abs(delay) > max(_LEAST_DELAY_S, _SIGMAS * estimate.force_delay_std):
         sense = 'later' if delay > 0.0 else 'earlier'
         value = f'{abs(delay):.2f} ± {estimate.force_delay_std:.2g} s'
