@@ -10,14 +10,13 @@ from textwrap import fill
 
 from trainid_ros.cli.output import EXIT_NO_ANSWER, check_output, prepare_page, print_json, show
 from trainid_ros.interface.errors import InputError
-from trainid_ros.train.draft import Draft, doubts, read_osrd
+from trainid_ros.train.draft import FLAT, Draft, doubts, read_osrd
 from trainid_ros.train.effects import check_effects
 from trainid_ros.train.fields import parse_yaml, read_text
 from trainid_ros.train.railml import read_railml
 from trainid_ros.train.train_file import assumed_fields, parse_train_file
 
 _HEAD = '# trainid train import'
-_FLAT = 'train', 'resistance'  # sections whose fields files of other systems replace one by one
 
 
 def import_files(args: argparse.Namespace) -> int:
@@ -68,7 +67,7 @@ def _read(path: Path, args: argparse.Namespace, draft: Draft) -> None:
     text = read_text(path)
     if path.suffix in {'.yaml', '.yml'}:
         top = parse_yaml(text, str(path))
-        draft.merge(path.name, {name: top.section(name).data if name in _FLAT else top.data[name] for name in top.data})
+        draft.merge(path.name, {name: top.section(name).data if name in FLAT else top.data[name] for name in top.data})
     elif path.suffix == '.json':
         read_osrd(text, str(path), args.track, draft)
     else:

@@ -24,15 +24,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import mul, sub
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from trainid_ros.interface.results import Status
 from trainid_ros.interface.scalars import seconds
-
-if TYPE_CHECKING:
-    pass
 
 MAX_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""

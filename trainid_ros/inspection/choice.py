@@ -8,9 +8,7 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from trainid_ros.inspection.number_series import (
-    NumberSeries,
-)
+from trainid_ros.inspection.number_series import NumberSeries
 from trainid_ros.interface.text import printable
 
 

@@ -33,6 +33,10 @@ _USUAL_MASS: Final = (1e3, 1e8)
 Hedland, 2001)."""
 
 
+FLAT: Final = ('train', 'resistance')
+"""Sections whose fields the files of other systems replace one by one."""
+
+
 @dataclass(slots=True)
 class Draft:
     """Fields of a train file as far as they are stated, how they were read, and what it cannot say."""
@@ -53,7 +57,7 @@ class Draft:
         self.given[name] = sections
         self.train |= sections.get('train', {})
         self.resistance |= sections.get('resistance', {})
-        self.other |= {key: section for key, section in sections.items() if key not in {'train', 'resistance'}}
+        self.other |= {key: section for key, section in sections.items() if key not in FLAT}
 
     def kept(self) -> list[str]:
         """Return what comes from train files as text; the std of a mass that another file states goes."""
