@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -581,6 +582,13 @@ def test_a_bound_relies_on_no_more_than_the_adhesion_of_a_slide() -> None:
         NoAnswerError, match=r'may not stop: braking limited to an adhesion of 0\.036 by a slide is too weak'
     ):
         drive.model.stopping_distance(20.0, gradient=-60.0)
+
+
+@pytest.mark.parametrize(('status', 'stamp_ns'), [('VALID', 1), (None, 1), (Status.VALID, None), (Status.VALID, 0.5)])
+def test_what_is_no_output_is_refused(status: Any, stamp_ns: Any) -> None:
+    output: Any = SimpleNamespace(estimate=None, status=status, stamp_ns=stamp_ns)
+    with pytest.raises(InputError, match=r'take: status .* is no output'):
+        Drive().model.take(output)
 
 
 def test_predictions_and_commands_say_that_a_slide_limits_the_brake() -> None:

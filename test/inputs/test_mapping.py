@@ -285,6 +285,7 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('missing: none', 'missing'),
         ('chainage: [[1.0, 2.0]]', 'chainage is of measured positions'),
         ('{position: {from: speed}, chainage: [[1.0, 2.0]]}', 'chainage is of measured positions'),
+        ('position: {topic: /x, field: x, chainage: [[1.0, 2.0]]}', r'position\.chainage stands beside position'),
         ('{position: {topic: /x, field: x}, chainage: [[1.0, 0.0]]}', r'chainage\[0\] = \[1, 0\] must jump'),
         ('{position: {topic: /x, field: x}, chainage: [[9.0, 2.0], [11.0, 2.0]]}', r'chainage\[1\] = \[11, 2\] must'),
         ('{position: {topic: /x, field: x}, chainage: [[9.0]]}', r'chainage\[0\] = \[9.0\] must be \[m, m\]'),

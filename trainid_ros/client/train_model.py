@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
+from numbers import Integral, Real
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, get_args, overload
 
@@ -47,6 +47,7 @@ from trainid_ros.estimators.pipeline import PipelineGroup
 from trainid_ros.estimators.settings import BrakeRateConfig, FilterBankConfig, GsmaConfig, PriorSettings
 from trainid_ros.interface.errors import InputError, NoAnswerError, check_settings
 from trainid_ros.interface.records import ADHESION_TOPIC, BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, Record, output_topic
+from trainid_ros.interface.results import Status
 from trainid_ros.interface.scalars import seconds
 from trainid_ros.train.fields import shown
 from trainid_ros.train.forces import G, load_drag
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
     from trainid_ros.client.prediction import Steps
     from trainid_ros.client.stopping import RateShape
     from trainid_ros.interface.records import OutputTopic
-    from trainid_ros.interface.results import Output, Status
+    from trainid_ros.interface.results import Output
     from trainid_ros.setup.pipelines import EstimatorSettings
 
 
@@ -232,8 +233,15 @@ class TrainModel:
         return model
 
     def take(self, output: Output[Any]) -> None:
-        """Take in an output of an estimator that has just arrived; those of the speed model are not needed."""
-        self.take_message(output_topic(output.estimate), output.status, output.estimate, output.stamp_ns)
+        """Take in an output of an estimator that has just arrived; those of the speed model are not needed.
+
+        InputError if its status or its stamp [ns] is none.
+        """
+        status: Any = output.status
+        stamp_ns: Any = output.stamp_ns
+        if not (isinstance(status, Status) and isinstance(stamp_ns, Integral)):
+            raise InputError(f'take: status {shown(status)} with stamp_ns {shown(stamp_ns)} is no output')
+        self.take_message(output_topic(output.estimate), status, output.estimate, output.stamp_ns)
 
     def take_message(
         self,

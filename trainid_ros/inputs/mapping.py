@@ -328,6 +328,8 @@ def _top(text: str, source: str) -> Section:
 
 def _position(top: Section) -> Position | None:
     section = top.section('position')
+    if 'chainage' in section.data:
+        section.fail('chainage', 'stands beside position, on a line of its own')
     if 'from' not in section.data:
         return _signal(top, 'position')
     section.only(('from', 'start', 'direction')).choice('from', ('speed',))
