@@ -69,6 +69,15 @@ def test_what_comes_from_a_train_file_is_named(folder: Path, capsys: pytest.Capt
     assert 'mass_std' not in out
 
 
+def test_the_std_of_a_mass_stays_with_the_last_file_that_states_both(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, mass, std in (('old', 2e5, 0.002), ('new', 3e5, 0.004)):
+        (folder / f'{name}.yaml').write_text(f'train: {{mass: {mass}, mass_std: {std}}}\n', encoding='utf-8')
+    run(folder, 'import old.yaml new.yaml --json')
+    assert json.loads(capsys.readouterr().out)['train_file']['train'] == {'mass': 3e5, 'mass_std': 0.004}
+
+
 def test_an_imported_file_that_was_edited_is_kept(
     folder: Path, capsys: pytest.CaptureFixture[str], one_error: Callable[[], str]
 ) -> None:
@@ -80,6 +89,9 @@ def test_an_imported_file_that_was_edited_is_kept(
     assert run(folder, 'import track.railml --out T.yaml') == 2
     assert 'T.yaml: edited since it was imported' in one_error()
     assert (folder / 'T.yaml').read_text(encoding='utf-8') == edited
+    (folder / 'T.yaml').write_bytes(b'# trainid train import 00000000\n# Z\xfcge\n')
+    assert run(folder, 'import track.railml --out T.yaml') == 2
+    assert 'T.yaml' in one_error()
 
 
 def test_json_holds_all_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

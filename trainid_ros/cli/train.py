@@ -26,6 +26,7 @@ def import_files(args: argparse.Namespace) -> int:
     draft, out = Draft(), args.out
     for path in args.files:
         _read(path, args, draft)
+    draft.drop_other_mass_std()
     draft.notes += draft.kept()
     sections, (needed, defaults) = draft.sections(), draft.missing()
     text = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
@@ -58,7 +59,7 @@ def _digest(text: str) -> str:
 
 def _check_unedited(out: Path) -> None:
     """Raise InputError if a file that was imported has been edited since."""
-    head, _, body = (out.read_text(encoding='utf-8') if out.exists() else '').partition('\n')
+    head, _, body = (read_text(out) if out.exists() else '').partition('\n')
     if head and head != f'{_HEAD} {_digest(body)}':
         raise InputError(f'{out}: edited since it was imported; choose another name, or delete it first')
 

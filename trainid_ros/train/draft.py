@@ -59,15 +59,19 @@ class Draft:
         self.resistance |= sections.get('resistance', {})
         self.other |= {key: section for key, section in sections.items() if key not in FLAT}
 
+    def drop_other_mass_std(self) -> None:
+        """Drop the std of a mass that a file after its own has replaced."""
+        stated = [sections.get('train', {}) for sections in self.given.values()]
+        last = next((train for train in reversed(stated) if 'mass_std' in train), None)
+        if last is not None and self.train.get('mass') != last.get('mass'):
+            del self.train['mass_std']
+
     def kept(self) -> list[str]:
-        """Return what comes from train files as text; the std of a mass that another file states goes."""
-        texts = []
+        """Return as text what comes from train files."""
+        texts, own = [], {'train': self.train, 'resistance': self.resistance}
         for name, sections in self.given.items():
-            train, resistance = sections.get('train', {}), sections.get('resistance', {})
-            if 'mass_std' in train and self.train.get('mass') != train.get('mass'):
-                self.train.pop('mass_std', None)
-            fields = [f'train.{key}' for key, value in train.items() if self.train.get(key) == value]
-            fields += [f'resistance.{key}' for key, value in resistance.items() if self.resistance.get(key) == value]
+            values = [(part, key, value) for part in FLAT for key, value in sections.get(part, {}).items()]
+            fields = [f'{part}.{key}' for part, key, value in values if own[part].get(key) == value]
             fields += [key for key in sections if key in self.other]
             texts += [f'{", ".join(fields)} of {name}'] if fields else []
         return texts
